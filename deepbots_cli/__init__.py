@@ -7,7 +7,8 @@ The way of the data, and the packages along it:
 
 program/      the compiled scenario     lint/         rules about scenarios
 cli/, lsp/    the command and the language server
-port.py       the interface of engines  engines/      the engines behind it   engine_kinds.py  their names, and what they need
+port.py       the interface of engines  engines/      the engines behind it
+engine_kinds.py  the names of engines, and what they need
 frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
 geometry.py   terrain and meshes at simulation time
 arrays.py     expressions over arrays
@@ -17,8 +18,9 @@ errors.py     the exceptions, as a tree   files.py      files read up to a limit
 plugins.py    what other packages add     message_formats.py  how messages may be written
 processes.py  further processes of Python
 
-The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`, `train`, `resume`, `evaluate`, `compare` and
-`load_policy`; each is imported when it is first asked for, so that importing this package costs nothing.
+The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`, `train`,
+`resume`, `evaluate`, `compare` and `load_policy`; each is imported when it is first asked for, so that
+importing this package costs nothing.
 """
 
 from __future__ import annotations

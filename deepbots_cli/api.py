@@ -6,9 +6,10 @@
     compiled = deepbots_cli.compile("my_scenario.yaml")            # .program, .code, .digest, .findings
     result = deepbots_cli.train(compiled, seed=0)
 
-A scenario is named by the path of a file or by the name of a shipped one (`cartpole`), or is a `Scenario` built in Python, whose
-relative paths start from the working directory. Training and evaluation stand in `deepbots_cli.learning`. Importing this module loads
-neither simulator nor learner, and not the back end of the compiler either, which linting does without (15 ms of CPU).
+A scenario is named by the path of a file or by the name of a shipped one (`cartpole`), or is a `Scenario`
+built in Python, whose relative paths start from the working directory. Training and evaluation stand in
+`deepbots_cli.learning`. Importing this module loads neither simulator nor learner, and not the back end of
+the compiler either, which linting does without (15 ms of CPU).
 """
 
 from __future__ import annotations
@@ -43,13 +44,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
-    """A compiled scenario, with everything that a run records of it. `code` and `digest` are computed on first use.
+    """A compiled scenario, with everything that a run records of it. `code` and `digest` are computed on
+    first use.
 
     Attributes:
         program: The compiled scenario.
         source: The path of the scenario.
-        inputs: The content of every file that was read, by the relative path of its copy in a run; the scenario comes first.
-        resolved: The merged scenario as YAML, which compiles to the same program next to a folder `inputs` with these copies.
+        inputs: The content of every file that was read, by the relative path of its copy in a run; the
+            scenario comes first.
+        resolved: The merged scenario as YAML, which compiles to the same program next to a folder `inputs`
+            with these copies.
         findings: The findings of `lint`: warnings, and internal errors of rules (DB903).
         permissions: The permissions with which it was read.
         fixed: The parameters that no episode draws.
@@ -102,13 +106,15 @@ def load(
     """Read and check a scenario; problems are in `.findings`, and nothing is raised for them.
 
     Args:
-        source: A path, the name of a shipped scenario, or a `Scenario`; or an open source, which has its own permissions.
+        source: A path, the name of a shipped scenario, or a `Scenario`; or an open source, which has its own
+            permissions.
         overrides: Assignments `path=value`, as for `--set`.
-        permissions: Folders outside the project from which the scenario may read files, and whether it may name functions of installed
-            Python packages. These functions run in environments, not in this call.
+        permissions: Folders outside the project from which the scenario may read files, and whether it may
+            name functions of installed Python packages. These functions run in environments, not in this
+            call.
         drafts: Contents to read instead of files, by their absolute paths.
-        tests: Whether to read `tests` even if there are `overrides`. By default `tests` are left out then, because an override may remove
-            what they name.
+        tests: Whether to read `tests` even if there are `overrides`. By default `tests` are left out then,
+            because an override may remove what they name.
 
     Raises:
         UsageError: The file does not exist.
@@ -124,7 +130,8 @@ def lint(
     permissions: Permissions = Permissions(),
     preview: bool = False,
 ) -> list[Finding]:
-    """All findings of a scenario, sorted, without suppressed findings; with those of rules in preview only if `preview` is set.
+    """All findings of a scenario, sorted, without suppressed findings; with those of rules in preview only if
+    `preview` is set.
 
     Raises:
         UsageError: The file does not exist.
@@ -142,7 +149,8 @@ def compile(
     overrides: Sequence[str] = (),
     permissions: Permissions = Permissions(),
 ) -> Compiled:
-    """Compile a scenario to a program, from which deepbots generates Python. A compiled scenario is returned unchanged.
+    """Compile a scenario to a program, from which deepbots generates Python. A compiled scenario is returned
+    unchanged.
 
     Raises:
         ScenarioError: The scenario has findings at error level.
@@ -150,9 +158,15 @@ def compile(
     """
     if isinstance(source, Compiled):
         return source
-    checked = source if isinstance(source, CheckedScenario) else load(source, overrides=overrides, permissions=permissions)
+    checked = (
+        source
+        if isinstance(source, CheckedScenario)
+        else load(source, overrides=overrides, permissions=permissions)
+    )
     findings = all_findings(checked)
-    if checked.program is None or any(finding.severity == "error" and not finding.is_internal_error for finding in findings):
+    if checked.program is None or any(
+        finding.severity == "error" and not finding.is_internal_error for finding in findings
+    ):
         raise ScenarioError(findings)
     program = checked.program
     inputs = checked.inputs
@@ -194,8 +208,8 @@ def make(
     """The Gymnasium environment of a scenario.
 
     Args:
-        engine: `pybullet`, `mujoco`, or an engine of another package. By default the engine of the scenario; if it names none, `pybullet`,
-            or the first installed engine with a warning.
+        engine: `pybullet`, `mujoco`, or an engine of another package. By default the engine of the scenario;
+            if it names none, `pybullet`, or the first installed engine with a warning.
         render_mode: None, or `rgb_array`.
 
     Raises:
@@ -208,7 +222,9 @@ def make(
         source = compile(source, overrides=overrides, permissions=permissions)
     if isinstance(source, Compiled):
         allowed = permissions if permissions.code else source.permissions
-        return build(source.program, engine=engine, render_mode=render_mode, permissions=allowed, fixed=source.fixed)
+        return build(
+            source.program, engine=engine, render_mode=render_mode, permissions=allowed, fixed=source.fixed
+        )
     return build(source, engine=engine, render_mode=render_mode, permissions=permissions)
 
 
@@ -222,11 +238,12 @@ def make_vec(
 ) -> BatchEnvironment:
     """Many worlds of a scenario as one `gymnasium.vector.VectorEnv`, stepped together on all cores.
 
-    World i runs the same episodes as an environment of `make` with the seed of world i. When an episode ends, the next one begins in the
-    same step (`AutoresetMode.SAME_STEP`): `final_obs` and `final_info` contain its last observation and info.
+    World i runs the same episodes as an environment of `make` with the seed of world i. When an episode ends,
+    the next one begins in the same step (`AutoresetMode.SAME_STEP`): `final_obs` and `final_info` contain its
+    last observation and info.
 
-    Call `torch.set_num_threads(1)` before your own loop that trains or acts with torch: networks of this size are many times slower on
-    several threads. deepbots does not change the number of threads of your process.
+    Call `torch.set_num_threads(1)` before your own loop that trains or acts with torch: networks of this size
+    are many times slower on several threads. deepbots does not change the number of threads of your process.
 
     Args:
         num_envs: Number of worlds, from 1.
@@ -247,7 +264,9 @@ def make_vec(
     return BatchEnvironment(batch)
 
 
-def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: tuple[str, ...] = ()) -> BatchSupervisor:
+def build_batch(
+    program: Program, count: int, *, engine: str = "mujoco", fixed: tuple[str, ...] = ()
+) -> BatchSupervisor:
     """The supervisor of `count` worlds of a compiled scenario; see `make_vec`."""
     if not 1 <= count <= MAX_WORLDS:
         raise UsageError(f"a batch of {count} worlds cannot be made; from 1 to {MAX_WORLDS} are possible")
@@ -261,7 +280,9 @@ def build_batch(program: Program, count: int, *, engine: str = "mujoco", fixed: 
     from deepbots_cli.runtime.copies import make_batch
 
     name, mark = class_name(program.name), digest(program)[:12]
-    of_batch = load_module(generate_module(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>")
+    of_batch = load_module(
+        generate_module(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>"
+    )
     of_one = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {mark}>")
     kinds = vars(of_one)[f"{name}Supervisor"], vars(of_batch)[f"{name}Batch"]
     batch = make_batch(*kinds, program, lambda world: engines.create_batch(engine, world, count))
@@ -276,9 +297,11 @@ MAX_WORLDS = 4096
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Builder:
-    """Makes environments of a compiled scenario: in the `spec` of one, and where one is copied to another process.
+    """Makes environments of a compiled scenario: in the `spec` of one, and where one is copied to another
+    process.
 
-    Its `repr` is the scenario's name and digest; that of a compiled scenario has tens of thousands of characters.
+    Its `repr` is the scenario's name and digest; that of a compiled scenario has tens of thousands of
+    characters.
     """
 
     program: Program
@@ -308,12 +331,14 @@ def build(
 
     Args:
         fixed: The parameters that no episode draws.
-        wrap: Replaces the engine of this environment. Copies of the environment in other processes keep the original one.
+        wrap: Replaces the engine of this environment. Copies of the environment in other processes keep the
+            original one.
     """
     if program.python_functions and not permissions.code:
         names = ", ".join(map(str, program.python_functions))
         raise UsageError(
-            f"{program.name} runs Python code ({names}); allow it with --allow-code (permissions=Permissions(code=True)) if you trust it"
+            f"{program.name} runs Python code ({names}); allow it with --allow-code"
+            " (permissions=Permissions(code=True)) if you trust it"
         )
     try:
         from gymnasium.envs.registration import EnvSpec
@@ -328,15 +353,19 @@ def build(
 
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
-    module = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>")
+    module = load_module(
+        generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>"
+    )
 
     def make_engine(world: WorldModel) -> Engine:
-        made = engines.create(engine, world)
-        return made if wrap is None else wrap(made)
+        created = engines.create(engine, world)
+        return created if wrap is None else wrap(created)
 
     environment = make_environment(vars(module)[f"{name}Supervisor"], program, make_engine, render_mode)
     environment.fixed = fixed
     builder = Builder(program, permissions, fixed)
     environment.rebuild = partial(builder, engine=engine, render_mode=render_mode)
-    environment.spec = EnvSpec(f"deepbots/{name}-v1", entry_point=builder, kwargs={"engine": engine, "render_mode": render_mode})
+    environment.spec = EnvSpec(
+        f"deepbots/{name}-v1", entry_point=builder, kwargs={"engine": engine, "render_mode": render_mode}
+    )
     return environment

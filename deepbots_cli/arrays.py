@@ -24,8 +24,8 @@ Array = NDArray[Any]
 def evaluate(scalar: Scalar, values: Mapping[Name, Array]) -> Array:
     """The value of a tree for arrays of one shape; float64, or truth values.
 
-    `values` holds the array of each name that the tree reads. What has no value (a division by zero) is inf or NaN, as
-    numpy has it.
+    `values` holds the array of each name that the tree reads. What has no value (a division by zero) is inf
+    or NaN, as numpy has it.
 
     Raises:
         DeepbotsError: The tree holds what is not computed from names and numbers alone.

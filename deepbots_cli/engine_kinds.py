@@ -1,6 +1,8 @@
-"""The physics engines by name: what each is, what it needs and lacks. Nothing is imported but what an engine is asked for.
+"""The physics engines by name: what each is, what it needs and lacks. Nothing is imported but what an engine
+is asked for.
 
-Other packages add an engine by an entry point of the group `deepbots.engines`, whose name is the word under `world.engine`.
+Other packages add an engine by an entry point of the group `deepbots.engines`, whose name is the word under
+`world.engine`.
 """
 
 from __future__ import annotations
@@ -25,11 +27,12 @@ class Limitation(NamedTuple):
 
 
 class EngineKind(NamedTuple):
-    """`factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module that it imports, `batch` the `module:attribute`
-    of its batches: many worlds of one model at once.
+    """`factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module that it imports,
+    `batch` the `module:attribute` of its batches: many worlds of one model at once.
 
-    `last_python` is the last Python that the library is built for; `on_windows` says whether it is built for Windows. `mesh_terrain` says
-    why a mesh cannot be the ground, None if it can; `implausible_inertia` why a link cannot have an inertia that no rigid body can have.
+    `last_python` is the last Python that the library is built for; `on_windows` says whether it is built for
+    Windows. `mesh_terrain` says why a mesh cannot be the ground, None if it can; `implausible_inertia` why a
+    link cannot have an inertia that no rigid body can have.
     """
 
     summary: str
@@ -44,7 +47,8 @@ class EngineKind(NamedTuple):
 
     @property
     def moves_followers(self) -> bool:
-        """Whether it simulates `<mimic>`. For an engine of another package this imports it, and reads its `capabilities`."""
+        """Whether it simulates `<mimic>`. For an engine of another package this imports it, and reads its
+        `capabilities`."""
         if self.library is not None:
             return True
         try:
@@ -96,7 +100,8 @@ class Engines(Mapping[str, EngineKind]):
 
     def _all(self) -> dict[str, EngineKind]:
         added = {
-            entry.name: EngineKind(f"Of {entry.value}.", entry.name, entry.value) for entry in plugins.entry_points_of(ENTRY_POINT_GROUP)
+            entry.name: EngineKind(f"Of {entry.value}.", entry.name, entry.value)
+            for entry in plugins.entry_points_of(ENTRY_POINT_GROUP)
         }
         return {**self.own, **{name: kind for name, kind in added.items() if name not in self.own}}
 
@@ -134,7 +139,8 @@ ENGINES = Engines(
             ),
             implausible_inertia=Limitation(
                 "has an inertia that no rigid body can have, which MuJoCo refuses",
-                "in its <inertia>, make each principal moment above 0 and at most the sum of the other two, or use the engine `pybullet`",
+                "in its <inertia>, make each principal moment above 0 and at most the sum of the other two,"
+                " or use the engine `pybullet`",
             ),
         ),
     }
@@ -142,12 +148,14 @@ ENGINES = Engines(
 
 
 def with_engine(overrides: Iterable[str] | None, engine: str | None) -> list[str]:
-    """Assignments of `--set`, and after them that of `--engine`: the scenario is then checked for this engine."""
+    """Assignments of `--set`, and after them that of `--engine`: the scenario is then checked for this
+    engine."""
     return [*(overrides or ()), *([] if engine is None else [f"world.engine={engine}"])]
 
 
 def chosen(name: str | None) -> str:
-    """The engine of this name, or the default one: PyBullet where it is installed, else the first engine that is.
+    """The engine of this name, or the default one: PyBullet where it is installed, else the first engine that
+    is.
 
     Numbers of two engines differ, so a warning says once per process that another engine stands in.
     """
@@ -163,7 +171,8 @@ def _default() -> str:
     if other is None:
         return DEFAULT_ENGINE  # which says how to install it
     logging.getLogger("deepbots").warning(
-        "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or world.engine)",
+        "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or"
+        " world.engine)",
         usual.missing,
         ENGINES.own[other].title,
         usual.title,

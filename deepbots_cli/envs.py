@@ -1,7 +1,8 @@
 """Registers scenarios with Gymnasium: the shipped ones by their names, and any other by its path.
 
     gymnasium.make("deepbots_cli.envs:deepbots/CartPole-v1")
-    gymnasium.make("deepbots_cli.envs:deepbots/Scenario-v1", scenario="my.yaml", overrides=["fall_angle=10deg"])
+    gymnasium.make("deepbots_cli.envs:deepbots/Scenario-v1", scenario="my.yaml",
+    overrides=["fall_angle=10deg"])
 
 Importing this module registers them. A scenario limits its own episodes, so Gymnasium adds no time limit.
 """
@@ -22,13 +23,17 @@ ANY_SCENARIO = "deepbots/Scenario-v1"
 
 
 def make_scenario(scenario: str | Path | None = None, **options: Any) -> Supervisor:
-    """The environment of `scenario`, a path or the name of a shipped scenario; `options` are the other arguments of `deepbots_cli.make`.
+    """The environment of `scenario`, a path or the name of a shipped scenario; `options` are the other
+    arguments of `deepbots_cli.make`.
 
     Raises:
         UsageError: `scenario` is None; also the errors of `deepbots_cli.make`.
     """
     if scenario is None:
-        raise UsageError(f'{ANY_SCENARIO} needs a scenario: gymnasium.make("deepbots_cli.envs:{ANY_SCENARIO}", scenario="my.yaml")')
+        raise UsageError(
+            f'{ANY_SCENARIO} needs a scenario: gymnasium.make("deepbots_cli.envs:{ANY_SCENARIO}",'
+            ' scenario="my.yaml")'
+        )
     return make(scenario, **options)
 
 

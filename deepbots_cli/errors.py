@@ -71,7 +71,8 @@ class MissingExtraError(UsageError):
 
 
 def extra_with(module: str) -> str | None:
-    """The smallest extra that requires the package of a module, by the metadata of the installation; None if there is none."""
+    """The smallest extra that requires the package of a module, by the metadata of the installation; None if
+    there is none."""
     packages = _packages_by_extra()
     fitting = [extra for extra, names in packages.items() if module.lower() in names]
     return min(fitting, key=lambda extra: len(packages[extra]), default=None)
@@ -84,15 +85,16 @@ def _packages_by_extra() -> dict[str, list[str]]:
     packages: dict[str, list[str]] = {}
     with suppress(PackageNotFoundError):
         for requirement in requires("deepbots-cli") or ():
-            if found := re.match(r"([\w.-]+).*\bextra == .([\w-]+)", requirement):
-                packages.setdefault(found[2], []).append(found[1].lower().replace("-", "_"))
+            if match := re.match(r"([\w.-]+).*\bextra == .([\w-]+)", requirement):
+                packages.setdefault(match[2], []).append(match[1].lower().replace("-", "_"))
     return packages
 
 
 def install_hint(extra: str, origin: str | None = None) -> str:
     """How to install an extra from `origin`, by default the place that deepbots was installed from.
 
-    From a clone, deepbots-robot is installed in the same command if the extra needs it: no package index has it.
+    From a clone, deepbots-robot is installed in the same command if the extra needs it: no package index has
+    it.
     """
     origin = origin or install_source()
     wanted = [f"'{origin}[{extra}]'"]
@@ -102,7 +104,8 @@ def install_hint(extra: str, origin: str | None = None) -> str:
 
 
 def install_source() -> str:
-    """The clone that deepbots was installed from if pip knows it and it still exists, else the package name."""
+    """The clone that deepbots was installed from if pip knows it and it still exists, else the package
+    name."""
     import json  # imported only for this message
     from importlib.metadata import PackageNotFoundError, distribution
     from pathlib import Path
@@ -110,11 +113,15 @@ def install_source() -> str:
     from urllib.request import url2pathname
 
     try:
-        address = urlsplit(str(json.loads(distribution("deepbots-cli").read_text("direct_url.json") or "{}").get("url", "")))
+        address = urlsplit(
+            str(json.loads(distribution("deepbots-cli").read_text("direct_url.json") or "{}").get("url", ""))
+        )
     except (PackageNotFoundError, ValueError):
         return "deepbots-cli"
     folder = Path(url2pathname(address.path))
-    return str(folder) if address.scheme == "file" and (folder / "pyproject.toml").is_file() else "deepbots-cli"
+    return (
+        str(folder) if address.scheme == "file" and (folder / "pyproject.toml").is_file() else "deepbots-cli"
+    )
 
 
 class RunError(UsageError):
@@ -122,7 +129,8 @@ class RunError(UsageError):
 
 
 class StorageError(RunError):
-    """A file cannot be written, because the disk is full, for example: other trainings in this place would fail too."""
+    """A file cannot be written, because the disk is full, for example: other trainings in this place would
+    fail too."""
 
 
 class MessageError(DeepbotsError):

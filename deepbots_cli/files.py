@@ -1,4 +1,5 @@
-"""Files that are read up to a limit, or written whole or not at all; and a check of pictures before they are decoded."""
+"""Files that are read up to a limit, or written whole or not at all; and a check of pictures before they are
+decoded."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ def read_at_most(path: Path, most: int) -> bytes:
         OSError: The file cannot be read.
     """
     with path.open("rb") as file:
-        # A buffer of `most` bytes (32 MB for a mesh) fragments the heap: a process grew by 20 MB in 60 000 reads.
+        # A buffer of `most` bytes (32 MB for a mesh) fragments the heap: a process grew by 20 MB in 60 000
+        # reads.
         size = os.fstat(file.fileno()).st_size
         data = file.read(min(size + 1, most))
         # Special files, such as those in /proc, report size 0.
@@ -89,7 +91,8 @@ def refuse_overwriting(*present: Path, force: bool) -> None:
         names = ", ".join(sorted(map(str, present)))
         one = len(present) == 1
         raise UsageError(
-            f"{names} already exist{'s' * one}; overwrite {'it' if one else 'them'} with --force (in Python: force=True), "
+            f"{names} already exist{'s' * one}; overwrite {'it' if one else 'them'} with --force (in Python:"
+            " force=True), "
             "or choose another name"
         )
 
@@ -103,12 +106,14 @@ def check_new_folder(folder: Path, *, force: bool) -> None:
     check_folder(folder)
     if not force and folder.is_dir() and any(folder.iterdir()):
         raise UsageError(
-            f"{folder} is not empty; choose another folder, or replace files of the same name with --force (in Python: force=True)"
+            f"{folder} is not empty; choose another folder, or replace files of the same name with --force"
+            " (in Python: force=True)"
         )
 
 
 def refuse_links_within(folder: Path) -> None:
-    """Find out before long work whether files in a folder are links or pipes: writing would follow a link, and wait for a pipe.
+    """Find out before long work whether files in a folder are links or pipes: writing would follow a link,
+    and wait for a pipe.
 
     Raises:
         UsageError: One is.
@@ -132,10 +137,11 @@ def check_folder(folder: Path) -> None:
 
 @contextmanager
 def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator[Path]:
-    """Yield an empty file beside `path` to write to, which replaces `path` at the end and takes over its permissions.
+    """Yield an empty file beside `path` to write to, which replaces `path` at the end and takes over its
+    permissions.
 
-    Readers never see half a file, and an exception leaves `path` as it was. There is no fsync: it protects from a killed process,
-    not from a power cut.
+    Readers never see half a file, and an exception leaves `path` as it was. There is no fsync: it protects
+    from a killed process, not from a power cut.
 
     Raises:
         UsageError: The system refuses it; `refused` is the class to raise.
@@ -148,7 +154,13 @@ def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator
             yield path
             return
         draft.unlink(missing_ok=True)
-        os.close(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, path.stat().st_mode & 0o777 | 0o600 if path.exists() else 0o666))
+        os.close(
+            os.open(
+                draft,
+                os.O_WRONLY | os.O_CREAT | os.O_EXCL,
+                path.stat().st_mode & 0o777 | 0o600 if path.exists() else 0o666,
+            )
+        )
         yield draft
         if path.exists():
             shutil.copymode(path, draft)
@@ -161,21 +173,21 @@ def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator
 
 def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
     """Time of change and size of each file, None for a missing one: they differ when a file was saved."""
-    found: dict[Path, tuple[int, int] | None] = {}
+    stamps: dict[Path, tuple[int, int] | None] = {}
     for file in files:
         try:
             status = file.stat()
-            found[file] = (status.st_mtime_ns, status.st_size)
+            stamps[file] = (status.st_mtime_ns, status.st_size)
         except OSError:
-            found[file] = None
-    return found
+            stamps[file] = None
+    return stamps
 
 
 def picture_problem(data: bytes) -> str | None:
     """The headline for the first problem of a PNG picture; None for a sound gray picture of 8 or 16 bits.
 
-    The header limits the size before the data is unpacked, to no more bytes than the header promises. PIL decodes the picture
-    when the world is built; lint imports neither PIL nor numpy.
+    The header limits the size before the data is unpacked, to no more bytes than the header promises. PIL
+    decodes the picture when the world is built; lint imports neither PIL nor numpy.
     """
     if len(data) > MAX_PICTURE_BYTES:
         return f"the picture is larger than {MAX_PICTURE_BYTES >> 20} MiB"

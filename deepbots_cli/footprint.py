@@ -1,10 +1,11 @@
-"""Footprints of bodies on the ground, as discs and rectangles; link frames; bounding boxes; the height at which a body rests.
+"""Footprints of bodies on the ground, as discs and rectangles; link frames; bounding boxes; the height at
+which a body rests.
 
-The footprint of an object is a rectangle or a disc, exact while it stands upright. The footprint of a robot is the disc around
-its links with all joints at 0. Lengths are in m, angles in rad.
+The footprint of an object is a rectangle or a disc, exact while it stands upright. The footprint of a robot
+is the disc around its links with all joints at 0. Lengths are in m, angles in rad.
 
-Distances do not use shapely, and link frames do not use yourdfpy: lint needs both and imports no numpy. A patch and its distance
-to another take 19 us here and 17 us with shapely.
+Distances do not use shapely, and link frames do not use yourdfpy: lint needs both and imports no numpy. A
+patch and its distance to another take 19 us here and 17 us with shapely.
 """
 
 from __future__ import annotations
@@ -18,7 +19,18 @@ from typing import NamedTuple
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.robots.meshes import mesh_bounds
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Shape, Sphere
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Geometry,
+    Joint,
+    Link,
+    Mesh,
+    RobotModel,
+    Shape,
+    Sphere,
+)
 
 Spot = tuple[float, float]
 
@@ -26,8 +38,8 @@ Spot = tuple[float, float]
 class Footprint(NamedTuple):
     """A rectangle or a disc in the axes of a standing body.
 
-    `middle` is relative to the body's origin; `radius` is that of the disc, or of the circle around the rectangle; `half` holds
-    half the sides of the rectangle, None for a disc.
+    `middle` is relative to the body's origin; `radius` is that of the disc, or of the circle around the
+    rectangle; `half` holds half the sides of the rectangle, None for a disc.
     """
 
     middle: Spot
@@ -84,7 +96,10 @@ class Patch(NamedTuple):
         if self.half is not None:
             dx, dy = other.x - self.x, other.y - self.y
             axes = ((self.cos, self.sin, self.half[0]), (-self.sin, self.cos, self.half[1]))
-            return all(abs(c * dx + s * dy) + (_along(other, c, s) if other.half else other.radius) + margin <= half for c, s, half in axes)
+            return all(
+                abs(c * dx + s * dy) + (_along(other, c, s) if other.half else other.radius) + margin <= half
+                for c, s, half in axes
+            )
         if other.half is None:
             return hypot(other.x - self.x, other.y - self.y) + other.radius + margin <= self.radius
         return all(hypot(x - self.x, y - self.y) + margin <= self.radius for x, y in other.corners())
@@ -103,7 +118,9 @@ def patch_distance(a: Patch, b: Patch) -> float:
         return other.distance(disc.x, disc.y) - disc.radius
     if not _parted(a, b):
         return -min(*a.half, *b.half)
-    return min(*(b.distance(*corner) for corner in a.corners()), *(a.distance(*corner) for corner in b.corners()))
+    return min(
+        *(b.distance(*corner) for corner in a.corners()), *(a.distance(*corner) for corner in b.corners())
+    )
 
 
 def _parted(a: Patch, b: Patch) -> bool:
@@ -123,20 +140,24 @@ def _along(patch: Patch, c: float, s: float) -> float:
 
 
 def shape_footprint(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Footprint:
-    """The footprint of an object whose origin is the middle of its shape; the bounding rectangle if the object is tilted."""
+    """The footprint of an object whose origin is the middle of its shape; the bounding rectangle if the
+    object is tilted."""
     match shape:
         case Sphere(radius):
             return Footprint((0.0, 0.0), radius)
         case Cylinder(radius) | Capsule(radius) if roll == pitch == 0.0:
             return Footprint((0.0, 0.0), radius)
         case _:
-            (low_x, low_y, _), (high_x, high_y, _) = bounds_of_shape(shape, (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0)))
+            (low_x, low_y, _), (high_x, high_y, _) = bounds_of_shape(
+                shape, (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0))
+            )
             half = ((high_x - low_x) / 2, (high_y - low_y) / 2)
             return Footprint(((low_x + high_x) / 2, (low_y + high_y) / 2), hypot(*half), half)
 
 
 def robot_footprint(model: RobotModel) -> Footprint:
-    """The disc around all collision shapes, or all visuals where there are none; a point for a robot without shapes."""
+    """The disc around all collision shapes, or all visuals where there are none; a point for a robot without
+    shapes."""
     discs = _all_discs(model)
     if not discs:
         return Footprint((0.0, 0.0), 0.0)
@@ -147,13 +168,15 @@ def robot_footprint(model: RobotModel) -> Footprint:
 
 
 def half_width(model: RobotModel) -> float:
-    """The reach of a robot's shapes from its origin, along x or y, whichever is less: its distance from a wall that it drives along."""
+    """The reach of a robot's shapes from its origin, along x or y, whichever is less: its distance from a
+    wall that it drives along."""
     discs = _all_discs(model)
     return min(max((abs(disc[axis]) + disc[2] for disc in discs), default=0.0) for axis in (0, 1))
 
 
 def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:
-    """The discs of all collision shapes, or of all visuals where there are none, in the frame of the root link."""
+    """The discs of all collision shapes, or of all visuals where there are none, in the frame of the root
+    link."""
     for placed in (_placed(model, lambda link: link.collisions), _placed(model, lambda link: link.visuals)):
         discs = [disc for shape, frame in placed for disc in _discs(shape, frame)]
         if discs:
@@ -162,7 +185,8 @@ def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:
 
 
 def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
-    """Discs (x, y, radius) whose hull, seen from above, holds a shape of a robot; exact for upright and for lying shapes."""
+    """Discs (x, y, radius) whose hull, seen from above, holds a shape of a robot; exact for upright and for
+    lying shapes."""
     x, y, _ = frame[0]
     axis = frames.rotate(frame[1], (0.0, 0.0, 1.0))
     match shape:
@@ -178,12 +202,17 @@ def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
 
 
 def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
-    """The points where a robot with all joints at 0 touches level ground, in the frame of its root; meshes do not count.
+    """The points where a robot with all joints at 0 touches level ground, in the frame of its root; meshes do
+    not count.
 
     A point is the end of a shape within `thickness` (m) of the lowest.
     """
     lowest = -resting_height(model)
-    touching = [(shape, frame) for shape, frame in _solids(model) if bounds_of_shape(shape, frame)[0][2] <= lowest + thickness]
+    touching = [
+        (shape, frame)
+        for shape, frame in _solids(model)
+        if bounds_of_shape(shape, frame)[0][2] <= lowest + thickness
+    ]
     return [foot for shape, frame in touching for foot in _feet(shape, frame, thickness)]
 
 
@@ -205,21 +234,26 @@ def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
 
 
 def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None) -> dict[str, Frame]:
-    """The frame of every link in the frame of the root; `positions` of joints (rad or m) are by name; others are at 0 or follow."""
+    """The frame of every link in the frame of the root; `positions` of joints (rad or m) are by name; others
+    are at 0 or follow."""
     below: dict[str, list[Joint]] = {}
     for joint in model.joints:
         below.setdefault(joint.parent, []).append(joint)
     positions = positions or {}
     if model.followers:
-        followers = {name: mimic.position(positions.get(mimic.joint, 0.0)) for name, mimic in model.followers.items()}
+        followers = {
+            name: mimic.position(positions.get(mimic.joint, 0.0)) for name, mimic in model.followers.items()
+        }
         positions = {**followers, **positions}
-    found, waiting = {model.root: frames.IDENTITY_FRAME}, [model.root]
+    frames_by_link, waiting = {model.root: frames.IDENTITY_FRAME}, [model.root]
     while waiting:
         parent = waiting.pop()
         for joint in below.get(parent, ()):
-            found[joint.child] = child_frame(joint, found[parent], positions.get(joint.name, 0.0))
+            frames_by_link[joint.child] = child_frame(
+                joint, frames_by_link[parent], positions.get(joint.name, 0.0)
+            )
             waiting.append(joint.child)
-    return found
+    return frames_by_link
 
 
 def child_frame(joint: Joint, parent: Frame, position: float) -> Frame:
@@ -233,7 +267,9 @@ def child_frame(joint: Joint, parent: Frame, position: float) -> Frame:
 
 
 def _placed(
-    model: RobotModel, shapes_of: Callable[[Link], Iterable[Geometry]], positions: Mapping[str, float] | None = None
+    model: RobotModel,
+    shapes_of: Callable[[Link], Iterable[Geometry]],
+    positions: Mapping[str, float] | None = None,
 ) -> list[tuple[Shape, Frame]]:
     """Shapes of each link of a robot, in the frame of its root."""
     where = link_frames(model, positions)
@@ -243,7 +279,11 @@ def _placed(
 
 def _solids(model: RobotModel) -> list[tuple[Shape, Frame]]:
     """The collision shapes that are no meshes, in the frame of the root, with all joints at 0."""
-    return [(shape, frame) for shape, frame in _placed(model, lambda link: link.collisions) if not isinstance(shape, Mesh)]
+    return [
+        (shape, frame)
+        for shape, frame in _placed(model, lambda link: link.collisions)
+        if not isinstance(shape, Mesh)
+    ]
 
 
 # Bounding boxes
@@ -253,8 +293,12 @@ Bounds = tuple[Triple, Triple]
 
 
 def robot_bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> Bounds:
-    """The box around all shapes of a robot and the origins of its links, in the frame of its root; `positions` as in `link_frames`."""
-    boxes = [bounds_of_shape(shape, frame) for shape, frame in _placed(model, lambda link: (*link.visuals, *link.collisions), positions)]
+    """The box around all shapes of a robot and the origins of its links, in the frame of its root;
+    `positions` as in `link_frames`."""
+    boxes = [
+        bounds_of_shape(shape, frame)
+        for shape, frame in _placed(model, lambda link: (*link.visuals, *link.collisions), positions)
+    ]
     boxes += [(origin, origin) for origin, _ in link_frames(model, positions).values()]
     return box_around(boxes)
 
@@ -265,7 +309,9 @@ def without_meshes(model: RobotModel) -> RobotModel:
     def plain(parts: tuple[Geometry, ...]) -> tuple[Geometry, ...]:
         return tuple(part for part in parts if not isinstance(part.shape, Mesh))
 
-    links = tuple(replace(link, visuals=plain(link.visuals), collisions=plain(link.collisions)) for link in model.links)
+    links = tuple(
+        replace(link, visuals=plain(link.visuals), collisions=plain(link.collisions)) for link in model.links
+    )
     return replace(model, links=links)
 
 
@@ -282,11 +328,15 @@ def box_sides(box: Bounds) -> Triple:
 
 
 def resting_height(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
-    """The height of the origin of a body that rests on flat ground with this attitude; meshes of a robot do not count."""
+    """The height of the origin of a body that rests on flat ground with this attitude; meshes of a robot do
+    not count."""
     tilted = (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0))
     if not isinstance(body, RobotModel):
         return 0.0 - bounds_of_shape(body, tilted)[0][2]
-    return 0.0 - min((bounds_of_shape(shape, frames.compose(tilted, frame))[0][2] for shape, frame in _solids(body)), default=0.0)
+    return 0.0 - min(
+        (bounds_of_shape(shape, frames.compose(tilted, frame))[0][2] for shape, frame in _solids(body)),
+        default=0.0,
+    )
 
 
 def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bounds:
@@ -307,7 +357,8 @@ def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bound
 
 
 def _corners(shape: Shape, frame: Frame) -> list[Triple]:
-    """The corners of the box around a shape in its own axes; a mesh whose size is unknown counts as its origin."""
+    """The corners of the box around a shape in its own axes; a mesh whose size is unknown counts as its
+    origin."""
     x, y, z = zip(*_own_bounds(shape), strict=True)
     return [frames.add(frame[0], frames.rotate(frame[1], corner)) for corner in product(x, y, z)]
 

@@ -1,4 +1,5 @@
-"""Rotations as quaternions (x, y, z, w) and as 3 by 3 matrices, in plain floats: faster than numpy on so few numbers."""
+"""Rotations as quaternions (x, y, z, w) and as 3 by 3 matrices, in plain floats: faster than numpy on so few
+numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +23,12 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
     """The rotation by roll about x, then pitch about y, then yaw about z (rad), all of them fixed axes."""
     roll, pitch, yaw = roll / 2, pitch / 2, yaw / 2
     sr, cr, sp, cp, sy, cy = sin(roll), cos(roll), sin(pitch), cos(pitch), sin(yaw), cos(yaw)
-    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
 
 
 def from_axis_angle(axis: Triple, angle: float) -> Quaternion:

@@ -1,11 +1,14 @@
-"""Shapes at simulation time: terrain as a grid of heights or as triangles, the height of the ground, and what meshes weigh.
+"""Shapes at simulation time: terrain as a grid of heights or as triangles, the height of the ground, and what
+meshes weigh.
 
-Engines and the placement of bodies use the same surface. trimesh and yourdfpy read meshes: the triangles of a terrain, and the masses of
-links with a density. Importing the two libraries takes 0.57 s of CPU. Each function imports them when it is called, so a world without
-such a mesh starts as fast as before, and lint never needs them.
+Engines and the placement of bodies use the same surface. trimesh and yourdfpy read meshes: the triangles of a
+terrain, and the masses of links with a density. Importing the two libraries takes 0.57 s of CPU. Each
+function imports them when it is called, so a world without such a mesh starts as fast as before, and lint
+never needs them.
 
-COLLADA files stay with the engine. Of 13 files in pybullet_data, trimesh and PyBullet build 3 differently: trimesh
-leaves the unit to the caller (duck.dae comes out 100 times as large), and PyBullet ignores `<rotate>` (hokuyo.dae lies).
+COLLADA files stay with the engine. Of 13 files in pybullet_data, trimesh and PyBullet build 3 differently:
+trimesh leaves the unit to the caller (duck.dae comes out 100 times as large), and PyBullet ignores `<rotate>`
+(hokuyo.dae lies).
 """
 
 from __future__ import annotations
@@ -46,9 +49,11 @@ _HIGHEST = 1e4  # m; higher ground is a mistake, and engines lose their digits
 
 @dataclass(frozen=True, eq=False)
 class HeightGrid:
-    """Heights (m) over a rectangle around the origin: `heights[row, column]`, rows along y and columns along x, both upwards.
+    """Heights (m) over a rectangle around the origin: `heights[row, column]`, rows along y and columns along
+    x, both upwards.
 
-    Each cell is two triangles; they meet along the diagonal from its corner at the greater x to that at the greater y.
+    Each cell is two triangles; they meet along the diagonal from its corner at the greater x to that at the
+    greater y.
     """
 
     heights: NDArray[np.float64]
@@ -63,7 +68,9 @@ class HeightGrid:
     def triangles(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Vertices (n, 3) in m, and for each triangle three of them, counter-clockwise from above."""
         rows, columns = self.heights.shape
-        x, y = np.meshgrid(np.linspace(-0.5, 0.5, columns) * self.size[0], np.linspace(-0.5, 0.5, rows) * self.size[1])
+        x, y = np.meshgrid(
+            np.linspace(-0.5, 0.5, columns) * self.size[0], np.linspace(-0.5, 0.5, rows) * self.size[1]
+        )
         first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
         lower = np.stack([first, first + 1, first + columns], axis=1)
         upper = np.stack([first + 1, first + columns + 1, first + columns], axis=1)
@@ -86,7 +93,8 @@ class HeightGrid:
         (dx, dy), (half_x, half_y) = self.cell, (self.size[0] / 2, self.size[1] / 2)
 
         def at(x: float, y: float) -> float:
-            u, v = min(max((x + half_x) / dx, 0.0), columns - 1.0), min(max((y + half_y) / dy, 0.0), rows - 1.0)
+            u = min(max((x + half_x) / dx, 0.0), columns - 1.0)
+            v = min(max((y + half_y) / dy, 0.0), rows - 1.0)
             column, row = min(floor(u), columns - 2), min(floor(v), rows - 2)
             u, v = u - column, v - row
             here, there = z[row], z[row + 1]
@@ -94,7 +102,9 @@ class HeightGrid:
                 corner = here[column]
                 return float(corner + u * (here[column + 1] - corner) + v * (there[column] - corner))
             corner = there[column + 1]
-            return float(corner + (1.0 - u) * (there[column] - corner) + (1.0 - v) * (here[column + 1] - corner))
+            return float(
+                corner + (1.0 - u) * (there[column] - corner) + (1.0 - v) * (here[column + 1] - corner)
+            )
 
         return at
 
@@ -107,25 +117,25 @@ def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
     """
     match terrain_shape:
         case Pit():
-            found = _pit(terrain_shape)
+            grid = _pit(terrain_shape)
         case Picture():
-            found = _picture(terrain_shape)
+            grid = _picture(terrain_shape)
         case Formula():
-            found = _formula(terrain_shape)
+            grid = _formula(terrain_shape)
         case _:
             return None
-    if not np.all(np.abs(found.heights) < _HIGHEST):  # which NaN is not
+    if not np.all(np.abs(grid.heights) < _HIGHEST):  # which NaN is not
         raise EngineError("somewhere in the terrain, the height is undefined or outside -10 km .. 10 km")
-    return found
+    return grid
 
 
 def ground_height(terrain: Terrain | None) -> Height:
     """Of the ground: 0 where it is a plane."""
     if terrain is None:
         return lambda x, y: 0.0
-    found = height_grid(terrain.shape)
-    if found is not None:
-        return found.height_function()
+    grid = height_grid(terrain.shape)
+    if grid is not None:
+        return grid.height_function()
     assert isinstance(terrain.shape, Mesh)  # all others are grids
     return _mesh_height(mesh_triangles(terrain.shape))
 
@@ -133,8 +143,8 @@ def ground_height(terrain: Terrain | None) -> Height:
 def _pit(pit: Pit) -> HeightGrid:
     """Heights `height * g * (1 - g)` with a Gaussian g around the origin; 0 beyond three standard deviations.
 
-    The rim is a quarter of `height` high. Noise takes a share of the height away where it is low; it is the same in
-    every world. The figures are those of a published world (Kirtas et al., AIAI 2020).
+    The rim is a quarter of `height` high. Noise takes a share of the height away where it is low; it is the
+    same in every world. The figures are those of a published world (Kirtas et al., AIAI 2020).
     """
     share = np.linspace(-0.5, 0.5, _PIT_CELLS + 1)
     squared = (share[:, None] ** 2 + share[None, :] ** 2) / _PIT_WIDTH**2
@@ -145,7 +155,8 @@ def _pit(pit: Pit) -> HeightGrid:
 
 
 def _value_noise() -> NDArray[np.float64]:
-    """Fixed noise from 0 to 1 over the grid of a pit: random values a twentieth of the side apart, smoothly joined."""
+    """Fixed noise from 0 to 1 over the grid of a pit: random values a twentieth of the side apart, smoothly
+    joined."""
     values = np.random.Generator(np.random.PCG64(0)).random((_LUMPS + 1, _LUMPS + 1))
     at = np.arange(_PIT_CELLS + 1) * _LUMPS / _PIT_CELLS
     first = np.minimum(at.astype(int), _LUMPS - 1)
@@ -189,7 +200,9 @@ def _formula(formula: Formula) -> HeightGrid:
     """As fine as a pit along the longer side, and square cells as far as they go."""
     longer = max(formula.size)
     columns, rows = (max(2, round(_PIT_CELLS * side / longer)) + 1 for side in formula.size)
-    x, y = np.meshgrid(np.linspace(-0.5, 0.5, columns) * formula.size[0], np.linspace(-0.5, 0.5, rows) * formula.size[1])
+    x, y = np.meshgrid(
+        np.linspace(-0.5, 0.5, columns) * formula.size[0], np.linspace(-0.5, 0.5, rows) * formula.size[1]
+    )
     try:
         heights = evaluate(formula.heights, {Name("x"): x, Name("y"): y})
     except DeepbotsError as error:
@@ -227,7 +240,9 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
 
     data = read_verified(mesh)
     try:
-        loaded = trimesh.load_mesh(BytesIO(data), file_type=Path(mesh.path).suffix[1:].lower(), process=False, skip_materials=True)
+        loaded = trimesh.load_mesh(
+            BytesIO(data), file_type=Path(mesh.path).suffix[1:].lower(), process=False, skip_materials=True
+        )
     except (ValueError, IndexError) as error:
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
     return np.asarray(loaded.triangles * np.asarray(mesh.scale), np.float64)
@@ -250,7 +265,8 @@ def _inertial(link: Link, density: float) -> Inertial:
     solid = _solid(link)
     if not solid.is_watertight or not solid.is_winding_consistent:
         raise EngineError(
-            f"the mesh of link '{link.name}' is not watertight, so its mass cannot be computed from the density; write its `mass` instead"
+            f"the mesh of link '{link.name}' is not watertight, so its mass cannot be computed from the"
+            " density; write its `mass` instead"
         )
     if solid.volume < 0.0:  # every face is inside out
         solid.invert()

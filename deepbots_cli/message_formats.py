@@ -1,6 +1,7 @@
 """How messages may be written: one record per format.
 
-Other packages add a format by an entry point of the group `deepbots.formats`, whose name is the word under `messages.format`.
+Other packages add a format by an entry point of the group `deepbots.formats`, whose name is the word under
+`messages.format`.
 """
 
 from __future__ import annotations
@@ -14,18 +15,25 @@ from deepbots_cli.plugins import PluginTable
 class MessageFormat(NamedTuple):
     """`codec` is the `module:attribute` of what makes the codec of a layout, empty for no messages at all.
 
-    It takes the stamp of the layout, an int, and one code per value: `d` (a float), `?` (a truth value), or `24s` (so many bytes of a
-    picture). It returns a `runtime.messages.Codec`.
+    It takes the stamp of the layout, an int, and one code per value: `d` (a float), `?` (a truth value), or
+    `24s` (so many bytes of a picture). It returns a `runtime.messages.Codec`.
     """
 
     summary: str
     codec: str
 
 
-def _read(name: str, found: Any) -> Iterator[tuple[str, MessageFormat]]:
-    if not isinstance(found, MessageFormat) or not found.summary or not found.codec.partition(":")[2]:
-        raise ValueError(f"{found!r} is not a MessageFormat with a summary and the `module:attribute` of its codec")
-    yield name, found
+def _read(name: str, message_format: Any) -> Iterator[tuple[str, MessageFormat]]:
+    if (
+        not isinstance(message_format, MessageFormat)
+        or not message_format.summary
+        or not message_format.codec.partition(":")[2]
+    ):
+        raise ValueError(
+            f"{message_format!r} is not a MessageFormat with a summary and the `module:attribute` of its"
+            " codec"
+        )
+    yield name, message_format
 
 
 _CODECS = "deepbots_cli.runtime.messages"
@@ -34,7 +42,9 @@ FORMATS: PluginTable[MessageFormat] = PluginTable(
     {
         "csv": MessageFormat("Numbers as text, separated by commas.", f"{_CODECS}:csv_codec"),
         "json": MessageFormat("A list in JSON.", f"{_CODECS}:json_codec"),
-        "struct": MessageFormat("Bytes in a fixed layout: short messages, fast to encode and decode.", f"{_CODECS}:struct_codec"),
+        "struct": MessageFormat(
+            "Bytes in a fixed layout: short messages, fast to encode and decode.", f"{_CODECS}:struct_codec"
+        ),
         "msgpack": MessageFormat("A list in MessagePack.", f"{_CODECS}:msgpack_codec"),
         "none": MessageFormat("No messages: the supervisor controls the robot directly.", ""),
     },

@@ -11,8 +11,8 @@
     deepbots.engines      a `port.EngineFactory`, under its name
     deepbots.scenarios    a package whose folder holds `scenarios/*.yaml` and `robots/urdf/*.urdf`
 
-A group is loaded when a name is asked for that deepbots does not have itself, or when all names are. What cannot be loaded, is of the
-wrong type or has a name that is taken is left out, and one warning says why.
+A group is loaded when a name is asked for that deepbots does not have itself, or when all names are. What
+cannot be loaded, is of the wrong type or has a name that is taken is left out, and one warning says why.
 """
 
 from __future__ import annotations
@@ -73,10 +73,13 @@ def import_attribute(place: str) -> Any:
 class PluginTable(Mapping[str, T], Generic[T]):
     """Entries by name: our own first, then those of plug-ins.
 
-    `read` gets the name and the object of an entry point, yields named entries, and raises an exception for what cannot be used.
+    `read` gets the name and the object of an entry point, yields named entries, and raises an exception for
+    what cannot be used.
     """
 
-    def __init__(self, group: str, own: Mapping[str, T], read: Callable[[str, Any], Iterable[tuple[str, T]]]) -> None:
+    def __init__(
+        self, group: str, own: Mapping[str, T], read: Callable[[str, Any], Iterable[tuple[str, T]]]
+    ) -> None:
         self.group = group
         self.own = own
         self._read = read
@@ -92,10 +95,10 @@ class PluginTable(Mapping[str, T], Generic[T]):
             self._all = dict(self.own)  # set first: a plug-in may ask for the table while it is loaded
             for entry in entry_points_of(self.group):
                 try:
-                    for name, found in self._read(entry.name, entry.load()):
+                    for name, plugin in self._read(entry.name, entry.load()):
                         if name in self._all:
                             raise ValueError(f"the name {name!r} is taken")
-                        self._all[name] = found
+                        self._all[name] = plugin
                 except Exception as error:  # noqa: BLE001 - the code of a plug-in may raise anything
                     warn_unavailable(entry, error)
         return self._all
@@ -103,7 +106,7 @@ class PluginTable(Mapping[str, T], Generic[T]):
     @property
     def from_plugins(self) -> Mapping[str, T]:
         """The entries of plug-ins."""
-        return {name: found for name, found in self._loaded().items() if name not in self.own}
+        return {name: plugin for name, plugin in self._loaded().items() if name not in self.own}
 
     def __getitem__(self, name: str) -> T:
         return self.own[name] if name in self.own else self._loaded()[name]

@@ -5,10 +5,11 @@ by name. Whatever happens in every step is bound once, when the environment is b
 out readers and writers, so that a step looks nothing up. A reader only reads; two calls between two
 steps return equal values.
 
-docs/engine-port.md describes every method. `EngineProxy` passes each of them on: a method that is added to the port is added there.
+docs/engine-port.md describes every method. `EngineProxy` passes each of them on: a method that is added to
+the port is added there.
 
-A further engine is a class that fits `Engine`: in a package with an entry point of the group `deepbots.engines`, or in
-`engines/`, with its line in `engine_kinds.py`.
+A further engine is a class that fits `Engine`: in a package with an entry point of the group
+`deepbots.engines`, or in `engines/`, with its line in `engine_kinds.py`.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ Part = tuple[str, str | None]
 """A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
 JointStates = Sequence[Sequence[float]]
 JointReader = Callable[[], JointStates]
-"""One item per joint: position (rad or m) at index 0, velocity (rad/s or m/s) at index 1. Further items depend on the engine."""
+"""One item per joint: position (rad or m) at index 0, velocity (rad/s or m/s) at index 1. Further items
+depend on the engine."""
 TorqueReader = Callable[[], Sequence[float]]
 """The torque (N m) or force (N) of the motor of each joint in the last engine step."""
 PoseReader = Callable[[], tuple[Triple, Quaternion]]
@@ -72,9 +74,9 @@ CAMERA_RANGE_M = 100.0  # m; as far as cameras see
 
 
 class CameraImage(NamedTuple):
-    """One picture: `colors` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of sight's axis,
-    at most `CAMERA_RANGE_M`; `bodies` int32 (height, width), the place of each pixel's body in `body_names`, -1 for none. A pixel is
-    what its center sees."""
+    """One picture: `colors` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of
+    sight's axis, at most `CAMERA_RANGE_M`; `bodies` int32 (height, width), the place of each pixel's body in
+    `body_names`, -1 for none. A pixel is what its center sees."""
 
     colors: Image
     depth: NDArray[np.float32]
@@ -109,9 +111,11 @@ class View:
 
 
 class Bindable(Protocol):
-    """The object to which readers and writers are bound when an environment is made: one world, or many worlds of one model.
+    """The object to which readers and writers are bound when an environment is made: one world, or many
+    worlds of one model.
 
-    In many worlds, each number is a column: an array with one number per world. A column does not change after it was read.
+    In many worlds, each number is a column: an array with one number per world. A column does not change
+    after it was read.
     """
 
     name: str
@@ -120,7 +124,9 @@ class Bindable(Protocol):
     def gravity(self) -> Triple:
         """Gravity of the present episode, in m/s^2, world frame."""
 
-    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+    def contact(
+        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
+    ) -> ContactReader:
         """Whether `one` touched one of `others` in any engine step of the last `step`; false after a reset.
 
         If `others` is None, all other bodies are meant. `ground` includes plane and terrain.
@@ -148,12 +154,15 @@ class Bindable(Protocol):
     def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
-        """Pose and velocity in one call, which takes half the time of two calls if the link is not the root."""
+        """Pose and velocity in one call, which takes half the time of two calls if the link is not the
+        root."""
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         """Drive joints towards target velocities (rad/s or m/s) with at most `max_torque` (N m or N)."""
 
-    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
+    def position_motor(
+        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+    ) -> MotorWriter:
         """Drive joints towards target positions (rad or m).
 
         With stiffness (N m/rad or N/m) and damping (N m s/rad or N s/m), one per joint, the torque is
@@ -175,36 +184,48 @@ class Engine(Bindable, Protocol):
     capabilities: frozenset[Capability]
 
     def reset(self) -> None:
-        """Reset every body to its pose in the world model, at rest, joints at 0, followers in place, motors off, no memory of contacts.
+        """Reset every body to its pose in the world model, at rest, joints at 0, followers in place, motors
+        off, no memory of contacts.
 
         The same calls then give bit for bit the same results as in a new world.
         """
 
     def place(
-        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
+        self,
+        body: str,
+        position: Triple,
+        orientation: Quaternion,
+        velocity: Triple = ZERO_VECTOR,
+        angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
-        """Set the frame and the velocities of a body's root link (world frame). Called between `reset` and the first step.
+        """Set the frame and the velocities of a body's root link (world frame). Called between `reset` and
+        the first step.
 
-        A pooled body is absent from a reset until it is placed: it touches nothing, and sensors do not see it.
+        A pooled body is absent from a reset until it is placed: it touches nothing, and sensors do not see
+        it.
         """
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
-        """Set position and velocity of a joint (rad or m; rad/s or m/s), and of its followers. Called between `reset` and the first step.
+        """Set position and velocity of a joint (rad or m; rad/s or m/s), and of its followers. Called between
+        `reset` and the first step.
 
-        Followers are the joints with `<mimic>` (`RobotModel.followers`). An engine that simulates them has "mimic" among its capabilities;
-        others get no such world.
+        Followers are the joints with `<mimic>` (`RobotModel.followers`). An engine that simulates them has
+        "mimic" among its capabilities; others get no such world.
         """
 
     def choose(self, body: str, variant: str) -> None:
-        """Let a pooled body take the form of one of its variants. Called between `reset` and `place`, before parameters are set."""
+        """Let a pooled body take the form of one of its variants. Called between `reset` and `place`, before
+        parameters are set."""
 
     def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
-        """Set a parameter of an episode. Called between `reset` and `place`; it is valid until the next reset, which restores the model.
+        """Set a parameter of an episode. Called between `reset` and `place`; it is valid until the next
+        reset, which restores the model.
 
-        Of the world, `()`: `gravity` (x, y, z in m/s^2, world frame), `light` (brightness of images; 1 is normal). Of a body and its
-        link, or "" for its root link: `mass` (kg; the inertia scales along), `color` (red, green, blue and opacity, 0 to 1),
-        `lateral_friction`, `spinning_friction`, `rolling_friction`, `restitution`. Of a robot and its joint: `joint_damping` (N m s/rad or
-        N s/m), `joint_friction` (N m or N).
+        Of the world, `()`: `gravity` (x, y, z in m/s^2, world frame), `light` (brightness of images; 1 is
+        normal). Of a body and its link, or "" for its root link: `mass` (kg; the inertia scales along),
+        `color` (red, green, blue and opacity, 0 to 1), `lateral_friction`, `spinning_friction`,
+        `rolling_friction`, `restitution`. Of a robot and its joint: `joint_damping` (N m s/rad or N s/m),
+        `joint_friction` (N m or N).
 
         Raises:
             EngineError: The engine cannot set it, or the world has no such body, link or joint.
@@ -216,7 +237,8 @@ class Engine(Bindable, Protocol):
         """Call `act` before each engine step of `step`."""
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        """Pushes a link at its origin, in the next engine step only, with axes of the world or of the link."""
+        """Pushes a link at its origin, in the next engine step only, with axes of the world or of the
+        link."""
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         """Looks along the x axis of `mount`, z up; `fov` is the vertical angle in rad.
@@ -228,8 +250,8 @@ class Engine(Bindable, Protocol):
         """
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        """Positions of joints (rad or m), within their ranges, that bring the origin of a link to a position, in a given orientation or in
-        any (None).
+        """Positions of joints (rad or m), within their ranges, that bring the origin of a link to a position,
+        in a given orientation or in any (None).
 
         The same call in the same state of the world gives the same bits.
         """
@@ -240,12 +262,12 @@ class Engine(Bindable, Protocol):
     def snapshot(self) -> object:
         """The state of the world between two steps, for `restore`; taking it changes nothing.
 
-        It contains everything on which later steps depend: poses, velocities, the memory of contacts, the commands of motors, and the
-        values that were set since the reset. It does not contain the state of callers: random streams, messages in flight, and the state of
-        functions of `before_substep`.
+        It contains everything on which later steps depend: poses, velocities, the memory of contacts, the
+        commands of motors, and the values that were set since the reset. It does not contain the state of
+        callers: random streams, messages in flight, and the state of functions of `before_substep`.
 
-        Only an engine with exact snapshots has "snapshot" among its capabilities. With other engines, callers begin the episode again and
-        repeat its actions.
+        Only an engine with exact snapshots has "snapshot" among its capabilities. With other engines, callers
+        begin the episode again and repeat its actions.
 
         Raises:
             EngineError: The engine has no exact snapshot.
@@ -254,16 +276,19 @@ class Engine(Bindable, Protocol):
     def restore(self, snapshot: object) -> None:
         """Restore an earlier snapshot of this engine object; any number of times, also across resets.
 
-        The same calls then give bit for bit the same readings as after the snapshot was taken. Readers and writers stay bound.
+        The same calls then give bit for bit the same readings as after the snapshot was taken. Readers and
+        writers stay bound.
 
         Raises:
             EngineError: The engine has no exact snapshot.
         """
 
     def overlaps(self) -> Sequence[Overlap]:
-        """Overlaps in the present state of the world: the deepest pair of links of every two bodies; deepest first.
+        """Overlaps in the present state of the world: the deepest pair of links of every two bodies; deepest
+        first.
 
-        At least one of the two can move; the ground is one of the bodies. The call may change later contacts by rounding errors.
+        At least one of the two can move; the ground is one of the bodies. The call may change later contacts
+        by rounding errors.
         """
 
     def require_finite(self) -> None:
@@ -378,7 +403,8 @@ class EngineProxy:
 
 
 class BatchEngine(Bindable, Protocol):
-    """An engine that holds many worlds of one model and steps them together; `gravity` is that of the model, which episodes may change."""
+    """An engine that holds many worlds of one model and steps them together; `gravity` is that of the model,
+    which episodes may change."""
 
     capabilities: frozenset[Capability]
     """Those of its members."""

@@ -1,7 +1,7 @@
 """Further processes of Python, which import nothing from the working directory: its modules may be anyone's.
 
-`python -m` and `python -c` put the working directory first on the path of imports, so a `typer.py` there would run. Every process that
-deepbots starts is started with what this module returns.
+`python -m` and `python -c` put the working directory first on the path of imports, so a `typer.py` there
+would run. Every process that deepbots starts is started with what this module returns.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ _SAFE_PATH = "PYTHONSAFEPATH"
 
 
 def python_command(module: str, *arguments: str) -> list[str]:
-    """The command line that runs `module` of deepbots in a process of its own, together with `python_environment`."""
+    """The command line that runs `module` of deepbots in a process of its own, together with
+    `python_environment`."""
     return [sys.executable, "-m", module, *arguments]
 
 
 def python_script(text: str) -> list[str]:
-    """The command line that runs a script of the standard library alone: without packages, the environment and the working directory."""
+    """The command line that runs a script of the standard library alone: without packages, the environment
+    and the working directory."""
     return [sys.executable, "-ISc", text]
 
 

@@ -2,14 +2,15 @@
 
     import deepbots_robot
 
-    bundle = deepbots_robot.load("cartpole-bundle")      # checks schema, graph and digests, and replays the recorded steps
+    bundle = deepbots_robot.load("cartpole-bundle")      # checks it, and replays its recorded steps
     policy = bundle.start()
     commands = policy.step({"cart.pole_angle": [0.01], ...})
 
 model.py      bundle.json as records; schema.py writes their JSON Schema
 onnx_file.py  whether a graph consists of known operators alone
 bundle.py     loading a bundle with all checks; the policy as an object to call
-topics.py     which part of a ROS 2 message carries a field, with units and counts; the first topics of a robot
+topics.py     which part of a ROS 2 message carries a field, with units and counts; the first topics of a
+              robot
 idl.py        the ROS 2 messages as types of Cyclone DDS
 ros.py        fields as messages of ROS and back
 about.py      what the two ends of a link say about themselves, and what of it does not fit
@@ -35,7 +36,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Bundle", "BundleError", "BundleInfo", "InputError", "Policy", "load"]
 
-_MODULES = {"Bundle": "bundle", "Policy": "bundle", "load": "bundle", "BundleError": "model", "BundleInfo": "model", "InputError": "model"}
+_MODULES = {
+    "Bundle": "bundle",
+    "Policy": "bundle",
+    "load": "bundle",
+    "BundleError": "model",
+    "BundleInfo": "model",
+    "InputError": "model",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,7 @@
 """`deepbots-robot check BUNDLE` and `deepbots-robot serve BUNDLE`, where deepbots itself is not installed.
 
-Use the script `deepbots-robot`: `python -m` puts the current folder first on the path of imports, so in the folder of a
-bundle it would run a file `json.py` of that bundle.
+Use the script `deepbots-robot`: `python -m` puts the current folder first on the path of imports, so in the
+folder of a bundle it would run a file `json.py` of that bundle.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from deepbots_robot.serving import ServeError, Transport, nothing_served, serve
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="deepbots-robot", description="Check the bundle of a policy, or let the policy act for a robot.")
+    parser = argparse.ArgumentParser(
+        prog="deepbots-robot", description="Check the bundle of a policy, or let the policy act for a robot."
+    )
     commands = parser.add_subparsers(dest="command", required=True, metavar="check|serve")
     about = {
         "check": "check all files, repeat the recorded steps, and print what the bundle is",
@@ -29,17 +31,36 @@ def _parser() -> argparse.ArgumentParser:
     for name, text in about.items():
         command = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
         command.add_argument("bundle", type=Path, help="a folder of `deepbots export`")
-        command.add_argument("--trusted", metavar="FILE", type=Path, help="require a signature by one of the public keys in this file")
+        command.add_argument(
+            "--trusted",
+            metavar="FILE",
+            type=Path,
+            help="require a signature by one of the public keys in this file",
+        )
         command.add_argument("--json", action="store_true", help="print the result as JSON")
     serving = commands.choices["serve"]
     serving.add_argument("--ros", action="store_true", help="ROS 2 over Cyclone DDS; the default")
-    serving.add_argument("--ros1", action="store_true", help="ROS 1 by rospy, at the master of ROS_MASTER_URI")
-    serving.add_argument("--interface", metavar="NAME", help="network interface of ROS 2; by default the loopback interface")
-    serving.add_argument("--domain", metavar="N", type=int, default=0, help="domain of ROS 2, as ROS_DOMAIN_ID")
+    serving.add_argument(
+        "--ros1", action="store_true", help="ROS 1 by rospy, at the master of ROS_MASTER_URI"
+    )
+    serving.add_argument(
+        "--interface", metavar="NAME", help="network interface of ROS 2; by default the loopback interface"
+    )
+    serving.add_argument(
+        "--domain", metavar="N", type=int, default=0, help="domain of ROS 2, as ROS_DOMAIN_ID"
+    )
     serving.add_argument("--zmq", metavar="ADDRESS", help="ZeroMQ at an address such as tcp://127.0.0.1:5555")
-    serving.add_argument("--websocket", metavar="PORT", help="WebSocket at a port of this machine, or HOST:PORT")
-    serving.add_argument("--lockstep", action="store_true", help="answer each set of values once; the robot waits for the answer")
-    serving.add_argument("--speed", metavar="N", type=float, default=1.0, help="how fast the time of the robot passes")
+    serving.add_argument(
+        "--websocket", metavar="PORT", help="WebSocket at a port of this machine, or HOST:PORT"
+    )
+    serving.add_argument(
+        "--lockstep",
+        action="store_true",
+        help="answer each set of values once; the robot waits for the answer",
+    )
+    serving.add_argument(
+        "--speed", metavar="N", type=float, default=1.0, help="how fast the time of the robot passes"
+    )
     serving.add_argument("--log", metavar="FILE", type=Path, help="write an MCAP log")
     serving.add_argument("--seconds", metavar="N", type=float, help="stop after so many seconds")
     return parser
@@ -63,7 +84,12 @@ def _check(options: argparse.Namespace) -> int:
     info = bundle.info
     signed = options.trusted is not None
     if options.json:
-        about = {"scenario": info.scenario.name, "digest": info.scenario.digest, "rate_hz": info.rate_hz, "signature_checked": signed}
+        about = {
+            "scenario": info.scenario.name,
+            "digest": info.scenario.digest,
+            "rate_hz": info.rate_hz,
+            "signature_checked": signed,
+        }
         print(json.dumps(about))
         return 0
     result = "not evaluated" if info.evaluation is None else info.evaluation.text

@@ -25,9 +25,11 @@ class About(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
         scenario: The name of its scenario.
         digest: Of what makes an episode of this scenario.
         pace: How its time passes: `in lockstep`, or `at speed 1`.
-        sends: What it sends: counts and units by the names of fields. Over ROS 2 only where it is short enough for discovery.
+        sends: What it sends: counts and units by the names of fields. Over ROS 2 only where it is short
+            enough for discovery.
         takes: What it receives.
-        rate: How many steps a second of its time has: at which the robot steps, or the policy acts. 0 if it is not known.
+        rate: How many steps a second of its time has: at which the robot steps, or the policy acts. 0 if it
+            is not known.
         scores: Whether it needs the values at the end of an episode too, since it computes rewards.
     """
 
@@ -54,12 +56,15 @@ def pace(*, lockstep: bool, speed: float) -> str:
 
 def with_fields(about: About, sends: Sequence[Field], takes: Sequence[Field]) -> About:
     """With what it sends and receives, without the action, which nobody needs."""
-    named = ({field.name: describe(field) for field in fields if field.name != ACTION} for fields in (sends, takes))
+    named = (
+        {field.name: describe(field) for field in fields if field.name != ACTION} for fields in (sends, takes)
+    )
     return msgspec.structs.replace(about, **dict(zip(("sends", "takes"), named, strict=True)))
 
 
 def misfit(own: About, other: About, *, topics: bool = False) -> str:
-    """Why the two ends cannot work together; empty if they can. With `topics`, a field that nobody takes does no harm."""
+    """Why the two ends cannot work together; empty if they can. With `topics`, a field that nobody takes does
+    no harm."""
     problem = _difference(own, other, topics=topics) or _difference(other, own, topics=topics)
     if own.role == other.role:
         problem = f"it is a {own.role} too"
@@ -83,17 +88,20 @@ def differences(own: About, other: About) -> list[str]:
     """What two ends that work together should agree on."""
     if own.scenario != other.scenario:
         return [f"{_other(other)} is of another scenario than {_this(own)}"]
-    found = []
+    texts = []
     if own.digest != other.digest:
-        found.append(
-            f"{_other(other)} is of another version of the scenario than {_this(own)}: another world, other values, or another robot file"
+        texts.append(
+            f"{_other(other)} is of another version of the scenario than {_this(own)}: another world, other"
+            " values, or another robot file"
         )
     if own.rate and other.rate and not math.isclose(own.rate, other.rate, rel_tol=1e-3):
-        found.append(", ".join(_rate(each) for each in sorted((own, other), key=lambda each: each.role, reverse=True)))
+        texts.append(
+            ", ".join(_rate(each) for each in sorted((own, other), key=lambda each: each.role, reverse=True))
+        )
     if own.pace != other.pace:
         paces = f"the {other.role} runs {other.pace}, and this {own.role} {own.pace}"
-        found.append(f"{paces}; give --lockstep, or the same --speed, on both sides")
-    return found
+        texts.append(f"{paces}; give --lockstep, or the same --speed, on both sides")
+    return texts
 
 
 def _rate(about: About) -> str:

@@ -1,7 +1,8 @@
 """Loading a bundle with all checks, and the policy in it as an object to call.
 
-The checks refuse a bundle that is damaged, put together from several exports, or made to read files, to run without an end,
-or to command more than its own ranges. Who can write digests can write other weights: only a signature says who exported it.
+The checks refuse a bundle that is damaged, put together from several exports, or made to read files, to run
+without an end, or to command more than its own ranges. Who can write digests can write other weights: only a
+signature says who exported it.
 """
 
 from __future__ import annotations
@@ -54,25 +55,36 @@ _ENTRY_OF_ARCHIVE = b"PK\x01\x02"
 """The bytes with which an entry of the directory of a zip file begins."""
 
 Array = NDArray[Any]
-_NUMPY_TYPES = {"float64": np.float64, "float32": np.float32, "int64": np.int64, "bool": np.bool_, "uint8": np.uint8}
+_NUMPY_TYPES = {
+    "float64": np.float64,
+    "float32": np.float32,
+    "int64": np.int64,
+    "bool": np.bool_,
+    "uint8": np.uint8,
+}
 _ONNX_TYPES = {
-    "float64": "tensor(double)", "float32": "tensor(float)", "int64": "tensor(int64)", "bool": "tensor(bool)", "uint8": "tensor(uint8)",
-}  # fmt: skip
+    "float64": "tensor(double)",
+    "float32": "tensor(float)",
+    "int64": "tensor(int64)",
+    "bool": "tensor(bool)",
+    "uint8": "tensor(uint8)",
+}
 
 
 def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = None) -> Bundle:
     """Load a bundle of `deepbots export`.
 
-    Checks the schema of bundle.json, the digests of all files, the operators, shapes, inputs and outputs of the graph, and that
-    the graph belongs to this bundle.json; then repeats the recorded steps.
+    Checks the schema of bundle.json, the digests of all files, the operators, shapes, inputs and outputs of
+    the graph, and that the graph belongs to this bundle.json; then repeats the recorded steps.
 
     Args:
         folder: The folder of the bundle.
-        trusted: Public keys, or a file with one key per line: the bundle must be signed with one of them. Without it, a
-            signature is not looked at.
+        trusted: Public keys, or a file with one key per line: the bundle must be signed with one of them.
+            Without it, a signature is not looked at.
 
     Raises:
-        BundleError: A check fails; names the file and, of a step that differs, the number of the step and the field.
+        BundleError: A check fails; names the file and, of a step that differs, the number of the step and the
+            field.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -82,7 +94,9 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
     try:
         description = _read(folder, BUNDLE_NAME, _MAX_JSON_BYTES)
         if trusted is not None:
-            signature.verify(description, _read(folder, SIGNATURE_NAME, _MAX_SIGNATURE_BYTES), signature.keys_of(trusted))
+            signature.verify(
+                description, _read(folder, SIGNATURE_NAME, _MAX_SIGNATURE_BYTES), signature.keys_of(trusted)
+            )
         info = model.decode(description)
         missing = next((name for name in _REQUIRED if name not in info.files), None)
         if missing is not None:
@@ -90,11 +104,20 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
         size = _checked_size(folder, info)
         for name in info.files.keys() - {GRAPH_NAME, PARITY_NAME}:
             _check_digest(folder, info, name)
-        if model.encode(info) != description:  # a key that occurs twice, which other readers may read otherwise
+        if (
+            model.encode(info) != description
+        ):  # a key that occurs twice, which other readers may read otherwise
             raise BundleError(f"{BUNDLE_NAME} is not written as an export writes it")
         bundle = Bundle(info, _exported(folder, info, GRAPH_NAME, _MAX_GRAPH_BYTES), folder)
-        replay(bundle, read_parity(_exported(folder, info, PARITY_NAME, _MAX_PARITY_BYTES), info), _BYTE_OPERATIONS * size)
-    except (BundleError, OSError) as error:  # an OSError is of a name that the file system does not take, or of a folder without rights
+        replay(
+            bundle,
+            read_parity(_exported(folder, info, PARITY_NAME, _MAX_PARITY_BYTES), info),
+            _BYTE_OPERATIONS * size,
+        )
+    except (
+        BundleError,
+        OSError,
+    ) as error:  # an OSError is of a name that the file system does not take, or of a folder without rights
         raise BundleError(f"{folder}: {_one_line(error, 1000)}; export the run again") from error
     return bundle
 
@@ -124,7 +147,8 @@ def _checked_size(folder: Path, info: BundleInfo) -> int:
 
 
 def _check_digest(folder: Path, info: BundleInfo, name: str) -> None:
-    """Compare a file that is not needed here with its digest. Raises: BundleError: It is missing, or another one."""
+    """Compare a file that is not needed here with its digest. Raises: BundleError: It is missing, or another
+    one."""
     digest, left = hashlib.sha256(), _MAX_BYTES
     with _opened(folder, name) as file:
         while left > 0 and (content := file.read(_CHUNK_BYTES)):
@@ -135,7 +159,8 @@ def _check_digest(folder: Path, info: BundleInfo, name: str) -> None:
 
 
 def _exported(folder: Path, info: BundleInfo, name: str, most: int) -> bytes:
-    """The content of a file. Raises: BundleError: It is missing, too large, or another one than `info` has the digest of."""
+    """The content of a file. Raises: BundleError: It is missing, too large, or another one than `info` has
+    the digest of."""
     content = _read(folder, name, most)
     if hashlib.sha256(content).hexdigest() != info.files.get(name):
         raise BundleError(f"{name} is not the file that was exported")
@@ -143,8 +168,11 @@ def _exported(folder: Path, info: BundleInfo, name: str, most: int) -> bytes:
 
 
 def _opened(folder: Path, name: str) -> BinaryIO:
-    """A file in a folder, opened so that a link or a pipe that takes its place after the checks is neither followed nor waited for."""
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    """A file in a folder, opened so that a link or a pipe that takes its place after the checks is neither
+    followed nor waited for."""
+    flags = (
+        os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    )
     file = os.fdopen(os.open(_regular_file(folder, name), flags), "rb")
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
@@ -193,21 +221,28 @@ class Bundle:
         self.operations = onnx_file.require_plain(graph)
         self.info, self.folder = info, folder
         options = onnxruntime.SessionOptions()
-        options.add_session_config_entry("session.strict_shape_type_inference", "1")  # else another shape is a warning
-        options.intra_op_num_threads = options.inter_op_num_threads = 1  # a small network takes longer on several threads
-        # Else a model whose bytes 4 to 7 are "ORTM" is read as the format of onnxruntime, in which these checks see another graph.
+        options.add_session_config_entry(
+            "session.strict_shape_type_inference", "1"
+        )  # else another shape is a warning
+        options.intra_op_num_threads = options.inter_op_num_threads = (
+            1  # a small network takes longer on several threads
+        )
+        # Else a model whose bytes 4 to 7 are "ORTM" is read as the format of onnxruntime, in which these
+        # checks see another graph.
         options.add_session_config_entry("session.load_model_format", "ONNX")
         options.log_severity_level = 4  # what onnxruntime writes to the terminal is raised as well
         try:
-            self.session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"], enable_fallback=False)
+            self.session = onnxruntime.InferenceSession(
+                graph, options, providers=["CPUExecutionProvider"], enable_fallback=False
+            )
             inputs, outputs = self.session.get_inputs(), self.session.get_outputs()
-            found = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+            metadata = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
         except Exception as error:  # of onnxruntime, or of Python where a name in the graph is no text
             raise BundleError(f"{GRAPH_NAME} cannot be run by onnxruntime: {_one_line(error)}") from error
         problem = next(_differences(info, inputs, outputs), None)
         if problem is not None:
             raise BundleError(f"{GRAPH_NAME} does not fit {BUNDLE_NAME}: {problem}")
-        if found != description_digest(info):
+        if metadata != description_digest(info):
             raise BundleError(f"{GRAPH_NAME} and {BUNDLE_NAME} are not of the same export")
         self.output_names = tuple(entry.name for entry in outputs)
 
@@ -215,8 +250,9 @@ class Bundle:
         """The policy at the start of an episode, with a memory of its own.
 
         Args:
-            rate_hz: How often `step` is called per second of the robot, by default at the rate of the bundle. In a loop that is n times
-                faster, the policy acts in every nth call, beginning with the first, and returns its last commands in between.
+            rate_hz: How often `step` is called per second of the robot, by default at the rate of the bundle.
+                In a loop that is n times faster, the policy acts in every nth call, beginning with the first,
+                and returns its last commands in between.
 
         Raises:
             BundleError: The rate is no whole multiple of that of the bundle.
@@ -224,46 +260,63 @@ class Bundle:
         every = 1.0 if rate_hz is None else rate_hz / self.info.rate_hz
         if not (0.999 <= every <= _MAX_RATIO and abs(every - round(every)) <= 1e-3 * every):
             raise BundleError(
-                f"the policy acts at {self.info.rate_hz:g} Hz, and a loop of {rate_hz:g} Hz is no whole multiple of it; call it at"
-                f" {self.info.rate_hz:g} Hz, or {2 * self.info.rate_hz:g} Hz, or train again with another timestep"
+                f"the policy acts at {self.info.rate_hz:g} Hz, and a loop of {rate_hz:g} Hz is no whole"
+                " multiple of it; call it at"
+                f" {self.info.rate_hz:g} Hz, or {2 * self.info.rate_hz:g} Hz, or train again with another"
+                " timestep"
             )
         return Policy(self, round(every))
 
     def description(self) -> dict[str, bytes]:
-        """What says what the values mean: bundle.json, the scenario as `resolved.yaml`, and its files in `inputs`.
+        """What says what the values mean: bundle.json, the scenario as `resolved.yaml`, and its files in
+        `inputs`.
 
         The scenario is left out where it is missing or too large: a policy acts without it.
         """
-        found = {BUNDLE_NAME: model.encode(self.info)}
+        contents = {BUNDLE_NAME: model.encode(self.info)}
         if self.folder is None:
-            return found
+            return contents
         inputs = sorted(name for name in self.info.files if name.startswith("inputs/"))
         names = {"resolved.yaml": SCENARIO_NAME, **{name: name for name in inputs}}
         try:
-            files = {new: _exported(self.folder, self.info, name, _MAX_DESCRIPTION_BYTES) for new, name in names.items()}
+            files = {
+                new: _exported(self.folder, self.info, name, _MAX_DESCRIPTION_BYTES)
+                for new, name in names.items()
+            }
         except BundleError:
-            return found
-        return found | files if sum(map(len, files.values())) <= _MAX_DESCRIPTION_BYTES else found
+            return contents
+        return contents | files if sum(map(len, files.values())) <= _MAX_DESCRIPTION_BYTES else contents
 
 
 def _differences(info: BundleInfo, inputs: Sequence[Any], outputs: Sequence[Any]) -> Iterator[str]:
     """How the inputs and outputs of a graph differ from those of a bundle.json."""
     read: tuple[model.Input | model.Memory, ...] = (*info.inputs, *info.memory)
-    given = [(entry.name, entry.shape, entry.dtype) for entry in read]
-    made: list[tuple[str, tuple[int, ...], str]] = [(entry.name, entry.shape, entry.dtype) for entry in info.outputs]
-    made += [(f"{entry.name}_next", entry.shape, entry.dtype) for entry in info.memory]
+    inputs_wanted = [(entry.name, entry.shape, entry.dtype) for entry in read]
+    outputs_wanted: list[tuple[str, tuple[int, ...], str]] = [
+        (entry.name, entry.shape, entry.dtype) for entry in info.outputs
+    ]
+    outputs_wanted += [(f"{entry.name}_next", entry.shape, entry.dtype) for entry in info.memory]
     choices = info.choices
-    made.append(("action", info.action_shape, "int64" if choices else "float32"))
-    made += [("scores", (sum(choices),), "float32")] if choices else []
-    for what, wanted, found in (("input", given, inputs), ("output", made, outputs)):
-        names, known = [entry[0] for entry in wanted], [entry.name for entry in found]
-        if names != known:
-            other = next((name for name in (*names, *known) if (name in names) != (name in known)), None)
-            order = f"the {what}s have another order" if other is None else f"'{other}' is an {what} of only one of them"
+    outputs_wanted.append(("action", info.action_shape, "int64" if choices else "float32"))
+    outputs_wanted += [("scores", (sum(choices),), "float32")] if choices else []
+    for what, wanted, declared in (("input", inputs_wanted, inputs), ("output", outputs_wanted, outputs)):
+        names, names_found = [entry[0] for entry in wanted], [entry.name for entry in declared]
+        if names != names_found:
+            other = next(
+                (name for name in (*names, *names_found) if (name in names) != (name in names_found)), None
+            )
+            order = (
+                f"the {what}s have another order"
+                if other is None
+                else f"'{other}' is an {what} of only one of them"
+            )
             yield order
-        for (name, shape, dtype), entry in zip(wanted, found, strict=False):
+        for (name, shape, dtype), entry in zip(wanted, declared, strict=False):
             if tuple(entry.shape) != shape or entry.type != _ONNX_TYPES[dtype]:
-                yield f"the {what} '{name}' is {dtype} {list(shape)} in one, and {entry.type} {entry.shape} in the other"
+                yield (
+                    f"the {what} '{name}' is {dtype} {list(shape)} in one, and {entry.type} {entry.shape}"
+                    " in the other"
+                )
 
 
 class Policy:
@@ -296,12 +349,13 @@ class Policy:
             values: For each input its values in its shape, in SI units; a single number for the shape [1].
 
         Returns:
-            The command of each actuator (float64 [n], SI units) by its name; `action`, and with choices `scores` of all options.
+            The command of each actuator (float64 [n], SI units) by its name; `action`, and with choices
+            `scores` of all options.
 
         Raises:
             InputError: A value is missing, unknown, of another shape or kind, or not finite.
-            BundleError: The graph cannot compute with these values, or computes a command that is not finite. Like after an
-                InputError, the memory of the policy has not changed.
+            BundleError: The graph cannot compute with these values, or computes a command that is not finite.
+                Like after an InputError, the memory of the policy has not changed.
         """
         if values.keys() != self._names:
             raise InputError(self._wrong_names(values))
@@ -312,32 +366,40 @@ class Policy:
             self._calls += 1
             return {name: value.copy() for name, value in self._last.items()}
         try:
-            found = dict(zip(self._outputs, self._run(None, feeds), strict=True))
+            results = dict(zip(self._outputs, self._run(None, feeds), strict=True))
         except Exception as error:  # of onnxruntime, such as a place beyond the end of a table
             raise BundleError(f"{GRAPH_NAME} cannot compute with these values: {_one_line(error)}") from error
         for name, low, high in self._ranges:
-            value = found[name]
+            value = results[name]
             if not ((value >= low) & (value <= high)).all():  # also where it is no number
                 if not np.isfinite(value).all() or value.dtype.kind == "i":
                     raise BundleError(f"{GRAPH_NAME} computes '{name}' as {_numbers(value)}")
-                found[name] = np.clip(value, low, high).astype(value.dtype)
+                results[name] = np.clip(value, low, high).astype(value.dtype)
         self._calls += 1
         for name, following in self._memories:
-            self._memory[name] = found.pop(following)
-        self._last = found if self._every == 1 else {name: value.copy() for name, value in found.items()}
-        return found
+            self._memory[name] = results.pop(following)
+        self._last = results if self._every == 1 else {name: value.copy() for name, value in results.items()}
+        return results
 
     def _wrong_names(self, values: Mapping[str, Any]) -> str:
         missing, unknown = sorted(self._names - values.keys()), sorted(map(str, values.keys() - self._names))
-        parts = [f"{len(names)} {what} ({', '.join(names[:5])})" for what, names in (("missing", missing), ("unknown", unknown)) if names]
+        parts = [
+            f"{len(names)} {what} ({', '.join(names[:5])})"
+            for what, names in (("missing", missing), ("unknown", unknown))
+            if names
+        ]
         return f"the values do not fit the inputs of the policy: {', '.join(parts)}"
 
 
 def _ranges(info: BundleInfo) -> Iterator[tuple[str, Array, Array]]:
-    """The smallest and the largest number of each output; where there is no limit, those of finite numbers."""
+    """The smallest and the largest number of each output; where there is no limit, those of finite
+    numbers."""
     limit = np.finfo(np.float64).max
     for entry in info.outputs:
-        low, high = ([limit * sign if each is None else each for each in ends] for ends, sign in zip(entry.range, (-1, 1), strict=True))
+        low, high = (
+            [limit * sign if each is None else each for each in ends]
+            for ends, sign in zip(entry.range, (-1, 1), strict=True)
+        )
         yield entry.name, np.array(low), np.array(high)
     if info.choices:
         yield "action", np.zeros(info.action_shape), np.array(info.choices).reshape(info.action_shape) - 1
@@ -348,9 +410,9 @@ def _ranges(info: BundleInfo) -> Iterator[tuple[str, Array, Array]]:
 
 def initial_value(entry: model.Memory) -> Array:
     """A memory at the start of an episode."""
-    return np.ascontiguousarray(np.broadcast_to(np.array(entry.initial, _NUMPY_TYPES[entry.dtype]), model.size_of(entry.shape))).reshape(
-        entry.shape
-    )
+    return np.ascontiguousarray(
+        np.broadcast_to(np.array(entry.initial, _NUMPY_TYPES[entry.dtype]), model.size_of(entry.shape))
+    ).reshape(entry.shape)
 
 
 def _fitting(name: str, value: Any, shape: tuple[int, ...], kind: type[Any]) -> Array:
@@ -362,14 +424,18 @@ def _fitting(name: str, value: Any, shape: tuple[int, ...], kind: type[Any]) -> 
         if array.shape == () and shape == (1,):
             array = array.reshape(1)
         else:
-            raise InputError(f"the value of '{name}' has the shape {list(array.shape)}; it must have {list(shape)}")
+            raise InputError(
+                f"the value of '{name}' has the shape {list(array.shape)}; it must have {list(shape)}"
+            )
     if array.dtype == kind:
         pass
     elif kind in (np.float64, np.float32) and array.dtype.kind in "iuf":
         with np.errstate(over="ignore"):  # is refused below
             array = array.astype(kind)
     else:
-        raise InputError(f"the value of '{name}' is of the type {array.dtype}; it must be {np.dtype(kind).name}")
+        raise InputError(
+            f"the value of '{name}' is of the type {array.dtype}; it must be {np.dtype(kind).name}"
+        )
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise InputError(f"the value of '{name}' is not finite")
     return array
@@ -380,7 +446,8 @@ def _fitting(name: str, value: Any, shape: tuple[int, ...], kind: type[Any]) -> 
 
 @dataclass(frozen=True)
 class Parity:
-    """Recorded steps: rows of each input and each output, and the numbers of the steps with which an episode begins."""
+    """Recorded steps: rows of each input and each output, and the numbers of the steps with which an episode
+    begins."""
 
     inputs: Mapping[str, Array]
     outputs: Mapping[str, Array]
@@ -397,7 +464,9 @@ def read_parity(content: bytes, info: BundleInfo) -> Parity:
     Raises:
         BundleError: It is damaged, or has other arrays than the bundle.
     """
-    wanted = {f"input/{entry.name}": entry for entry in info.inputs} | {f"output/{entry.name}": entry for entry in info.outputs}
+    wanted = {f"input/{entry.name}": entry for entry in info.inputs} | {
+        f"output/{entry.name}": entry for entry in info.outputs
+    }
     names = {*wanted, "output/action", "starts", *(["output/scores"] if info.choices else [])}
     try:
         arrays = _read_archive(content, names)
@@ -419,19 +488,27 @@ def read_parity(content: bytes, info: BundleInfo) -> Parity:
             raise BundleError(f"'{name}' in {PARITY_NAME} has another shape or type than in {BUNDLE_NAME}")
         if arrays[name].dtype.kind == "f" and not np.isfinite(arrays[name]).all():
             raise BundleError(f"'{name}' in {PARITY_NAME} has a number that is not finite")
-    own = {name: {key.partition("/")[2]: array for key, array in arrays.items() if key.startswith(name)} for name in ("input", "output")}
+    own = {
+        name: {key.partition("/")[2]: array for key, array in arrays.items() if key.startswith(name)}
+        for name in ("input", "output")
+    }
     return Parity(own["input"], own["output"], tuple(starts.tolist()))
 
 
 def _read_archive(content: bytes, names: Collection[str]) -> dict[str, Array]:
-    """The arrays of these names, which are all that a zip file holds, in a way that takes no more time and memory than they have bytes."""
-    if content.count(_ENTRY_OF_ARCHIVE) > 2 * len(names) + 100:  # each of millions of entries would become an object
+    """The arrays of these names, which are all that a zip file holds, in a way that takes no more time and
+    memory than they have bytes."""
+    if (
+        content.count(_ENTRY_OF_ARCHIVE) > 2 * len(names) + 100
+    ):  # each of millions of entries would become an object
         raise BundleError(f"{PARITY_NAME} has more entries than {BUNDLE_NAME} has fields")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         entries = archive.infolist()
         sizes = {entry.filename: entry.file_size for entry in entries}
         if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in entries):
-            raise BundleError(f"{PARITY_NAME} is compressed otherwise than by an export")  # LZMA takes as much memory as the file says
+            raise BundleError(
+                f"{PARITY_NAME} is compressed otherwise than by an export"
+            )  # LZMA takes as much memory as the file says
         if sum(entry.compress_size for entry in entries) > len(content):
             raise BundleError(f"{PARITY_NAME} has arrays in the same bytes")
         if len(sizes) != len(entries):
@@ -450,17 +527,24 @@ def _read_array(archive: zipfile.ZipFile, name: str, size: int) -> Array:
     header = io.BytesIO(content[:_MAX_HEADER_BYTES])
     if np.lib.format.read_magic(header) != (1, 0):
         raise ValueError(f"{name} has another version than an export writes")
-    with warnings.catch_warnings(action="ignore"):  # such as one about headers of Python 2, which shows a path
+    with warnings.catch_warnings(
+        action="ignore"
+    ):  # such as one about headers of Python 2, which shows a path
         shape, by_columns, dtype = np.lib.format.read_array_header_1_0(header)
     if dtype.hasobject or len(content) - header.tell() != model.size_of(shape) * dtype.itemsize:
         raise ValueError(f"{name} has another number of bytes than its shape and type")
-    return np.frombuffer(content, dtype, offset=header.tell()).reshape(shape, order="F" if by_columns else "C")
+    return np.frombuffer(content, dtype, offset=header.tell()).reshape(
+        shape, order="F" if by_columns else "C"
+    )
 
 
 def most_steps(bundle: Bundle, spent: int = 0) -> int:
-    """How many recorded steps may be repeated when a bundle is loaded and other checks have taken `spent` operations."""
+    """How many recorded steps may be repeated when a bundle is loaded and other checks have taken `spent`
+    operations."""
     info = bundle.info
-    python = _STEP_OPERATIONS + _FIELD_OPERATIONS * (len(info.inputs) + 2 * len(info.memory) + len(info.outputs))
+    python = _STEP_OPERATIONS + _FIELD_OPERATIONS * (
+        len(info.inputs) + 2 * len(info.memory) + len(info.outputs)
+    )
     return max(0, _MAX_PARITY_OPERATIONS - spent) // (bundle.operations + python)
 
 
@@ -468,11 +552,14 @@ def replay(bundle: Bundle, parity: Parity, spent: int = 0) -> None:
     """Repeat recorded steps, where other checks have already taken the time of `spent` operations.
 
     Raises:
-        BundleError: A command or a score differs by more than 1e-5 of its range, or another option is chosen although its score is
-            smaller by more than 1e-5; or the graph cannot be run.
+        BundleError: A command or a score differs by more than 1e-5 of its range, or another option is chosen
+            although its score is smaller by more than 1e-5; or the graph cannot be run.
     """
     if parity.steps > most_steps(bundle, spent):
-        raise BundleError(f"the {parity.steps} recorded steps take more than {max(0, _MAX_PARITY_OPERATIONS - spent):,} operations")
+        raise BundleError(
+            f"the {parity.steps} recorded steps take more than {max(0, _MAX_PARITY_OPERATIONS - spent):,}"
+            " operations"
+        )
     policy = bundle.start()
     starts, skipping = set(parity.starts), False
     spans: dict[str, Any] = {entry.name: span_of(entry) for entry in bundle.info.outputs} | {"action": 2.0}
@@ -481,20 +568,20 @@ def replay(bundle: Bundle, parity: Parity, spent: int = 0) -> None:
             policy.reset()
             skipping = False
         try:
-            found = policy.step({name: rows[step] for name, rows in parity.inputs.items()})
+            answers = policy.step({name: rows[step] for name, rows in parity.inputs.items()})
         except InputError as error:
             raise BundleError(f"step {step} in {PARITY_NAME}: {error}") from error
         except BundleError as error:
             raise BundleError(f"step {step} in {PARITY_NAME}: {error}") from error
         wanted = {name: rows[step] for name, rows in parity.outputs.items()}
-        if skipping or _are_tied(bundle.info.choices, found, wanted):
+        if skipping or _are_tied(bundle.info.choices, answers, wanted):
             skipping = True  # the commands are those of another option, and what follows may depend on them
             continue
         if "scores" in wanted:
             spans["scores"] = max(1.0, float(np.abs(wanted["scores"]).max()))
         for name, span in spans.items():
-            if not np.all(np.abs(found[name] - wanted[name]) <= TOLERANCE * span):
-                numbers = f"'{name}' is {_numbers(found[name])} and was {_numbers(wanted[name])}"
+            if not np.all(np.abs(answers[name] - wanted[name]) <= TOLERANCE * span):
+                numbers = f"'{name}' is {_numbers(answers[name])} and was {_numbers(wanted[name])}"
                 raise BundleError(f"the policy differs from its recording in step {step}: {numbers}")
 
 
@@ -504,11 +591,11 @@ def span_of(entry: model.Output) -> Array:
     return np.array([1.0 if low is None or high is None or low == high else high - low for low, high in ends])
 
 
-def _are_tied(choices: tuple[int, ...], found: Mapping[str, Array], wanted: Mapping[str, Array]) -> bool:
+def _are_tied(choices: tuple[int, ...], answers: Mapping[str, Array], wanted: Mapping[str, Array]) -> bool:
     """Whether another option was chosen, of two whose scores are equal but for rounding."""
-    if not choices or np.array_equal(found["action"], wanted["action"]):
+    if not choices or np.array_equal(answers["action"], wanted["action"]):
         return False
-    now, before = np.atleast_1d(found["action"]), np.atleast_1d(wanted["action"])
+    now, before = np.atleast_1d(answers["action"]), np.atleast_1d(wanted["action"])
     first = 0
     for size, one, other in zip(choices, now.tolist(), before.tolist(), strict=True):
         scores = wanted["scores"][first : first + size]

@@ -1,11 +1,12 @@
 """The link over ROS 2: topics of Cyclone DDS, on the loopback interface unless another one is named.
 
-A topic `/cart/joint_states` of ROS 2 is the topic `rt/cart/joint_states` of DDS. Sensors are sent as ROS 2 sends sensor data: best
-effort, the last five messages; commands and resets arrive reliably. An image takes its time in this serializer: 640 x 480 pixels in
-color take 34 to 67 ms, 64 x 48 less than 1 ms.
+A topic `/cart/joint_states` of ROS 2 is the topic `rt/cart/joint_states` of DDS. Sensors are sent as ROS 2
+sends sensor data: best effort, the last five messages; commands and resets arrive reliably. An image takes
+its time in this serializer: 640 x 480 pixels in color take 34 to 67 ms, 64 x 48 less than 1 ms.
 
-Every program in a domain knows the topics and types of the others, so that a type that differs or a second policy is noticed whoever
-the other end is. What two ends of deepbots say about themselves is the user data of their participants.
+Every program in a domain knows the topics and types of the others, so that a type that differs or a second
+policy is noticed whoever the other end is. What two ends of deepbots say about themselves is the user data of
+their participants.
 """
 
 from __future__ import annotations
@@ -38,24 +39,36 @@ from deepbots_robot.topics import Field, Topic
 MAX_DOMAIN = 232
 """The largest DDS domain, `ROS_DOMAIN_ID`, whose ports exist."""
 _LOOPBACK = (
-    '<General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces><AllowMulticast>false</AllowMulticast></General>'
-    '<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+    '<General><Interfaces><NetworkInterface name="lo"'
+    ' multicast="true"/></Interfaces><AllowMulticast>false</AllowMulticast></General>'
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer"
+    ' address="127.0.0.1"/></Peers></Discovery>'
 )
 _PLAIN_CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
-SENSOR_DATA = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5), Policy.Durability.Volatile, _PLAIN_CDR)
+SENSOR_DATA = Qos(
+    Policy.Reliability.BestEffort, Policy.History.KeepLast(5), Policy.Durability.Volatile, _PLAIN_CDR
+)
 """The profile of ROS 2 for sensors: the newest five messages, without asking again for a lost one."""
-COMMANDS = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(10), Policy.Durability.Volatile, _PLAIN_CDR)
+COMMANDS = Qos(
+    Policy.Reliability.Reliable(duration(milliseconds=100)),
+    Policy.History.KeepLast(10),
+    Policy.Durability.Volatile,
+    _PLAIN_CDR,
+)
 """The default profile of ROS 2, for commands and resets."""
 _TAKEN = 256
 _CONNECTED = 2.0
-"""Seconds after the first connection in which listeners of all topics are waited for; another program may leave some out."""
+"""Seconds after the first connection in which listeners of all topics are waited for; another program may
+leave some out."""
 _DISCOVERY = 0.5
-"""Seconds in which a policy looks for another one before it begins; on one machine they find each other within 0.1 s."""
+"""Seconds in which a policy looks for another one before it begins; on one machine they find each other
+within 0.1 s."""
 _DESCRIBED = 8000
 """Bytes of what a participant says about itself, which a message of discovery has room for."""
 
 _DOMAINS: dict[int, tuple[str, Any]] = {}
-"""The domains of this process with their networks; a process has one of each number, which two ends in it share."""
+"""The domains of this process with their networks; a process has one of each number, which two ends in it
+share."""
 
 Mapped = Sequence[tuple[Field, Topic]]
 
@@ -79,33 +92,63 @@ class RosLink:
         """Open the topics of the fields.
 
         Raises:
-            ValueError: A field does not fit its topic, the interface or the domain does not exist, or another policy sends these
-                commands.
+            ValueError: A field does not fit its topic, the interface or the domain does not exist, or another
+                policy sends these commands.
         """
         if not 0 <= domain <= MAX_DOMAIN:
             raise ValueError(f"the domain {domain} does not exist; choose one from 0 to {MAX_DOMAIN}")
-        known = [name for _, name in socket.if_nameindex()]
-        if interface is not None and (interface not in known or not re.fullmatch(r"[A-Za-z0-9_.:-]{1,32}", interface)):
-            raise ValueError(f"'{interface[:40]}' is no network interface of this machine; it has {', '.join(known)}")
+        interfaces = [name for _, name in socket.if_nameindex()]
+        if interface is not None and (
+            interface not in interfaces or not re.fullmatch(r"[A-Za-z0-9_.:-]{1,32}", interface)
+        ):
+            raise ValueError(
+                f"'{interface[:40]}' is no network interface of this machine; it has {', '.join(interfaces)}"
+            )
         self.name = f"ROS 2 on {interface or 'the loopback interface'}, domain {domain}"
-        network = _LOOPBACK if interface is None else f'<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
+        network = (
+            _LOOPBACK
+            if interface is None
+            else f'<General><Interfaces><NetworkInterface name="{interface}"/></Interfaces></General>'
+        )
         try:
             if domain not in _DOMAINS:
-                _DOMAINS[domain] = network, Domain(domain, f"<CycloneDDS><Domain>{network}</Domain></CycloneDDS>")
+                _DOMAINS[domain] = (
+                    network,
+                    Domain(domain, f"<CycloneDDS><Domain>{network}</Domain></CycloneDDS>"),
+                )
             if _DOMAINS[domain][0] != network:
                 raise ValueError(f"the domain {domain} is already open on another network interface")
-            whole = about and with_fields(about, [field for field, _ in sends], [field for field, _ in receives])
+            whole = about and with_fields(
+                about, [field for field, _ in sends], [field for field, _ in receives]
+            )
             texts = [msgspec.json.encode(each) for each in (whole, about) if each is not None]
-            described = Qos(Policy.Userdata(MARK + next((text for text in texts if len(text) < _DESCRIBED), texts[-1]))) if texts else None
+            described = (
+                Qos(
+                    Policy.Userdata(
+                        MARK + next((text for text in texts if len(text) < _DESCRIBED), texts[-1])
+                    )
+                )
+                if texts
+                else None
+            )
             self._participant = DomainParticipant(domain, qos=described)
         except DDSException as error:
-            raise ValueError(f"{self.name} cannot be opened; `ip address` lists the network interfaces") from error
+            raise ValueError(
+                f"{self.name} cannot be opened; `ip address` lists the network interfaces"
+            ) from error
         codecs = _by_topic(receives) | _by_topic(sends)
         sensors, commands = (sends, receives) if robot else (receives, sends)
         qos = dict.fromkeys(_by_topic(sensors), SENSOR_DATA) | dict.fromkeys(_by_topic(commands), COMMANDS)
-        self._readers = [(name, self._reader(name, codec, qos[name]), codec) for name, codec in _by_topic(receives).items()]
-        self._writers = [(self._writer(name, codec.type, qos[name]), codec) for name, codec in _by_topic(sends).items()]
-        ends = {f"rt{name}": End(codec.type, name in _by_topic(sends), qos[name] is COMMANDS) for name, codec in codecs.items()}
+        self._readers = [
+            (name, self._reader(name, codec, qos[name]), codec) for name, codec in _by_topic(receives).items()
+        ]
+        self._writers = [
+            (self._writer(name, codec.type, qos[name]), codec) for name, codec in _by_topic(sends).items()
+        ]
+        ends = {
+            f"rt{name}": End(codec.type, name in _by_topic(sends), qos[name] is COMMANDS)
+            for name, codec in codecs.items()
+        }
         ends[f"rt{EPISODE_TOPIC}"] = End("std_msgs/Header", robot, is_reliable=True)
         self._connected_at = math.inf
         self._others = Others(self._participant, ends, whole)
@@ -113,7 +156,11 @@ class RosLink:
             self._refuse_a_second_policy([f"rt{name}" for name in _by_topic(sends) if name != ACTION_TOPIC])
         self._waiting = WaitSet(self._participant)
         self._episode_writer = self._writer(EPISODE_TOPIC, "std_msgs/Header", COMMANDS) if robot else None
-        self._episode_reader = None if robot else DataReader(self._participant, self._topic(EPISODE_TOPIC, "std_msgs/Header"), qos=COMMANDS)
+        self._episode_reader = (
+            None
+            if robot
+            else DataReader(self._participant, self._topic(EPISODE_TOPIC, "std_msgs/Header"), qos=COMMANDS)
+        )
         everything = SampleState.Any | ViewState.Any | InstanceState.Any
         readers = [reader for _, reader, _ in self._readers] + [self._episode_reader] * (not robot)
         self._conditions = [ReadCondition(reader, everything) for reader in readers]
@@ -135,7 +182,8 @@ class RosLink:
             taken = self._others.sent_by_others(commands)
             if taken:
                 raise ValueError(
-                    f"another program sends commands on {taken} in {self.name}; end it, or choose another --domain on both sides {KILLED}"
+                    f"another program sends commands on {taken} in {self.name}; end it, or choose another"
+                    f" --domain on both sides {KILLED}"
                 )
             time.sleep(0.02)
 
@@ -143,10 +191,12 @@ class RosLink:
         self._waiting.wait(duration(seconds=max(0.0, timeout)))
 
     def take(self) -> Sequence[Arrival]:
-        found = [] if self._episode_reader is None else [_episode(each) for each in _taken(self._episode_reader)]
+        arrivals = (
+            [] if self._episode_reader is None else [_episode(each) for each in _taken(self._episode_reader)]
+        )
         for name, reader, codec in self._readers:
-            found += [_arrival(name, codec, message) for message in _taken(reader)]
-        return found
+            arrivals += [_arrival(name, codec, message) for message in _taken(reader)]
+        return arrivals
 
     def send(self, values: Mapping[str, Array], stamp: float) -> None:
         for writer, codec in self._writers:
@@ -157,12 +207,18 @@ class RosLink:
     def reset(self, number: int, stamp: float) -> None:
         if self._episode_writer is not None:
             self._episode_writer.write(idl.Header(idl.time_of(stamp), str(number)))
-            with suppress(Exception):  # a reader that was killed never answers, and cyclonedds then raises an AttributeError of its own
+            with suppress(
+                Exception
+            ):  # a reader that was killed never answers, and cyclonedds then raises an AttributeError of its own
                 self._episode_writer.wait_for_acks(duration(seconds=1))
 
     def connected(self) -> bool:
         writers = [writer for writer, _ in self._writers]
-        matched = [bool(writer.get_matched_subscriptions()) for writer in [*writers, self._episode_writer] if writer is not None]
+        matched = [
+            bool(writer.get_matched_subscriptions())
+            for writer in [*writers, self._episode_writer]
+            if writer is not None
+        ]
         if any(matched):
             self._connected_at = min(self._connected_at, time.monotonic())
         return all(matched) or time.monotonic() > self._connected_at + _CONNECTED
@@ -174,7 +230,8 @@ class RosLink:
         return self._others.abouts()
 
     def close(self) -> None:
-        """End all topics at once: one that is lost at the end of the process counts for 10 s at the other end."""
+        """End all topics at once: one that is lost at the end of the process counts for 10 s at the other
+        end."""
         self._others.close()
         self._conditions.clear()
         self._readers.clear()
@@ -189,17 +246,17 @@ def _by_topic(mapped: Mapped) -> dict[str, Codec]:
 
 def _taken(reader: Any) -> list[Any]:
     """The messages of a reader; an exception stands for bytes that are none of its type."""
-    found: list[Any] = []
+    messages: list[Any] = []
     for _ in range(_TAKEN):
         try:
             taken = reader.take(1)
         except Exception as error:  # noqa: BLE001  what the deserializer raises for bytes that are no message is not documented
-            found.append(error)
+            messages.append(error)
             continue
         if not taken:
             break
-        found += [message for message in taken if not isinstance(message, InvalidSample)]
-    return found
+        messages += [message for message in taken if not isinstance(message, InvalidSample)]
+    return messages
 
 
 def _arrival(name: str, codec: Codec, message: Any) -> Arrival:

@@ -1,4 +1,5 @@
-"""The other programs in a domain of ROS 2: which topics of ours they use, and how, and what those of deepbots say about themselves."""
+"""The other programs in a domain of ROS 2: which topics of ours they use, and how, and what those of deepbots
+say about themselves."""
 
 from __future__ import annotations
 
@@ -24,9 +25,11 @@ MARK = b"deepbots="
 """What the user data of a participant begins with, before the `About` as JSON."""
 KILLED = "(a program that was killed counts for 10 s)"
 _MOST, _TAKEN = 2000, 50
-"""How many ends of topics are known at most, and how many are taken at a time; a call that takes none lasts 0.05 ms."""
+"""How many ends of topics are known at most, and how many are taken at a time; a call that takes none lasts
+0.05 ms."""
 _SETTLED = 1.0
-"""Seconds in which the other end of the same scenario is found, if it runs already, before one of another scenario counts."""
+"""Seconds in which the other end of the same scenario is found, if it runs already, before one of another
+scenario counts."""
 
 
 class End(NamedTuple):
@@ -45,34 +48,51 @@ class Others:
         self._began = time.monotonic()
         self._own, self._about, self._ends = participant.guid, about, ends
         topics = (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription, BuiltinTopicDcpsParticipant)
-        self._readers: list[tuple[Any, dict[Any, Any]]] = [(BuiltinDataReader(participant, topic), {}) for topic in topics]
+        self._readers: list[tuple[Any, dict[Any, Any]]] = [
+            (BuiltinDataReader(participant, topic), {}) for topic in topics
+        ]
 
     def sent_by_others(self, names: Sequence[str]) -> str:
         """The first of these topics that another program sends on; empty if there is none."""
         self._update()
-        return next((_plain(each.topic_name) for is_sent, each in self._of_others() if is_sent and each.topic_name in names), "")
+        return next(
+            (
+                _plain(each.topic_name)
+                for is_sent, each in self._of_others()
+                if is_sent and each.topic_name in names
+            ),
+            "",
+        )
 
     def remarks(self) -> list[Remark]:
-        """What does not fit between our topics and those of others, and which topics several programs send on."""
+        """What does not fit between our topics and those of others, and which topics several programs send
+        on."""
         self._update()
-        found = []
+        texts = []
         senders: Counter[str] = Counter()
         for is_sent, each in self._of_others():
             own, topic = self._ends[each.topic_name], _plain(each.topic_name)
             senders[each.topic_name] += is_sent
             if each.type_name != _dds_type(own.type):
-                found.append(
-                    Remark(f"{topic} has messages of the type {_ros_type(each.type_name)} at the other end, and {own.type} here", True)
+                texts.append(
+                    Remark(
+                        f"{topic} has messages of the type {_ros_type(each.type_name)} at the other end, and"
+                        f" {own.type} here",
+                        True,
+                    )
                 )
             elif own.sends is not is_sent and (text := _lost(topic, own, each, is_sent=is_sent)):
-                found.append(Remark(text))
+                texts.append(Remark(text))
         for name, count in senders.items():
             everybody = count + self._ends[name].sends
             if everybody > 1 and count:
-                found.append(
-                    Remark(f"{everybody} programs send on {_plain(name)}; end all but one, or give each robot its own --domain {KILLED}")
+                texts.append(
+                    Remark(
+                        f"{everybody} programs send on {_plain(name)}; end all but one, or give each robot"
+                        f" its own --domain {KILLED}"
+                    )
                 )
-        return [*found, *self._differences()]
+        return [*texts, *self._differences()]
 
     def abouts(self) -> list[About]:
         """What programs of deepbots in the domain say about themselves."""
@@ -81,31 +101,39 @@ class Others:
 
     def _update(self) -> None:
         """Take what has changed since the last call."""
-        for reader, known in self._readers:
+        for reader, endpoints in self._readers:
             for each in reader.take(_TAKEN):
-                if each.sample_info.instance_state == InstanceState.Alive and len(known) < _MOST:
-                    known[each.key] = each
+                if each.sample_info.instance_state == InstanceState.Alive and len(endpoints) < _MOST:
+                    endpoints[each.key] = each
                 else:
-                    known.pop(each.key, None)
+                    endpoints.pop(each.key, None)
 
     def _of_others(self) -> Iterator[tuple[bool, Any]]:
         """Who sends (True) or receives on a topic of ours."""
-        for (_, known), is_sent in zip(self._readers[:2], (True, False), strict=True):
-            yield from ((is_sent, each) for each in known.values() if each.participant_key != self._own and each.topic_name in self._ends)
+        for (_, endpoints), is_sent in zip(self._readers[:2], (True, False), strict=True):
+            yield from (
+                (is_sent, each)
+                for each in endpoints.values()
+                if each.participant_key != self._own and each.topic_name in self._ends
+            )
 
     def _differences(self) -> Iterator[Remark]:
-        """What programs of deepbots with the other role should agree on with this one: those of its scenario, else all."""
+        """What programs of deepbots with the other role should agree on with this one: those of its scenario,
+        else all."""
         own = self._about
         if own is None:
             return
-        found = [each for each in self.abouts() if each.role != own.role]
-        near = [each for each in found if each.scenario == own.scenario]
+        others = [each for each in self.abouts() if each.role != own.role]
+        near = [each for each in others if each.scenario == own.scenario]
         if not near and time.monotonic() < self._began + _SETTLED:
             return
-        for each in near or found:
+        for each in near or others:
             problem = misfit(own, each, topics=True) if each.sends and each.takes else ""
             if problem:
-                yield Remark(problem if near else f"{problem}; give each robot its own --domain {KILLED}", is_misfit=True)
+                yield Remark(
+                    problem if near else f"{problem}; give each robot its own --domain {KILLED}",
+                    is_misfit=True,
+                )
             else:
                 yield from (Remark(text) for text in differences(own, each))
 
@@ -123,12 +151,21 @@ def _about(participant: Any) -> About | None:
 
 
 def _lost(topic: str, own: End, other: Any, *, is_sent: bool) -> str:
-    """Why no message passes: one end asks for reliable ones, and the other one sends with best effort. Empty if messages pass."""
-    is_reliable = Policy.Reliability in other.qos and isinstance(other.qos[Policy.Reliability], Policy.Reliability.Reliable)
+    """Why no message passes: one end asks for reliable ones, and the other one sends with best effort. Empty
+    if messages pass."""
+    is_reliable = Policy.Reliability in other.qos and isinstance(
+        other.qos[Policy.Reliability], Policy.Reliability.Reliable
+    )
     if is_sent and own.is_reliable and not is_reliable:
-        return f"another program sends {topic} with best effort, and reliable messages are asked for here: none arrives"
+        return (
+            f"another program sends {topic} with best effort, and reliable messages are asked for here:"
+            " none arrives"
+        )
     if not is_sent and is_reliable and not own.is_reliable:
-        return f"another program asks for reliable messages on {topic}, which is sent with best effort: none arrives there"
+        return (
+            f"another program asks for reliable messages on {topic}, which is sent with best effort: none"
+            " arrives there"
+        )
     return ""
 
 

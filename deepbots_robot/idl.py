@@ -1,7 +1,9 @@
-"""ROS 2 messages as types of Cyclone DDS: the fields of the .msg files in their order, with the type names that ROS 2 gives them.
+"""ROS 2 messages as types of Cyclone DDS: the fields of the .msg files in their order, with the type names
+that ROS 2 gives them.
 
-Every type is `final`, so that its bytes are plain CDR, as ROS 2 sends them. `TYPES` has them by the name that a person writes,
-such as `sensor_msgs/JointState`. Needs the package `cyclonedds`; type annotations of this module are read when it is imported.
+Every type is `final`, so that its bytes are plain CDR, as ROS 2 sends them. `TYPES` has them by the name that
+a person writes, such as `sensor_msgs/JointState`. Needs the package `cyclonedds`; type annotations of this
+module are read when it is imported.
 """
 
 from collections.abc import Mapping
@@ -244,7 +246,9 @@ _EMPTY: Mapping[str, Any] = {
     ),
     "sensor_msgs/CompressedImage": lambda header: CompressedImage(header, "", []),
     "sensor_msgs/Image": lambda header: Image(header, 0, 0, "", 0, 0, []),
-    "sensor_msgs/Imu": lambda header: Imu(header, Quaternion(), [0.0] * 9, Vector3(), [0.0] * 9, Vector3(), [0.0] * 9),
+    "sensor_msgs/Imu": lambda header: Imu(
+        header, Quaternion(), [0.0] * 9, Vector3(), [0.0] * 9, Vector3(), [0.0] * 9
+    ),
     "sensor_msgs/JointState": lambda header: JointState(header, [], [], [], []),
     "sensor_msgs/LaserScan": lambda header: LaserScan(header, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, [], []),
     "sensor_msgs/Range": lambda header: Range(header, 0, 0.0, 0.0, 0.0, 0.0),

@@ -1,4 +1,5 @@
-"""Checks of what a robot sends: layout, finite numbers, range, age and order. A message that fails one of them is not used at all."""
+"""Checks of what a robot sends: layout, finite numbers, range, age and order. A message that fails one of
+them is not used at all."""
 
 from __future__ import annotations
 
@@ -14,11 +15,14 @@ from deepbots_robot.model import printable
 from deepbots_robot.topics import Field
 
 SLACK = 0.01
-"""By how much of its range a value may be beyond it: robot files round limits, and a joint gives way at its stop."""
+"""By how much of its range a value may be beyond it: robot files round limits, and a joint gives way at its
+stop."""
 MAX_JUMP = 1.0
-"""By how much, in s, the stamps of a robot may go ahead of the time that has passed here. More is a clock that jumped."""
+"""By how much, in s, the stamps of a robot may go ahead of the time that has passed here. More is a clock
+that jumped."""
 RESTART = 1.0
-"""After this many seconds without a usable message, the next one sets the clock anew, as after a restart of the robot."""
+"""After this many seconds without a usable message, the next one sets the clock anew, as after a restart of
+the robot."""
 
 
 class Refusal(NamedTuple):
@@ -29,7 +33,8 @@ class Refusal(NamedTuple):
 
     @property
     def is_harmless(self) -> bool:
-        """Whether a network can cause it: such a message is ignored. The server answers all other refusals with the safe posture."""
+        """Whether a network can cause it: such a message is ignored. The server answers all other refusals
+        with the safe posture."""
         return self.kind in (TWICE, ORDER, LATE)
 
 
@@ -71,7 +76,8 @@ class _State:
 
 
 class Intake:
-    """The newest value of each input. `speed` is how many seconds of the robot pass in one second here; None without a clock."""
+    """The newest value of each input. `speed` is how many seconds of the robot pass in one second here; None
+    without a clock."""
 
     def __init__(self, inputs: Sequence[Input], speed: float | None = 1.0) -> None:
         self.inputs = {each.field.name: each for each in inputs}
@@ -99,15 +105,18 @@ class Intake:
             self.examples.setdefault(refusal.kind, printable(f"{arrival.source}: {refusal.text}"[:200]))
             return refusal
         for name, value in arrival.fields.items():
-            state, known = self._states[name], self.inputs[name]
-            state.value = np.asarray(value, known.dtype).reshape(known.field.shape)
+            state, declared = self._states[name], self.inputs[name]
+            state.value = np.asarray(value, declared.dtype).reshape(declared.field.shape)
             state.fresh, state.received, state.stamp = True, now, arrival.stamp
         return None
 
     def _refusal(self, arrival: Arrival, now: float) -> Refusal | None:
         unknown = [name for name in arrival.fields if name not in self.inputs]
         if unknown or not arrival.fields:
-            return Refusal("unknown field", f"this policy has no input '{unknown[0][:40]}'" if unknown else "a message without a field")
+            return Refusal(
+                "unknown field",
+                f"this policy has no input '{unknown[0][:40]}'" if unknown else "a message without a field",
+            )
         for name, value in arrival.fields.items():
             refusal = _wrong(value, self.inputs[name])
             if refusal is not None:
@@ -125,27 +134,31 @@ class Intake:
                 return refusal
         return None
 
-    def _late(self, state: _State, known: Input, stamp: float, now: float) -> Refusal | None:
+    def _late(self, state: _State, declared: Input, stamp: float, now: float) -> Refusal | None:
         """What is wrong with the time of a message.
 
-        The clock of the robot may be any. The smallest difference between it and the clock here, at the arrival of a message, stands for
-        a message without delay.
+        The clock of the robot may be any. The smallest difference between it and the clock here, at the
+        arrival of a message, stands for a message without delay.
         """
-        name = known.field.name
+        name = declared.field.name
         if self._speed is not None and now - state.received > RESTART:
             state.offset = np.inf
         elif state.stamp is not None and stamp <= state.stamp:
             back = state.stamp - stamp
             if back > MAX_JUMP:
                 return Refusal("clock", f"the clock of {name} jumped back by {back:.3g} s")
-            return Refusal(ORDER, f"{name} came after a newer value") if back else Refusal(TWICE, f"{name} came twice")
+            return (
+                Refusal(ORDER, f"{name} came after a newer value")
+                if back
+                else Refusal(TWICE, f"{name} came twice")
+            )
         if self._speed is None:
             return None
         offset = now * self._speed - stamp
         delay = offset - state.offset
         if np.isfinite(delay) and delay < -MAX_JUMP:
             return Refusal("clock", f"the clock of {name} jumped ahead by {-delay:.3g} s")
-        if delay > known.max_age:
+        if delay > declared.max_age:
             return Refusal(LATE, f"{name} came {delay:.3g} s late")
         state.offset = min(state.offset, offset)
         return None
@@ -156,33 +169,53 @@ class Intake:
         """The inputs without a value that is young enough."""
         if self._speed is None:
             return self.missing()
-        return [name for name, each in self.inputs.items() if (now - self._states[name].received) * self._speed > each.max_age]
+        return [
+            name
+            for name, each in self.inputs.items()
+            if (now - self._states[name].received) * self._speed > each.max_age
+        ]
 
     def ages(self, now: float) -> dict[str, float]:
         """The time in s since the newest value of each input came; inputs that never had one are left out."""
         speed = self._speed or 1.0
-        return {name: (now - state.received) * speed for name, state in self._states.items() if state.value is not None}
+        return {
+            name: (now - state.received) * speed
+            for name, state in self._states.items()
+            if state.value is not None
+        }
 
     def missing(self) -> list[str]:
         """The inputs that never had a value."""
-        return [name for name, state in self._states.items() if state.value is None and self.inputs[name].is_needed]
+        return [
+            name
+            for name, state in self._states.items()
+            if state.value is None and self.inputs[name].is_needed
+        ]
 
     def deadline(self) -> float:
         """When the first input will be too old."""
         if self._speed is None:
             return np.inf
-        return min((self._states[name].received + each.max_age / self._speed for name, each in self.inputs.items()), default=np.inf)
+        return min(
+            (self._states[name].received + each.max_age / self._speed for name, each in self.inputs.items()),
+            default=np.inf,
+        )
 
     def complete(self) -> bool:
         """Whether each input that has a new value in every step has got one since the last step."""
         states = self._states
         needed = {name: each for name, each in self.inputs.items() if each.is_needed}
-        return all(states[name].fresh if each.every_step else states[name].value is not None for name, each in needed.items())
+        return all(
+            states[name].fresh if each.every_step else states[name].value is not None
+            for name, each in needed.items()
+        )
 
     def newest(self) -> tuple[float | None, float]:
         """The newest stamp of all inputs, and when the last message came."""
         stamps = [state.stamp for state in self._states.values() if state.stamp is not None]
-        return max(stamps, default=None), max((state.received for state in self._states.values()), default=-np.inf)
+        return max(stamps, default=None), max(
+            (state.received for state in self._states.values()), default=-np.inf
+        )
 
     def values(self) -> Mapping[str, Array]:
         """The newest value of each input, for one step."""
@@ -191,17 +224,17 @@ class Intake:
         return {name: state.value for name, state in self._states.items() if state.value is not None}
 
 
-def _wrong(value: Array, known: Input) -> Refusal | None:
+def _wrong(value: Array, declared: Input) -> Refusal | None:
     """What is wrong with the values of a field."""
-    name = known.field.name
-    if value.dtype.kind not in "fiub" or value.shape != known.field.shape:
-        return Refusal("layout", f"{name} has the shape {value.shape}, and not {known.field.shape}")
+    name = declared.field.name
+    if value.dtype.kind not in "fiub" or value.shape != declared.field.shape:
+        return Refusal("layout", f"{name} has the shape {value.shape}, and not {declared.field.shape}")
     if value.dtype.kind == "f" and not np.isfinite(value).all():
         return Refusal("not finite", f"{name} is not finite")
-    slack = SLACK * np.where(np.isfinite(known.high - known.low), known.high - known.low, 0.0)
-    outside = (value < known.low - slack) | (value > known.high + slack)
+    slack = SLACK * np.where(np.isfinite(declared.high - declared.low), declared.high - declared.low, 0.0)
+    outside = (value < declared.low - slack) | (value > declared.high + slack)
     if outside.any():
         number = float(value.reshape(-1)[int(outside.reshape(-1).argmax())])
-        unit = "" if known.field.unit == "1" else f" {known.field.unit}"
+        unit = "" if declared.field.unit == "1" else f" {declared.field.unit}"
         return Refusal("out of range", f"{name} is {number:.6g}{unit}, which is beyond its range")
     return None

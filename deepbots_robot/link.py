@@ -1,7 +1,7 @@
 """A link between robot and policy: what both transports offer, and what arrives on them.
 
-One end sends sensor fields and resets and receives commands, the other end the reverse. A link carries arrays by the names of fields;
-`intake` checks them.
+One end sends sensor fields and resets and receives commands, the other end the reverse. A link carries arrays
+by the names of fields; `intake` checks them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ Array = NDArray[Any]
 Kind = Literal["fields", "reset"]
 
 EPISODE_TOPIC = "/deepbots/episode"
-"""The topic of resets in ROS 2: std_msgs/Header with the time of the reset, and the number of the episode as `frame_id`."""
+"""The topic of resets in ROS 2: std_msgs/Header with the time of the reset, and the number of the episode as
+`frame_id`."""
 ACTION_TOPIC = "/deepbots/action"
 """The topic of the action of a policy, std_msgs/Float64MultiArray."""
 MAX_BYTES = 16 * 2**20

@@ -1,12 +1,13 @@
 """The log of a server: an MCAP file that can be read up to its last second even if the process is killed.
 
-    /step         one message per command: inputs, their ages (s), commands, the posture, `policy` or `safe`, and the answer
+    /step         one message per command: inputs, their ages (s), commands, the posture, `policy` or `safe`,
+                  and the answer
                   time (s), 0 for a command that answers no new value
     /event        episodes, refused messages, and why the robot went into the safe posture
     attachments   bundle.json, and the scenario of the bundle: resolved.yaml and inputs/
 
-All messages are JSON; pictures are left out. Records are written one after the other, without compression, so that a file without an end
-is a log too.
+All messages are JSON; pictures are left out. Records are written one after the other, without compression, so
+that a file without an end is a log too.
 """
 
 from __future__ import annotations
@@ -43,7 +44,10 @@ _STEP = {
     "properties": {
         "inputs": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}},
         "ages": {"type": "object", "additionalProperties": {"type": "number"}},
-        "commands": {"type": "object", "additionalProperties": {"type": "array", "items": {"type": "number"}}},
+        "commands": {
+            "type": "object",
+            "additionalProperties": {"type": "array", "items": {"type": "number"}},
+        },
         "answer": {"type": "number"},
         "posture": {"type": "string"},
     },
@@ -55,7 +59,12 @@ class LogWriter:
     """Writes a log; `clock` is a monotonic time in s."""
 
     def __init__(
-        self, path: Path, about: Mapping[str, str], clock: Callable[[], float] = time.monotonic, *, files: Mapping[str, bytes] = {}
+        self,
+        path: Path,
+        about: Mapping[str, str],
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        files: Mapping[str, bytes] = {},
     ) -> None:
         """Begin a file; `about` goes into its metadata, `files` are attached.
 
@@ -75,7 +84,9 @@ class LogWriter:
         self._flush()
 
     def _channel(self, topic: str, schema: Mapping[str, Any]) -> int:
-        number = self._writer.register_schema(f"deepbots{topic.replace('/', '.')}", "jsonschema", json.dumps(schema).encode())
+        number = self._writer.register_schema(
+            f"deepbots{topic.replace('/', '.')}", "jsonschema", json.dumps(schema).encode()
+        )
         return self._writer.register_channel(topic, "json", number)
 
     def step(
@@ -87,10 +98,16 @@ class LogWriter:
         posture: str,
         ages: Mapping[str, float] = {},
     ) -> None:
-        inputs = {name: value.reshape(-1).astype(float).tolist() for name, value in values.items() if value.ndim < 3}
+        inputs = {
+            name: value.reshape(-1).astype(float).tolist() for name, value in values.items() if value.ndim < 3
+        }
         sent = {name: value.tolist() for name, value in commands.items()}
-        known = {"ages": dict(ages)} if ages else {}
-        self._add(self._steps, stamp, {"inputs": inputs, **known, "commands": sent, "answer": answer, "posture": posture})
+        extra = {"ages": dict(ages)} if ages else {}
+        self._add(
+            self._steps,
+            stamp,
+            {"inputs": inputs, **extra, "commands": sent, "answer": answer, "posture": posture},
+        )
 
     def event(self, stamp: float, kind: str, text: str) -> None:
         recent = self._recent[kind] = self._recent.get(kind, 0) + 1
@@ -118,11 +135,14 @@ class LogWriter:
                 self._file.close()
 
 
-def read_log(path: Path, note: Callable[[str], object] = lambda text: None) -> Iterator[tuple[str, float, dict[str, Any]]]:
+def read_log(
+    path: Path, note: Callable[[str], object] = lambda text: None
+) -> Iterator[tuple[str, float, dict[str, Any]]]:
     """Topic, stamp (s) and content of each message, up to where the file ends.
 
     Args:
-        note: Called after the last message if the file is longer than `MAX_READ`, or has no end, as after a kill or where it is damaged.
+        note: Called after the last message if the file is longer than `MAX_READ`, or has no end, as after a
+            kill or where it is damaged.
 
     Raises:
         OSError: The file cannot be read.
@@ -134,20 +154,24 @@ def read_log(path: Path, note: Callable[[str], object] = lambda text: None) -> I
         raise ValueError(f"{path} is not a log of a robot")
     topics: dict[int, str] = {}
     count, ended = 0, False
-    with suppress(McapError, struct.error, EOFError, KeyError, ValueError, RecursionError):  # the end of a process that was killed
-        for found in _records(content):
-            ended = isinstance(found, records.Footer)
-            if isinstance(found, records.Channel):
-                topics[found.id] = found.topic
-            elif isinstance(found, records.Message):
-                message = json.loads(found.data)
+    with suppress(
+        McapError, struct.error, EOFError, KeyError, ValueError, RecursionError
+    ):  # the end of a process that was killed
+        for record in _records(content):
+            ended = isinstance(record, records.Footer)
+            if isinstance(record, records.Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, records.Message):
+                message = json.loads(record.data)
                 if not isinstance(message, dict):
                     break
-                yield topics[found.channel_id], found.log_time / _NS, message
+                yield topics[record.channel_id], record.log_time / _NS, message
                 count += 1
     if not ended:
         reason = (
-            f"is longer than {MAX_READ >> 20} MiB" if len(content) == MAX_READ else "has no end: its process was killed, or it is damaged"
+            f"is longer than {MAX_READ >> 20} MiB"
+            if len(content) == MAX_READ
+            else "has no end: its process was killed, or it is damaged"
         )
         note(f"{path} {reason}; its first {count:,} messages are used")
 
@@ -160,14 +184,14 @@ def read_attached(path: Path) -> dict[str, bytes]:
     """
     with path.open("rb") as file:
         content = file.read(MAX_READ)
-    found = {}
+    attached = {}
     with suppress(McapError, struct.error, EOFError, KeyError, ValueError):
         for record in _records(content):
             if isinstance(record, records.Attachment):
-                found[record.name] = record.data
+                attached[record.name] = record.data
             elif isinstance(record, records.Message):
                 break  # files come first
-    return found
+    return attached
 
 
 def _records(content: bytes) -> Iterator[records.McapRecord]:

@@ -1,15 +1,16 @@
 """The messages of ZeroMQ and WebSocket: one per robot and moment, in JSON or MessagePack.
 
-    {"robot": "cart", "stamp": 12.34, "fields": {"cart.pole_angle": [0.01]}}      from the robot: what its sensors measure
+    {"robot": "cart", "stamp": 12.34, "fields": {"cart.pole_angle": [0.01]}}      from the robot: measurements
     {"robot": "cart", "stamp": 12.34, "reset": 3}                                 from the robot: episode 3 begins
     {"robot": "cart", "stamp": 12.35, "fields": {"cart.wheels": [5, 5, 5, 5]}}    to the robot: its commands
 
-A reset may have what the robot says about itself, as `about`; the policy answers with a message of the same kind, so that each end can
-say what does not fit. Of an end that does not fit nothing is used.
-Values that the robot cannot measure may come in messages of the robot `supervisor`. A picture is its bytes, rows first, in JSON in base64.
+A reset may have what the robot says about itself, as `about`; the policy answers with a message of the same
+kind, so that each end can say what does not fit. Of an end that does not fit nothing is used. Values that the
+robot cannot measure may come in messages of the robot `supervisor`. A picture is its bytes, rows first, in
+JSON in base64.
 
-A policy takes the messages of one connection, the first that sends a readable one, until it is silent for `HELD` s. Those of other
-connections are dropped unread, so they neither delay nor change what the robot gets.
+A policy takes the messages of one connection, the first that sends a readable one, until it is silent for
+`HELD` s. Those of other connections are dropped unread, so they neither delay nor change what the robot gets.
 """
 
 from __future__ import annotations
@@ -29,8 +30,12 @@ from deepbots_robot.topics import MAX_NUMBERS, Field
 
 SUPERVISOR = "supervisor"
 HELD = 1.0
-"""Seconds of silence after which a policy takes the messages of another connection; of a slow policy, three periods."""
-_CROWDED = Remark("another program sends to this policy, which takes only what the first one sends; start a policy for each robot")
+"""Seconds of silence after which a policy takes the messages of another connection; of a slow policy, three
+periods."""
+_CROWDED = Remark(
+    "another program sends to this policy, which takes only what the first one sends; start a policy for"
+    " each robot"
+)
 
 Name = Annotated[str, Meta(max_length=200)]
 Row = Annotated[list[float], Meta(max_length=MAX_NUMBERS)]
@@ -56,23 +61,36 @@ def read(content: bytes, fields: Mapping[str, Field]) -> Arrival:
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OverflowError) as error:
         return Arrival("a message", problem=f"it cannot be read: {' '.join(str(error).split())[:150]}")
     if message.reset is not None:
-        return Arrival(message.robot, stamp=message.stamp, kind="reset", number=message.reset, about=message.about)
-    found: dict[str, Array] = {}
+        return Arrival(
+            message.robot, stamp=message.stamp, kind="reset", number=message.reset, about=message.about
+        )
+    values: dict[str, Array] = {}
     for name, value in message.fields.items():
         array: Array = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.array(value, float)
-        known = fields.get(name)
-        if known is not None and known.is_picture != isinstance(value, bytes):
-            return Arrival(message.robot, problem=f"{name} is {'a picture' if known.is_picture else 'no picture'}")
-        found[name] = array.reshape(known.shape) if known is not None and array.size == known.count else array
-    return Arrival(message.robot, found, message.stamp, about=message.about)
+        field = fields.get(name)
+        if field is not None and field.is_picture != isinstance(value, bytes):
+            return Arrival(
+                message.robot, problem=f"{name} is {'a picture' if field.is_picture else 'no picture'}"
+            )
+        values[name] = (
+            array.reshape(field.shape) if field is not None and array.size == field.count else array
+        )
+    return Arrival(message.robot, values, message.stamp, about=message.about)
 
 
 def write(
-    robot: str, values: Mapping[str, Array], stamp: float, *, packed: bool, reset: int | None = None, about: About | None = None
+    robot: str,
+    values: Mapping[str, Array],
+    stamp: float,
+    *,
+    packed: bool,
+    reset: int | None = None,
+    about: About | None = None,
 ) -> bytes:
     """The bytes of a message."""
     fields: dict[str, Any] = {
-        name: value.tobytes() if value.dtype == np.uint8 else value.reshape(-1).astype(float).tolist() for name, value in values.items()
+        name: value.tobytes() if value.dtype == np.uint8 else value.reshape(-1).astype(float).tolist()
+        for name, value in values.items()
     }
     message = Message(robot, stamp, fields, reset, about)
     return msgspec.msgpack.encode(message) if packed else msgspec.json.encode(message)
@@ -83,18 +101,24 @@ _NUMBER_BYTES, _NAME_BYTES = 26, 1300
 _OTHER_BYTES = 16_384
 """Robot, stamp, reset, and what an end says about itself."""
 _WAITING_BYTES = 1 << 20
-"""Messages of one connection that wait to be read; more are dropped, the oldest first, or wait in the sockets."""
+"""Messages of one connection that wait to be read; more are dropped, the oldest first, or wait in the
+sockets."""
 
 
 def longest_message(fields: Sequence[Field], about: About | None = None) -> int:
-    """The bytes of the longest message with these fields that the other end may send; longer ones are none of its messages."""
+    """The bytes of the longest message with these fields that the other end may send; longer ones are none of
+    its messages."""
     own = 0 if about is None else 4 * len(msgspec.json.encode(about))
-    values = sum(_NAME_BYTES + (4 * field.count // 3 + 4 if field.is_picture else _NUMBER_BYTES * field.count) for field in fields)
+    values = sum(
+        _NAME_BYTES + (4 * field.count // 3 + 4 if field.is_picture else _NUMBER_BYTES * field.count)
+        for field in fields
+    )
     return min(MAX_BYTES, _OTHER_BYTES + own + values)
 
 
 class MessageLink(ABC):
-    """What links with these messages share: they answer the sender of the last readable message, in its format."""
+    """What links with these messages share: they answer the sender of the last readable message, in its
+    format."""
 
     def __init__(self, receives: Sequence[Field], sends: Sequence[Field], about: About | None) -> None:
         self._fields = {field.name: field for field in receives}
@@ -131,15 +155,27 @@ class MessageLink(ABC):
         return [] if self._other is None else [self._other]
 
     def _say(self, stamp: float, reset: int | None = None) -> None:
-        self._write(write(next(iter(self._robots), SUPERVISOR), {}, stamp, packed=self._packed, reset=reset, about=self._about))
+        self._write(
+            write(
+                next(iter(self._robots), SUPERVISOR),
+                {},
+                stamp,
+                packed=self._packed,
+                reset=reset,
+                about=self._about,
+            )
+        )
 
     def _received(self, content: bytes, sender: Any = None) -> Sequence[Arrival]:
-        """A message, unless it is of another connection, of an end that does not fit, or only says what that end is."""
+        """A message, unless it is of another connection, of an end that does not fit, or only says what that
+        end is."""
         if not self._is_taken(sender):
             self._is_crowded = True
             return []
         arrival = read(content, self._fields)
-        if not arrival.problem and sender != self._introduced:  # what did not fit at another connection says nothing about this one
+        if (
+            not arrival.problem and sender != self._introduced
+        ):  # what did not fit at another connection says nothing about this one
             self._remarks, self._other, self._introduced = [], None, sender
         if not arrival.problem:  # bytes that are no message change neither who is answered nor how
             self._packed = content[:1] != b"{"

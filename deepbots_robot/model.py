@@ -30,11 +30,12 @@ class BundleError(Exception):
 
 
 class InputError(ValueError):
-    """The values given to `Policy.step` do not fit the inputs of the bundle; the memory of the policy has not changed."""
+    """The values given to `Policy.step` do not fit the inputs of the bundle; the memory of the policy has not
+    changed."""
 
 
-# Values that occur in several records. A terminal obeys control characters, and Unicode has some that turn the order of a line around.
-# In Python `$` is also the place before a line end.
+# Values that occur in several records. A terminal obeys control characters, and Unicode has some that turn
+# the order of a line around. In Python `$` is also the place before a line end.
 
 _HIDDEN = r"\x7f-\x9f\u2028-\u202e\u2066-\u2069"
 Name = Annotated[str, Meta(min_length=1, max_length=200, pattern=rf"^[^\x00-\x1f{_HIDDEN}]+$(?!\n)")]
@@ -72,12 +73,16 @@ class Input(Record, frozen=True):
     """A value that the policy reads in each step, as the sensor gives it.
 
     Attributes:
-        name: The name of the tensor: `cart.pole_angle` for a sensor, `position(ball)` for a reading of the world, `target` for a goal.
+        name: The name of the tensor: `cart.pole_angle` for a sensor, `position(ball)` for a reading of the
+            world, `target` for a goal.
         robot: The robot that has the sensor; null for others.
-        source: `sensor`: the robot measures it. `supervisor`: a tracker or an estimator must supply it. `goal`: the operator sets it.
-        supplied_by: What supplies a reading of the world, as the scenario says under `deploy`; null if it does not say.
-        sensor: The kind of the sensor, such as `gyro`; the function of the language for a reading of the world; null for a goal.
-            `age` is the time in s since the newest values of a robot or a sensor were measured.
+        source: `sensor`: the robot measures it. `supervisor`: a tracker or an estimator must supply it.
+            `goal`: the operator sets it.
+        supplied_by: What supplies a reading of the world, as the scenario says under `deploy`; null if it
+            does not say.
+        sensor: The kind of the sensor, such as `gyro`; the function of the language for a reading of the
+            world; null for a goal. `age` is the time in s since the newest values of a robot or a sensor were
+            measured.
         joints: The joints of a joint sensor, one for each component.
         link: The link on which the sensor is mounted.
         mount: The pose of the sensor in the frame of the link; null for the frame of the link itself.
@@ -85,10 +90,12 @@ class Input(Record, frozen=True):
         components: The names of the components in order; none for a single value and for an image.
         unit: The SI unit; empty for a plain number, a truth value and an image.
         frame: The frame of a vector: `world`, or the name of the link; null for others.
-        range: The smallest and the largest value of each component, null where unknown; null for an image and a truth value.
+        range: The smallest and the largest value of each component, null where unknown; null for an image and
+            a truth value.
         rate_hz: How often the training got a new value.
         latency_s: The time from the measurement to the delivery in the training.
-        max_age_s: The age from which a value is too old to act on; null for a goal, which holds until it is changed.
+        max_age_s: The age from which a value is too old to act on; null for a goal, which holds until it is
+            changed.
     """
 
     name: Name
@@ -127,13 +134,17 @@ class Output(Record, frozen=True):
     """The command of one actuator.
 
     Attributes:
-        kind: What the command sets in each joint: `velocity`, `position` or `effort`. `thrust` of links along their z axes. `cartesian`:
-            the position of the origin of a link, for which the robot computes the joints. Else the kind of a package.
-        joints: The joints that the actuator drives; for `velocity`, `position` and `effort` one for each component.
+        kind: What the command sets in each joint: `velocity`, `position` or `effort`. `thrust` of links along
+            their z axes. `cartesian`: the position of the origin of a link, for which the robot computes the
+            joints. Else the kind of a package.
+        joints: The joints that the actuator drives; for `velocity`, `position` and `effort` one for each
+            component.
         links: The links that the actuator pushes or moves.
         shape: `[n]`.
-        range: The smallest and the largest command of each component; null where there is no limit. The graph clips to it.
-        max_rate: The fastest change of the command of each component, in its unit per s; null where there is no limit.
+        range: The smallest and the largest command of each component; null where there is no limit. The graph
+            clips to it.
+        max_rate: The fastest change of the command of each component, in its unit per s; null where there is
+            no limit.
         max_effort: The largest torque or force in each joint (N m or N); null where there is no limit.
         stiffness: Of a position controller, in N m/rad or N/m; null for that of the robot.
         damping: Of a position controller, in N m s/rad or N s/m; null for that of the robot.
@@ -162,7 +173,8 @@ class Output(Record, frozen=True):
 
 
 class ActionPart(Record, frozen=True):
-    """A part of the output `action`: a choice, with what each option sets, or a number of which -1 and 1 mean a range."""
+    """A part of the output `action`: a choice, with what each option sets, or a number of which -1 and 1 mean
+    a range."""
 
     name: Name
     unit: Line = ""
@@ -183,7 +195,8 @@ class Scenario(Record, frozen=True):
 
     Attributes:
         digest: Of the compiled scenario; `task_digest` leaves out names, training and evaluation.
-        interface: What policy and scenario agree on, by agent and item; `deepbots export --check` compares it.
+        interface: What policy and scenario agree on, by agent and item; `deepbots export --check` compares
+            it.
         licenses: SPDX identifiers in the files of the scenario, by file.
     """
 
@@ -197,7 +210,8 @@ class Scenario(Record, frozen=True):
 
 
 class Training(Record, frozen=True):
-    """How the policy was trained; `model` is the name of its file in the run, such as `best`; `versions` are those of packages."""
+    """How the policy was trained; `model` is the name of its file in the run, such as `best`; `versions` are
+    those of packages."""
 
     algorithm: Line
     model: Name
@@ -221,9 +235,12 @@ class Evaluation(Record, frozen=True):
 
 
 class RosTopic(Record, frozen=True):
-    """The ROS 2 topic of an input or an output; `part` is the part of its messages, null for the one that fits."""
+    """The ROS 2 topic of an input or an output; `part` is the part of its messages, null for the one that
+    fits."""
 
-    topic: Annotated[str, Meta(max_length=128, pattern=r"^/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$(?!\n)")]
+    topic: Annotated[
+        str, Meta(max_length=128, pattern=r"^/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$(?!\n)")
+    ]
     type: Name
     part: Name | None
 
@@ -234,9 +251,11 @@ class BundleInfo(Record, frozen=True):
     Attributes:
         rate_hz: Steps of the policy per second; another rate needs another training.
         action: The parts of the output `action`, which is the action in the form that the environment takes.
-        files: The SHA-256 of all other files, by their path in the bundle; what is not named here is not read.
+        files: The SHA-256 of all other files, by their path in the bundle; what is not named here is not
+            read.
         evaluation: Null for a run that was not evaluated.
-        ros: The ROS 2 topics of inputs and outputs, by name; others have those of `deepbots_robot.topics.first_mapping`.
+        ros: The ROS 2 topics of inputs and outputs, by name; others have those of
+            `deepbots_robot.topics.first_mapping`.
     """
 
     format: Literal[1]
@@ -283,14 +302,21 @@ def decode(content: bytes) -> BundleInfo:
     """The records of `bundle.json`, whose parts fit each other.
 
     Raises:
-        BundleError: The text is no JSON, has another format, an unknown or a missing key, or values that contradict each other.
+        BundleError: The text is no JSON, has another format, an unknown or a missing key, or values that
+            contradict each other.
     """
     try:
-        found = msgspec.json.decode(content, type=_Format).format
-        if found != FORMAT:
-            raise BundleError(f"bundle.json has format {found}, but this version of deepbots_robot reads format {FORMAT}")
+        version = msgspec.json.decode(content, type=_Format).format
+        if version != FORMAT:
+            raise BundleError(
+                f"bundle.json has format {version}, but this version of deepbots_robot reads format {FORMAT}"
+            )
         info = msgspec.json.decode(content, type=BundleInfo)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:  # a ValidationError is a DecodeError
+    except (
+        msgspec.DecodeError,
+        RecursionError,
+        UnicodeDecodeError,
+    ) as error:  # a ValidationError is a DecodeError
         raise BundleError(f"bundle.json is damaged: {' '.join(str(error).split())[:200]}") from error
     problem = next(_problems(info), None)
     if problem is not None:
@@ -300,8 +326,8 @@ def decode(content: bytes) -> BundleInfo:
 
 def plain(info: BundleInfo) -> Mapping[str, Any]:
     """The content as `json` reads it."""
-    found: Mapping[str, Any] = json.loads(msgspec.json.encode(info))
-    return found
+    plain_data: Mapping[str, Any] = json.loads(msgspec.json.encode(info))
+    return plain_data
 
 
 def printable(text: str) -> str:
@@ -321,9 +347,14 @@ def _problems(info: BundleInfo) -> Iterator[str]:
     """What no schema says: names are unique, and lists have the length of their tensor."""
     if abs(info.rate_hz * info.timestep_s - 1.0) > 1e-6:
         yield f"rate_hz {info.rate_hz:g} is not 1 / timestep_s {info.timestep_s:g}"
-    given = [*(entry.name for entry in info.inputs), *(entry.name for entry in info.memory)]
-    made = [*(entry.name for entry in info.outputs), *(f"{entry.name}_next" for entry in info.memory), "action", "scores"]
-    twice = [name for name, count in Counter([*given, *made]).items() if count > 1]
+    read = [*(entry.name for entry in info.inputs), *(entry.name for entry in info.memory)]
+    produced = [
+        *(entry.name for entry in info.outputs),
+        *(f"{entry.name}_next" for entry in info.memory),
+        "action",
+        "scores",
+    ]
+    twice = [name for name, count in Counter([*read, *produced]).items() if count > 1]
     if twice:
         yield f"two tensors have the name '{twice[0]}'"
     tensors: tuple[Input | Memory | Output, ...] = (*info.inputs, *info.memory, *info.outputs)
@@ -336,28 +367,42 @@ def _problems(info: BundleInfo) -> Iterator[str]:
         yield from _wrong_input(entry)
     for output in info.outputs:
         yield from _wrong_output(output)
-    if any(not part.options and (part.low is None or part.high is None or part.low >= part.high) for part in info.action):
+    if any(
+        not part.options and (part.low is None or part.high is None or part.low >= part.high)
+        for part in info.action
+    ):
         yield "a part of the action has neither options nor a range"
     yield from _wrong_topics(info)
 
 
 def _is_path(path: str) -> bool:
     parts = path.split("/")
-    return len(parts) <= _MAX_PARTS and all(part not in ("", ".", "..") and len(part.encode()) <= _MAX_PART for part in parts)
+    return len(parts) <= _MAX_PARTS and all(
+        part not in ("", ".", "..") and len(part.encode()) <= _MAX_PART for part in parts
+    )
 
 
 def _wrong_memory(memory: Memory) -> Iterator[str]:
     if len(memory.initial) not in (1, size_of(memory.shape)):
-        yield f"'{memory.name}' has {len(memory.initial)} initial numbers and {size_of(memory.shape)} in its shape"
+        yield (
+            f"'{memory.name}' has {len(memory.initial)} initial numbers and {size_of(memory.shape)} in its"
+            " shape"
+        )
     low, high = _LIMITS.get(memory.dtype, (-1e300, 1e300))
     is_whole = memory.dtype not in ("float64", "float32")
-    if not all(low <= number <= high and (not is_whole or number == int(number)) for number in memory.initial):
+    if not all(
+        low <= number <= high and (not is_whole or number == int(number)) for number in memory.initial
+    ):
         yield f"'{memory.name}' has an initial number that is no {memory.dtype}"
 
 
 def _wrong_input(entry: Input) -> Iterator[str]:
     is_picture = len(entry.shape) == 3
-    if len(entry.shape) not in (1, 3) or is_picture != (entry.dtype == "uint8") or (is_picture and entry.range is not None):
+    if (
+        len(entry.shape) not in (1, 3)
+        or is_picture != (entry.dtype == "uint8")
+        or (is_picture and entry.range is not None)
+    ):
         yield f"'{entry.name}' is neither a row of numbers nor a picture of bytes without a range"
     yield from _wrong_lengths(entry, {"components": entry.components, "joints": entry.joints})
     yield from _wrong_range(entry)
@@ -390,7 +435,10 @@ def _wrong_output(output: Output) -> Iterator[str]:
     yield from _wrong_lengths(output, {"components": output.components})
     yield from _wrong_range(output)
     ends = zip(output.safe, *output.range, strict=False)
-    if any(safe is not None and ((low is not None and safe < low) or (high is not None and safe > high)) for safe, low, high in ends):
+    if any(
+        safe is not None and ((low is not None and safe < low) or (high is not None and safe > high))
+        for safe, low, high in ends
+    ):
         yield f"the safe command of '{output.name}' is outside of its range"
 
 
@@ -411,5 +459,7 @@ def _wrong_range(field: Input | Output) -> Iterator[str]:
         return
     if any(len(ends) != field.shape[0] for ends in field.range):
         yield f"'{field.name}' has a range of another length than its shape {list(field.shape)}"
-    if any(low is not None and high is not None and low > high for low, high in zip(*field.range, strict=False)):
+    if any(
+        low is not None and high is not None and low > high for low, high in zip(*field.range, strict=False)
+    ):
         yield f"'{field.name}' has a range whose low end is above the high one"

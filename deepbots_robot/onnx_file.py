@@ -1,12 +1,15 @@
-"""Whether the graph of a bundle is one that an export writes: known operators and fields, no other files, bounded work.
+"""Whether the graph of a bundle is one that an export writes: known operators and fields, no other files,
+bounded work.
 
-onnxruntime would read tensors from files that a graph names, run loops, and allocate what shapes ask for. This module reads
-the graph by itself and accepts only what an export writes, byte for byte: a reader that skips what it does not know, such as
-a field number that another reader cuts to 32 bits, sees another graph than onnxruntime. The definitions are those of the
-protobuf wire format, https://protobuf.dev/programming-guides/encoding, and of `onnx.proto3` of ONNX.
+onnxruntime would read tensors from files that a graph names, run loops, and allocate what shapes ask for.
+This module reads the graph by itself and accepts only what an export writes, byte for byte: a reader that
+skips what it does not know, such as a field number that another reader cuts to 32 bits, sees another graph
+than onnxruntime. The definitions are those of the protobuf wire format,
+https://protobuf.dev/programming-guides/encoding, and of `onnx.proto3` of ONNX.
 
-Every tensor has a static shape, in `value_info` for those between two nodes. onnxruntime compares these shapes with its own
-(`session.strict_shape_type_inference`), so the numbers and operations of a step are known before it runs.
+Every tensor has a static shape, in `value_info` for those between two nodes. onnxruntime compares these
+shapes with its own (`session.strict_shape_type_inference`), so the numbers and operations of a step are known
+before it runs.
 """
 
 from __future__ import annotations
@@ -18,12 +21,12 @@ from typing import NamedTuple
 from deepbots_robot.model import BundleError
 
 _ELEMENTWISE = """
-Abs Add And Atan Ceil Clip Cos Div Elu Equal Erf Exp Floor Greater GreaterOrEqual LeakyRelu Less LessOrEqual Log Max Min Mod Mul Neg Not Or
-Pow Relu Round Sigmoid Sign Sin Sqrt Sub Tanh Where
+Abs Add And Atan Ceil Clip Cos Div Elu Equal Erf Exp Floor Greater GreaterOrEqual LeakyRelu Less LessOrEqual Log Max Min
+Mod Mul Neg Not Or Pow Relu Round Sigmoid Sign Sin Sqrt Sub Tanh Where
 """
 _OF_TENSORS = """
-ArgMax Cast Concat Conv Flatten Gather Gemm Identity LSTM MatMul ReduceMax ReduceMin ReduceSum Reshape Slice Split Squeeze Transpose
-Unsqueeze
+ArgMax Cast Concat Conv Flatten Gather Gemm Identity LSTM MatMul ReduceMax ReduceMin ReduceSum Reshape
+Slice Split Squeeze Transpose Unsqueeze
 """
 OPERATORS = frozenset([*_ELEMENTWISE.split(), *_OF_TENSORS.split()])
 """The operators that an export writes."""
@@ -53,17 +56,38 @@ class _Field(NamedTuple):
     is_repeated: bool = False
 
 
-_NUMBER, _TEXT, _PARTS = _Field(frozenset({_VARINT})), _Field(frozenset({_BYTES})), _Field(frozenset({_BYTES}), True)
+_NUMBER = _Field(frozenset({_VARINT}))
+_TEXT = _Field(frozenset({_BYTES}))
+_PARTS = _Field(frozenset({_BYTES}), True)
 _INTEGERS, _FLOATS = _Field(frozenset({_VARINT, _BYTES}), True), _Field(frozenset({_FIXED32, _BYTES}), True)
 _FLOAT = _Field(frozenset({_FIXED32}))
 
 _Message = Mapping[int, _Field]
-_MODEL: _Message = {1: _NUMBER, 2: _TEXT, 3: _TEXT, 4: _TEXT, 5: _NUMBER, 6: _TEXT, 7: _TEXT, 8: _PARTS, 14: _PARTS}
+_MODEL: _Message = {
+    1: _NUMBER,
+    2: _TEXT,
+    3: _TEXT,
+    4: _TEXT,
+    5: _NUMBER,
+    6: _TEXT,
+    7: _TEXT,
+    8: _PARTS,
+    14: _PARTS,
+}
 _OPERATOR_SET: _Message = {1: _TEXT, 2: _NUMBER}
 _PROPERTY: _Message = {1: _TEXT, 2: _TEXT}
 _GRAPH: _Message = {1: _PARTS, 2: _TEXT, 5: _PARTS, 10: _TEXT, 11: _PARTS, 12: _PARTS, 13: _PARTS}
 _NODE: _Message = {1: _PARTS, 2: _PARTS, 3: _TEXT, 4: _TEXT, 5: _PARTS, 7: _TEXT}
-_ATTRIBUTE: _Message = {1: _TEXT, 2: _FLOAT, 3: _NUMBER, 4: _TEXT, 7: _FLOATS, 8: _INTEGERS, 9: _PARTS, 20: _NUMBER}
+_ATTRIBUTE: _Message = {
+    1: _TEXT,
+    2: _FLOAT,
+    3: _NUMBER,
+    4: _TEXT,
+    7: _FLOATS,
+    8: _INTEGERS,
+    9: _PARTS,
+    20: _NUMBER,
+}
 _TENSOR: _Message = {1: _INTEGERS, 2: _NUMBER, 8: _TEXT, 9: _TEXT}
 _VALUE: _Message = {1: _TEXT, 2: _TEXT}
 _TYPE: _Message = {1: _TEXT}
@@ -99,7 +123,8 @@ _ATTRIBUTES: Mapping[str, Mapping[str, tuple[int, int]]] = {
 _OF_FLOATS = frozenset(["Div", "Mod", "Pow"])
 """Operators that an export uses for floats alone; a division of integers by 0 would end the process."""
 
-# What operators cost, measured with onnxruntime 1.32 on one core of 2.5 GHz: at most 0.4 ns for each operation.
+# What operators cost, measured with onnxruntime 1.32 on one core of 2.5 GHz: at most 0.4 ns for each
+# operation.
 
 _NODE_COST, _NAME_COST = 1_000, 300
 _SUM_COST = 1_000
@@ -132,11 +157,16 @@ def require_plain(graph: bytes) -> int:
         An upper limit of the operations of a step, of which 1,000 stand for the start of a node.
 
     Raises:
-        BundleError: It is no ONNX model, or has a field, an operator, a file, an inner graph or a size that no export writes.
+        BundleError: It is no ONNX model, or has a field, an operator, a file, an inner graph or a size that
+            no export writes.
     """
     try:
         return _operations_of_model(memoryview(graph))
-    except (_WireError, UnicodeDecodeError, IndexError) as error:  # an IndexError is of an operator with too few inputs
+    except (
+        _WireError,
+        UnicodeDecodeError,
+        IndexError,
+    ) as error:  # an IndexError is of an operator with too few inputs
         raise BundleError("policy.onnx is damaged: it is no ONNX model") from error
     except _RefusedError as error:
         raise BundleError(f"policy.onnx is refused: {error}") from error
@@ -147,11 +177,15 @@ def _operations_of_model(content: memoryview) -> int:
     for part in _plain_sizes(content):
         size += part
         if size > _MAX_PLAIN_BYTES:
-            raise _RefusedError(f"it has more than {_MAX_PLAIN_BYTES:,} bytes without the numbers of its weights")
+            raise _RefusedError(
+                f"it has more than {_MAX_PLAIN_BYTES:,} bytes without the numbers of its weights"
+            )
     model = _read(content, _MODEL, "the model")
     if _GRAPH_OF_MODEL not in model:
         raise _RefusedError("it has no graph")
-    sets = [_read(_bytes(message), _OPERATOR_SET, "an operator set") for message in model.get(_OPERATOR_SETS, ())]
+    sets = [
+        _read(_bytes(message), _OPERATOR_SET, "an operator set") for message in model.get(_OPERATOR_SETS, ())
+    ]
     for each in sets:
         if _text(each, 1):
             raise _RefusedError(f"it needs operators of {_text(each, 1)[:40]!r}")
@@ -201,32 +235,39 @@ class _Tensor(NamedTuple):
 def _operations_of_graph(graph: _Fields) -> int:
     weights = dict(_weight(_bytes(message)) for message in graph.get(_WEIGHTS, ()))
     tensors = dict(_value(_bytes(message)) for number in (11, 12, 13) for message in graph.get(number, ()))
-    made = {_value(_bytes(message))[0] for message in graph.get(11, ())}
-    if len(weights) != len(graph.get(_WEIGHTS, ())) or made & weights.keys():
+    produced = {_value(_bytes(message))[0] for message in graph.get(11, ())}
+    if len(weights) != len(graph.get(_WEIGHTS, ())) or produced & weights.keys():
         raise _RefusedError("two tensors have one name")
     tensors |= weights
-    made |= weights.keys()
+    produced |= weights.keys()
     nodes = graph.get(1, ())
     if len(nodes) > MAX_NODES:
         raise _RefusedError(f"it has more than {MAX_NODES} nodes")
     size, operations = sum(weight.bytes for weight in weights.values()), 0
     for message in nodes:
         node = _node(_bytes(message))
-        if not made.issuperset(filter(None, node.inputs)) or made.intersection(node.outputs):
-            raise _RefusedError(f"the operator '{node.operator}' reads a tensor that is not made before it, or makes one again")
+        if not produced.issuperset(filter(None, node.inputs)) or produced.intersection(node.outputs):
+            raise _RefusedError(
+                f"the operator '{node.operator}' reads a tensor that is not made before it, or makes one"
+                " again"
+            )
         if node.operator in _SHAPED_BY_INPUTS and not weights.keys() >= set(filter(None, node.inputs[1:])):
             raise _RefusedError(f"the shape of a result of '{node.operator}' depends on an input")
-        made.update(node.outputs)
+        produced.update(node.outputs)
         missing = next((name for name in node.outputs if name and name not in tensors), None)
         if missing is not None:
             raise _RefusedError(f"the tensor {missing[:40]!r} has no shape")
         read, results = ([tensors[name] for name in names if name] for names in (node.inputs, node.outputs))
         if node.operator in _OF_FLOATS and not all(tensor.kind in _FLOAT_KINDS for tensor in read):
-            raise _RefusedError(f"the operator '{node.operator}' divides whole numbers, which ends the process where one is 0")
+            raise _RefusedError(
+                f"the operator '{node.operator}' divides whole numbers, which ends the process where one is 0"
+            )
         size += sum(tensor.bytes for tensor in results) + _copied(node, read, results)
         operations += _NODE_COST + _NAME_COST * len(read + results) + _operations(node, read, results)
         if size > MAX_VALUE_BYTES or operations > MAX_OPERATIONS:
-            raise _RefusedError(f"a step has more than {MAX_VALUE_BYTES:,} bytes of numbers or {MAX_OPERATIONS:,} operations")
+            raise _RefusedError(
+                f"a step has more than {MAX_VALUE_BYTES:,} bytes of numbers or {MAX_OPERATIONS:,} operations"
+            )
     return operations
 
 
@@ -245,7 +286,10 @@ def _node(content: memoryview) -> _Node:
         raise _RefusedError(f"the operator {operator[:40]!r} is not one that an export writes")
     if domain:
         raise _RefusedError(f"an operator is of the domain {domain[:40]!r}")
-    attributes = [_attribute(operator, _read(_bytes(message), _ATTRIBUTE, "an attribute")) for message in node.get(5, ())]
+    attributes = [
+        _attribute(operator, _read(_bytes(message), _ATTRIBUTE, "an attribute"))
+        for message in node.get(5, ())
+    ]
     integers = dict(attributes)
     if len(integers) != len(attributes):
         raise _RefusedError(f"an attribute of '{operator}' occurs twice")
@@ -259,40 +303,52 @@ def _attribute(operator: str, attribute: _Fields) -> tuple[str, list[int]]:
     limits = _ATTRIBUTES.get(operator, {}).get(name)
     if limits is None:
         raise _RefusedError(f"the attribute {name[:40]!r} of '{operator}' is not one that an export writes")
-    numbers = [number - (1 << 64) if number >= 1 << 63 else number for number in _integers([*attribute.get(3, ()), *attribute.get(8, ())])]
+    numbers = [
+        number - (1 << 64) if number >= 1 << 63 else number
+        for number in _integers([*attribute.get(3, ()), *attribute.get(8, ())])
+    ]
     if not all(limits[0] <= number <= limits[1] for number in numbers):
         raise _RefusedError(f"the attribute '{name}' of '{operator}' is out of its range")
     return name, numbers
 
 
 def _operations(node: _Node, read: Sequence[_Tensor], results: Sequence[_Tensor]) -> int:
-    """An upper limit of the operations of a node; the factor of a result is the length of the sums that make a number of it."""
-    made, taken = sum(tensor.size for tensor in results), sum(tensor.size for tensor in read)
+    """An upper limit of the operations of a node; the factor of a result is the length of the sums that make
+    a number of it."""
+    written, taken = sum(tensor.size for tensor in results), sum(tensor.size for tensor in read)
     shapes = [tensor.shape for tensor in read]
     match node.operator:
         case "MatMul":
             sums = _SUM_COST * prod(results[0].shape[:-2])
-            return sums + (1 if read[0].kind in _FLOAT_KINDS else _INTEGER_SUM_COST) * made * max(1, *shapes[0][-1:]) + taken
+            return (
+                sums
+                + (1 if read[0].kind in _FLOAT_KINDS else _INTEGER_SUM_COST)
+                * written
+                * max(1, *shapes[0][-1:])
+                + taken
+            )
         case "Gemm":
-            return made * max(1, *shapes[0]) + taken
+            return written * max(1, *shapes[0]) + taken
         case "Conv":
-            return _SUM_COST * results[0].shape[0] + made * max(1, prod(shapes[1][1:])) + taken
+            return _SUM_COST * results[0].shape[0] + written * max(1, prod(shapes[1][1:])) + taken
         case "LSTM":
-            # Its time and memory grow with both in ways that are hard to bound; an export has one step of one world.
+            # Its time and memory grow with both in ways that are hard to bound; an export has one step of one
+            # world.
             if shapes[0][:2] != (1, 1):
                 raise _RefusedError("an LSTM computes more than one step of one world")
-            return 2 * max(1, *shapes[0][:1]) * taken + 100 * made
+            return 2 * max(1, *shapes[0][:1]) * taken + 100 * written
         case "Gather":
-            copies = made // max(1, prod(shapes[0][node.axis + 1 :] if node.axis >= 0 else ()))
-            return _COPY_COST * copies + _COST * (made + taken)
+            copies = written // max(1, prod(shapes[0][node.axis + 1 :] if node.axis >= 0 else ()))
+            return _COPY_COST * copies + _COST * (written + taken)
         case "Max" | "Min":
-            return _COST * (made * len(read) + taken)
+            return _COST * (written * len(read) + taken)
         case _:
-            return _COSTS.get(node.operator, _COST) * (made + taken)
+            return _COSTS.get(node.operator, _COST) * (written + taken)
 
 
 def _copied(node: _Node, read: Sequence[_Tensor], results: Sequence[_Tensor]) -> int:
-    """The bytes that an operator takes for itself: of `Conv` the part of the picture below each number of a result."""
+    """The bytes that an operator takes for itself: of `Conv` the part of the picture below each number of a
+    result."""
     if node.operator == "Conv":
         return prod(read[1].shape[1:]) * prod(results[0].shape[2:]) * 4
     return 0
@@ -301,9 +357,15 @@ def _copied(node: _Node, read: Sequence[_Tensor], results: Sequence[_Tensor]) ->
 def _weight(content: memoryview) -> tuple[str, _Tensor]:
     """The name and the type of a weight, whose numbers are in the graph as plain bytes."""
     tensor = _read(content, _TENSOR, "a weight (its numbers may be in another file)")
-    shape, kind, numbers = tuple(_integers(tensor.get(1, ()))), tensor.get(2, (0,))[0], _bytes(tensor.get(_NUMBERS, (memoryview(b""),))[0])
+    shape = tuple(_integers(tensor.get(1, ())))
+    kind = tensor.get(2, (0,))[0]
+    numbers = _bytes(tensor.get(_NUMBERS, (memoryview(b""),))[0])
     _check_shape(shape, "a weight")
-    if not isinstance(kind, int) or kind not in _BYTES_OF_TYPE or prod(shape) * _BYTES_OF_TYPE[kind] != len(numbers):
+    if (
+        not isinstance(kind, int)
+        or kind not in _BYTES_OF_TYPE
+        or prod(shape) * _BYTES_OF_TYPE[kind] != len(numbers)
+    ):
         raise _RefusedError("a weight has another number of bytes than its shape and type")
     if kind == _BOOL and bytes(numbers).translate(None, b"\x00\x01"):
         raise _RefusedError("a truth value among the weights is neither 0 nor 1")
@@ -314,8 +376,13 @@ def _value(content: memoryview) -> tuple[str, _Tensor]:
     """The name and the type of a tensor with a static shape."""
     value = _read(content, _VALUE, "a value")
     name = _text(value, 1)
-    tensor = _read(_first(_read(_first(value, 2), _TYPE, "the type of a value"), 1), _TENSOR_TYPE, "the type of a tensor")
-    sides = [_read(_bytes(side), _SIDE, "a side of a shape") for side in _read(_first(tensor, 2), _SHAPE, "a shape").get(1, ())]
+    tensor = _read(
+        _first(_read(_first(value, 2), _TYPE, "the type of a value"), 1), _TENSOR_TYPE, "the type of a tensor"
+    )
+    sides = [
+        _read(_bytes(side), _SIDE, "a side of a shape")
+        for side in _read(_first(tensor, 2), _SHAPE, "a shape").get(1, ())
+    ]
     shape = tuple(size for side in sides for size in side.get(1, (-1,)) if isinstance(size, int))
     _check_shape(shape, f"the tensor {name[:40]!r}")
     kind = tensor.get(1, (0,))[0]

@@ -1,4 +1,5 @@
-"""Fields as messages of ROS and back: the same for the messages of ROS 2 (`idl.py`) and those of ROS 1 (`ros1.py`)."""
+"""Fields as messages of ROS and back: the same for the messages of ROS 2 (`idl.py`) and those of ROS 1
+(`ros1.py`)."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ class Codec:
         self.joints = tuple(dict.fromkeys(joint for field in self.fields for joint in field.joints))
 
     def encode(self, values: Mapping[str, Any], stamp: float) -> Any:
-        """A message with the values of the fields by name; `stamp` is a time in s, for messages with a header."""
+        """A message with the values of the fields by name; `stamp` is a time in s, for messages with a
+        header."""
         message = self._empty(self.type, stamp, self.fields[0].robot)
         if self.type == "sensor_msgs/JointState":
             message.name = list(self.joints)
@@ -69,9 +71,13 @@ class Codec:
         """The values of the fields by name, in the shape of each.
 
         Raises:
-            ValueError: The message has other joints, another size, or a picture of another encoding; says which.
+            ValueError: The message has other joints, another size, or a picture of another encoding; says
+                which.
         """
-        return {field.name: self._value(message, field, part) for field, part in zip(self.fields, self._parts, strict=True)}
+        return {
+            field.name: self._value(message, field, part)
+            for field, part in zip(self.fields, self._parts, strict=True)
+        }
 
     def _value(self, message: Any, field: Field, part: Any) -> np.ndarray[Any, Any]:
         holder, name = _holder(message, part.path)
@@ -104,30 +110,36 @@ def _holder(message: Any, path: str) -> tuple[Any, str]:
     return message, last
 
 
-def _of_joints(names: Sequence[str], values: Sequence[float], what: str, field: Field) -> np.ndarray[Any, Any]:
+def _of_joints(
+    names: Sequence[str], values: Sequence[float], what: str, field: Field
+) -> np.ndarray[Any, Any]:
     if len(values) != len(names):
         raise ValueError(f"there are {len(values)} numbers in `{what}` for {len(names)} joints")
     if len(set(names)) < len(names):
         raise ValueError("a joint is named twice")
-    found = dict(zip(names, values, strict=True))
-    missing = [joint for joint in field.joints if joint not in found]
+    by_joint = dict(zip(names, values, strict=True))
+    missing = [joint for joint in field.joints if joint not in by_joint]
     if missing:
         raise ValueError(f"the joint '{missing[0]}' of {field.name} is missing")
-    return np.array([found[joint] for joint in field.joints], float).reshape(field.shape)
+    return np.array([by_joint[joint] for joint in field.joints], float).reshape(field.shape)
 
 
 def _picture(message: Any, field: Field) -> np.ndarray[Any, Any]:
     rows, columns, channels = field.shape
     if (message.height, message.width) != (rows, columns):
-        raise ValueError(f"{field.name} has {message.width} x {message.height} pixels, and not {columns} x {rows}")
+        raise ValueError(
+            f"{field.name} has {message.width} x {message.height} pixels, and not {columns} x {rows}"
+        )
     encodings = ("mono8", "8UC1") if channels == 1 else ("rgb8", "bgr8")
     if message.encoding not in encodings:
-        raise ValueError(f"{field.name} has the encoding '{message.encoding[:20]}', and not {' or '.join(encodings)}")
+        raise ValueError(
+            f"{field.name} has the encoding '{message.encoding[:20]}', and not {' or '.join(encodings)}"
+        )
     data = np.frombuffer(bytes(message.data), np.uint8)
     if message.step < columns * channels or data.size != message.step * rows:
         raise ValueError(f"{field.name} has {data.size} bytes in rows of {message.step}")
-    found = data.reshape(rows, message.step)[:, : columns * channels].reshape(field.shape)
-    return found[:, :, ::-1] if message.encoding == "bgr8" else found
+    picture = data.reshape(rows, message.step)[:, : columns * channels].reshape(field.shape)
+    return picture[:, :, ::-1] if message.encoding == "bgr8" else picture
 
 
 def _as_png(picture: np.ndarray[Any, Any]) -> bytes:
@@ -135,7 +147,9 @@ def _as_png(picture: np.ndarray[Any, Any]) -> bytes:
     from PIL import Image
 
     content = io.BytesIO()
-    Image.fromarray(picture[:, :, 0] if picture.shape[2] == 1 else picture).save(content, "PNG", compress_level=1)
+    Image.fromarray(picture[:, :, 0] if picture.shape[2] == 1 else picture).save(
+        content, "PNG", compress_level=1
+    )
     return content.getvalue()
 
 
@@ -147,9 +161,18 @@ def _decompressed(content: bytes, field: Field) -> np.ndarray[Any, Any]:
     try:
         with Image.open(io.BytesIO(content), formats=("PNG", "JPEG")) as picture:
             if picture.size != (columns, rows):
-                raise ValueError(f"{field.name} has {picture.width} x {picture.height} pixels, and not {columns} x {rows}")
+                raise ValueError(
+                    f"{field.name} has {picture.width} x {picture.height} pixels, and not {columns} x {rows}"
+                )
             return np.asarray(picture.convert(_MODES[channels]), np.uint8).reshape(field.shape)
-    except (OSError, SyntaxError, ArithmeticError, LookupError, struct.error, Image.DecompressionBombError) as error:
+    except (
+        OSError,
+        SyntaxError,
+        ArithmeticError,
+        LookupError,
+        struct.error,
+        Image.DecompressionBombError,
+    ) as error:
         raise ValueError(f"{field.name} is no PNG or JPEG that can be read") from error
 
 

@@ -1,8 +1,9 @@
 """The link over ROS 1, where rospy is installed: the topics of ROS 2, through the master of ROS_MASTER_URI.
 
-rospy belongs to the Python of the system (Debian: ros-core, python3-sensor-msgs, python3-nav-msgs). A message without a header has the
-time at which it came. Each topic has a TCP connection of its own, so that the order of messages on different topics is not kept: the
-policy acknowledges a reset on `/deepbots/begun`, and the robot sends its first values afterwards.
+rospy belongs to the Python of the system (Debian: ros-core, python3-sensor-msgs, python3-nav-msgs). A message
+without a header has the time at which it came. Each topic has a TCP connection of its own, so that the order
+of messages on different topics is not kept: the policy acknowledges a reset on `/deepbots/begun`, and the
+robot sends its first values afterwards.
 """
 
 from __future__ import annotations
@@ -49,19 +50,29 @@ Mapped = Sequence[tuple[Field, Topic]]
 class Ros1Link:
     """One end of a link over ROS 1; the end of the robot sends sensors and resets, and receives commands."""
 
-    def __init__(self, receives: Mapped, sends: Mapped, *, robot: bool = False, about: About | None = None) -> None:
+    def __init__(
+        self, receives: Mapped, sends: Mapped, *, robot: bool = False, about: About | None = None
+    ) -> None:
         """Open the topics of the fields, as a node of this process.
 
         Raises:
-            ValueError: There is no master, a field does not fit its topic, or another policy sends these commands.
+            ValueError: There is no master, a field does not fit its topic, or another policy sends these
+                commands.
         """
         master = os.environ.get("ROS_MASTER_URI", "http://localhost:11311")
         self.name = f"ROS 1, master {master}"
         if not rosgraph.is_master_online():
-            raise ValueError(f"no ROS master answers at {master[:100]}; start `roscore`, or set ROS_MASTER_URI")
+            raise ValueError(
+                f"no ROS master answers at {master[:100]}; start `roscore`, or set ROS_MASTER_URI"
+            )
         if not rospy.core.is_initialized():
             rospy.init_node(
-                "deepbots", anonymous=True, disable_signals=True, disable_rosout=True, disable_rostime=True, log_level=rospy.FATAL
+                "deepbots",
+                anonymous=True,
+                disable_signals=True,
+                disable_rosout=True,
+                disable_rostime=True,
+                log_level=rospy.FATAL,
             )
             logging.getLogger("rosout").setLevel(logging.CRITICAL)
             atexit.register(_end_node)
@@ -70,7 +81,9 @@ class Ros1Link:
         self._about, self._robot = about, robot
         self._key = f"{self._node}/{'robot' if robot else 'policy'}{_PARAMETER}"
         received, sent = (_codecs(mapped) for mapped in (receives, sends))
-        self._types = {name: codec.type for name, codec in (received | sent).items()} | {EPISODE_TOPIC: "std_msgs/Header"}
+        self._types = {name: codec.type for name, codec in (received | sent).items()} | {
+            EPISODE_TOPIC: "std_msgs/Header"
+        }
         self._sends = {*sent, EPISODE_TOPIC} if robot else {*sent}
         if not robot:
             self._refuse_a_second_policy(sent)
@@ -81,7 +94,10 @@ class Ros1Link:
         self._others: list[About] = []
         self._publishers = [(self._publisher(name, codec.type), codec) for name, codec in sent.items()]
         self._resets = self._publisher(EPISODE_TOPIC if robot else _BEGUN_TOPIC, "std_msgs/Header")
-        self._subscribers = [self._subscriber(name, codec.type, self._take_fields, (name, codec)) for name, codec in received.items()]
+        self._subscribers = [
+            self._subscriber(name, codec.type, self._take_fields, (name, codec))
+            for name, codec in received.items()
+        ]
         asked = (_BEGUN_TOPIC, self._take_begun) if robot else (EPISODE_TOPIC, self._take_reset)
         self._subscribers.append(self._subscriber(asked[0], "std_msgs/Header", asked[1], None))
         if about is not None:
@@ -91,7 +107,9 @@ class Ros1Link:
         return rospy.Publisher(name, message_class(type), queue_size=10, tcp_nodelay=True)
 
     def _subscriber(self, name: str, type: str, take: Any, about: Any) -> Any:
-        return rospy.Subscriber(name, message_class(type), take, about, queue_size=10, buff_size=MAX_BYTES, tcp_nodelay=True)
+        return rospy.Subscriber(
+            name, message_class(type), take, about, queue_size=10, buff_size=MAX_BYTES, tcp_nodelay=True
+        )
 
     # In the threads of rospy
 
@@ -107,7 +125,9 @@ class Ros1Link:
         if not re.fullmatch(r"[0-9]{1,9}", message.frame_id):
             self._add(Arrival(EPISODE_TOPIC, problem="a reset without the number of an episode"))
             return
-        self._add(Arrival(EPISODE_TOPIC, stamp=message.stamp.to_sec(), kind="reset", number=int(message.frame_id)))
+        self._add(
+            Arrival(EPISODE_TOPIC, stamp=message.stamp.to_sec(), kind="reset", number=int(message.frame_id))
+        )
         self._resets.publish(message)
 
     def _take_begun(self, message: Any) -> None:
@@ -125,10 +145,10 @@ class Ros1Link:
         self._here.clear()
 
     def take(self) -> Sequence[Arrival]:
-        found = []
+        arrivals = []
         while self._waiting:
-            found.append(self._waiting.popleft())
-        return found
+            arrivals.append(self._waiting.popleft())
+        return arrivals
 
     def send(self, values: Mapping[str, Array], stamp: float) -> None:
         for publisher, codec in self._publishers:
@@ -142,7 +162,9 @@ class Ros1Link:
         self._begun.wait(_ACKNOWLEDGED)
 
     def connected(self) -> bool:
-        connections = [publisher.get_num_connections() for publisher, _ in self._publishers] + [self._resets.get_num_connections()]
+        connections = [publisher.get_num_connections() for publisher, _ in self._publishers] + [
+            self._resets.get_num_connections()
+        ]
         if any(connections):
             self._connected_at = min(self._connected_at, time.monotonic())
         return all(connections) or time.monotonic() > self._connected_at + _CONNECTED
@@ -170,18 +192,34 @@ class Ros1Link:
         with suppress(*_FAILURES):
             senders, types = dict(self._master.getSystemState()[0]), dict(self._master.getTopicTypes())
             self._remarks = [
-                Remark(f"{name} has messages of the type {types[name]} at the other end, and {own} here", is_misfit=True)
+                Remark(
+                    f"{name} has messages of the type {types[name]} at the other end, and {own} here",
+                    is_misfit=True,
+                )
                 for name, own in self._types.items()
                 if types.get(name, own) not in (own, "*")
             ]
             for name in self._types:
                 count = len({self._node} & {*senders.get(name, ())} | {*self._alive(senders.get(name, ()))})
                 if count > 1:
-                    self._remarks.append(Remark(f"{count} programs send on {name}; end all but one, or give each robot its own topics"))
-            self._others = [each for key in self._master.getParamNames() if (each := self._described(key)) is not None]
-            fitting = [each for each in self._others if self._about is not None and each.role != self._about.role]
-            near = [each for each in fitting if self._about is not None and each.scenario == self._about.scenario]
-            self._remarks += [Remark(text) for each in near or fitting for text in differences(self._about or each, each)]
+                    self._remarks.append(
+                        Remark(
+                            f"{count} programs send on {name}; end all but one, or give each robot its own"
+                            " topics"
+                        )
+                    )
+            self._others = [
+                each for key in self._master.getParamNames() if (each := self._described(key)) is not None
+            ]
+            fitting = [
+                each for each in self._others if self._about is not None and each.role != self._about.role
+            ]
+            near = [
+                each for each in fitting if self._about is not None and each.scenario == self._about.scenario
+            ]
+            self._remarks += [
+                Remark(text) for each in near or fitting for text in differences(self._about or each, each)
+            ]
         self._looked_at = time.monotonic()
 
     def _described(self, key: str) -> About | None:
@@ -190,22 +228,22 @@ class Ros1Link:
             return None
         node = key.removesuffix(_PARAMETER).rpartition("/")[0]
         try:
-            found = msgspec.json.decode(str(self._master.getParam(key)), type=About)
+            about = msgspec.json.decode(str(self._master.getParam(key)), type=About)
         except (*_FAILURES, msgspec.MsgspecError, KeyError):
             return None
-        return found if node == self._node or [*self._alive([node])] else None
+        return about if node == self._node or [*self._alive([node])] else None
 
     def _alive(self, nodes: Sequence[str]) -> list[str]:
         """The nodes that answer, besides this one: the master still knows one that was killed."""
-        found = []
+        alive = []
         for node in nodes:
             if node != self._node:
                 with suppress(*_FAILURES):
                     address = self._master.lookupNode(node)
                     with xmlrpc.client.ServerProxy(address, transport=_Patient()) as proxy:
                         proxy.getPid(self._node)
-                    found.append(node)
-        return found
+                    alive.append(node)
+        return alive
 
     def _refuse_a_second_policy(self, sent: Mapping[str, Codec]) -> None:
         with suppress(*_FAILURES):
@@ -215,7 +253,8 @@ class Ros1Link:
 
 
 def _end_node() -> None:
-    """End the node of this process without the wait of rospy, up to 5 s, for a daemon thread; Ctrl-C then ends the process at once."""
+    """End the node of this process without the wait of rospy, up to 5 s, for a daemon thread; Ctrl-C then
+    ends the process at once."""
     with suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     getattr(rospy.core, "_shutdown_threads", []).clear()
@@ -226,9 +265,9 @@ class _Patient(xmlrpc.client.Transport):
     """Waits for an answer half a second at most."""
 
     def make_connection(self, host: Any) -> Any:
-        made = super().make_connection(host)
-        made.timeout = 0.5
-        return made
+        connection = super().make_connection(host)
+        connection.timeout = 0.5
+        return connection
 
 
 def message_class(type: str) -> Any:
@@ -242,7 +281,8 @@ def message_class(type: str) -> Any:
         return getattr(import_module(f"{package}.msg"), name)
     except ModuleNotFoundError:
         raise ValueError(
-            f"the messages of {package} are not installed; in Debian: apt install python3-{package.replace('_', '-')}"
+            f"the messages of {package} are not installed; in Debian: apt install"
+            f" python3-{package.replace('_', '-')}"
         ) from None
 
 

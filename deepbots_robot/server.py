@@ -1,8 +1,9 @@
-"""The loop that acts for a robot: checks what comes, asks the policy once per step, limits its commands, and watches over silence.
+"""The loop that acts for a robot: checks what comes, asks the policy once per step, limits its commands, and
+watches over silence.
 
-A step happens when every input has a new value, and no more often than the bundle's rate. Where a value is missing, the step uses the
-last one while it is young enough. Otherwise the robot gets the safe posture in every step until all values are there again: on silence,
-and after a message that is wrong.
+A step happens when every input has a new value, and no more often than the bundle's rate. Where a value is
+missing, the step uses the last one while it is young enough. Otherwise the robot gets the safe posture in
+every step until all values are there again: on silence, and after a message that is wrong.
 """
 
 from __future__ import annotations
@@ -88,8 +89,9 @@ class Commands:
         self.limited = 0
 
     def limit(self, commands: Mapping[str, Array], elapsed: float) -> dict[str, Array] | None:
-        """The commands that may be sent `elapsed` s after the last ones; None if one is missing, of another shape, or not finite."""
-        found: dict[str, Array] = {}
+        """The commands that may be sent `elapsed` s after the last ones; None if one is missing, of another
+        shape, or not finite."""
+        limited: dict[str, Array] = {}
         changed = False
         for output in self._outputs:
             command = commands.get(output.field.name)
@@ -100,24 +102,27 @@ class Commands:
             last = self._last.get(output.field.name)
             if last is not None:
                 reach = output.max_rate * elapsed
-                value = np.clip(np.clip(value, last - reach, last + reach), output.low, output.high)  # the range is clipped last
+                value = np.clip(
+                    np.clip(value, last - reach, last + reach), output.low, output.high
+                )  # the range is clipped last
             changed |= bool((value != wanted).any())
-            found[output.field.name] = value
-        self._last = found
+            limited[output.field.name] = value
+        self._last = limited
         self.limited += changed
-        return found
+        return limited
 
     def safe(self) -> dict[str, Array]:
-        """The safe posture: what a component cannot say holds its last command, or is left out if there was none."""
-        found = {}
+        """The safe posture: what a component cannot say holds its last command, or is left out if there was
+        none."""
+        safe = {}
         for output in self._outputs:
             last = self._last.get(output.field.name)
             held = np.full(output.field.shape, np.nan) if last is None else last
             value = np.where(np.isnan(output.safe), held, output.safe)
             if np.isfinite(value).all():
-                found[output.field.name] = value
-        self._last = {**self._last, **found}
-        return found
+                safe[output.field.name] = value
+        self._last = {**self._last, **safe}
+        return safe
 
 
 class Server:
@@ -138,7 +143,8 @@ class Server:
     ) -> None:
         """`rate` is in steps per second of the robot; `speed` is how many of its seconds pass in one second.
 
-        With `lockstep` the robot waits for each answer: a step happens whenever all inputs have new values, and silence is no fault.
+        With `lockstep` the robot waits for each answer: a step happens whenever all inputs have new values,
+        and silence is no fault.
         """
         self.intake = Intake(inputs, None if lockstep else speed)
         self.commands = Commands(outputs)
@@ -189,7 +195,9 @@ class Server:
         if self._fault:  # the deadline has passed
             until = self._due
         else:
-            until = min(self._due + (0.0 if self.intake.complete() else LATE * self._period), self.intake.deadline())
+            until = min(
+                self._due + (0.0 if self.intake.complete() else LATE * self._period), self.intake.deadline()
+            )
         return float(min(max(0.0, until - self._clock()), _LONGEST_WAIT))
 
     def turn(self) -> None:
@@ -218,7 +226,8 @@ class Server:
             self._keep_time(now)
 
     def _answer(self, wrong: Refusal | None, again: bool) -> None:
-        """In lockstep: one answer for each complete set of inputs; a set that comes again gets the same answer."""
+        """In lockstep: one answer for each complete set of inputs; a set that comes again gets the same
+        answer."""
         if self.intake.complete():
             self._step()
         elif wrong is not None:
@@ -253,7 +262,9 @@ class Server:
             return
         now = self._clock()
         passed = 0.0 if self._lockstep else (now - self._sent_at) * self._speed
-        if self._lockstep or passed >= (1.0 - EARLY) * self._step_time:  # a step is sooner only after a reset, which gives no more reach
+        if (
+            self._lockstep or passed >= (1.0 - EARLY) * self._step_time
+        ):  # a step is sooner only after a reset, which gives no more reach
             passed = max(passed, self._step_time)
         commands = self.commands.limit(found, passed)
         if commands is None:
@@ -292,7 +303,9 @@ class Server:
     def _pace(self, now: float) -> None:
         """The time of the next step: after one period, without catching up steps that were missed."""
         first = not np.isfinite(self._due)
-        self._due = now + self._period if first else max(self._due + self._period, now + self._period * (1.0 - EARLY))
+        self._due = (
+            now + self._period if first else max(self._due + self._period, now + self._period * (1.0 - EARLY))
+        )
 
     def _stamp(self) -> float:
         """The time of a command: now, or in lockstep that of the values that it answers."""
@@ -330,7 +343,10 @@ class Server:
             "remarks": self.remarks,
             "missing": self.intake.missing(),
             "messages": self.intake.received,
-            "refused": {kind: {"count": count, "first": self.intake.examples[kind]} for kind, count in self.intake.refused.items()},
+            "refused": {
+                kind: {"count": count, "first": self.intake.examples[kind]}
+                for kind, count in self.intake.refused.items()
+            },
         }
 
 
@@ -340,11 +356,19 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
     shown = ["none" if each is None else f"{each * 1e3:.2f} ms" for each in times]
     lines = [
         report["link"],
-        f"  steps        {report['steps']:,} in {report['episodes']:,} episodes; an input had no new value in {report['held_steps']:,},"
+        f"  steps        {report['steps']:,} in {report['episodes']:,} episodes; an input had no new value"
+        f" in {report['held_steps']:,},"
         f" a command was limited in {report['limited_steps']:,}",
         f"  answer       median {shown[0]}, 99th percentile {shown[1]}, longest {shown[2]}",
         f"  safe posture {report['safe_steps']:,} commands",
-        *(f"    {count:,} time{'s' * (count != 1)} because of: {reason}" for reason, count in report["safe_because"].items()),
-        f"  messages     {report['messages']:,} received, {sum(entry['count'] for entry in report['refused'].values()):,} refused",
+        *(
+            f"    {count:,} time{'s' * (count != 1)} because of: {reason}"
+            for reason, count in report["safe_because"].items()
+        ),
+        f"  messages     {report['messages']:,} received,"
+        f" {sum(entry['count'] for entry in report['refused'].values()):,} refused",
     ]
-    return lines + [f"    {entry['count']:,} {kind}, the first: {entry['first']}" for kind, entry in report["refused"].items()]
+    return lines + [
+        f"    {entry['count']:,} {kind}, the first: {entry['first']}"
+        for kind, entry in report["refused"].items()
+    ]

@@ -51,7 +51,8 @@ class Transport:
 
     @classmethod
     def at(cls, address: str) -> Transport:
-        """The transport of an address: `ros1`, `ros`, `ros:3` of domain 3, `ros:3@eth0`, `tcp://HOST:PORT`, `ipc://FILE`, `ws://HOST:PORT`.
+        """The transport of an address: `ros1`, `ros`, `ros:3` of domain 3, `ros:3@eth0`, `tcp://HOST:PORT`,
+        `ipc://FILE`, `ws://HOST:PORT`.
 
         Raises:
             ServeError: It is none of these.
@@ -66,7 +67,8 @@ class Transport:
         if address.startswith(("tcp://", "ipc://")):
             return cls(zmq=address)
         raise ServeError(
-            f"'{address[:100]}' is no address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT, ipc://FILE or ws://HOST:PORT"
+            f"'{address[:100]}' is no address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT,"
+            " ipc://FILE or ws://HOST:PORT"
         )
 
     def open(
@@ -80,14 +82,17 @@ class Transport:
         """One end of the link, with what it says about itself.
 
         Raises:
-            ServeError: The package of the link is missing, or the address, the interface or a topic cannot be used.
+            ServeError: The package of the link is missing, or the address, the interface or a topic cannot be
+                used.
         """
         if (
             self.is_ros
             and any(topic.type == "sensor_msgs/CompressedImage" for _, topic in (*receives, *sends))
             and find_spec("PIL") is None
         ):
-            raise ServeError("pillow, which reads compressed images, is not installed; install it with: pip install pillow")
+            raise ServeError(
+                "pillow, which reads compressed images, is not installed; install it with: pip install pillow"
+            )
         if self.ros1:
             return self._ros1(receives, sends, robot=robot, about=about)
         package, extra = "cyclonedds", "ros"
@@ -107,23 +112,31 @@ class Transport:
                 return WebSocketLink(self.websocket, *fields, robot=robot, about=about)
             from deepbots_robot.dds import RosLink
 
-            return RosLink(receives, sends, robot=robot, interface=self.interface, domain=self.domain, about=about)
+            return RosLink(
+                receives, sends, robot=robot, interface=self.interface, domain=self.domain, about=about
+            )
         except ModuleNotFoundError as error:
             lacks = "" if error.name in (package, extra) else f", or lacks {error.name}"
-            raise ServeError(f'{package} is not installed{lacks}; install it with: pip install "deepbots-robot[{extra}]"') from None
+            raise ServeError(
+                f'{package} is not installed{lacks}; install it with: pip install "deepbots-robot[{extra}]"'
+            ) from None
         except ValueError as error:
             raise ServeError(str(error)) from None
 
     @staticmethod
-    def _ros1(receives: Sequence[tuple[Field, Topic]], sends: Sequence[tuple[Field, Topic]], **ends: Any) -> Link:
+    def _ros1(
+        receives: Sequence[tuple[Field, Topic]], sends: Sequence[tuple[Field, Topic]], **ends: Any
+    ) -> Link:
         try:
             from deepbots_robot.ros1 import Ros1Link
 
             return Ros1Link(receives, sends, **ends)
         except ModuleNotFoundError as error:
             raise ServeError(
-                f"{error.name} is not installed for this Python; rospy belongs to the Python of the system (Debian: apt install ros-core"
-                " python3-sensor-msgs python3-nav-msgs), which an environment of `/usr/bin/python3 -m venv --system-site-packages` has too"
+                f"{error.name} is not installed for this Python; rospy belongs to the Python of the system"
+                " (Debian: apt install ros-core"
+                " python3-sensor-msgs python3-nav-msgs), which an environment of `/usr/bin/python3 -m venv"
+                " --system-site-packages` has too"
             ) from None
         except ValueError as error:
             raise ServeError(str(error)) from None
@@ -135,14 +148,34 @@ class Transport:
 def field_of(entry: model.Input | model.Output) -> Field:
     """An input or an output as a field."""
     if isinstance(entry, model.Output):
-        return Field(entry.name, entry.robot, entry.kind, entry.unit or "1", entry.shape, _joints(entry), entry.components)
+        return Field(
+            entry.name,
+            entry.robot,
+            entry.kind,
+            entry.unit or "1",
+            entry.shape,
+            _joints(entry),
+            entry.components,
+        )
     joints = entry.joints if entry.source == "sensor" else ()
-    return Field(entry.name, entry.robot or "", entry.sensor or "value", entry.unit or "1", entry.shape, joints, entry.components)
+    return Field(
+        entry.name,
+        entry.robot or "",
+        entry.sensor or "value",
+        entry.unit or "1",
+        entry.shape,
+        joints,
+        entry.components,
+    )
 
 
 def _joints(entry: model.Output) -> tuple[str, ...]:
     """The joints of the numbers; none where the numbers are not those of joints."""
-    return entry.joints if entry.kind in ("velocity", "position", "effort") and len(entry.joints) == entry.shape[0] else ()
+    return (
+        entry.joints
+        if entry.kind in ("velocity", "position", "effort") and len(entry.joints) == entry.shape[0]
+        else ()
+    )
 
 
 def inputs_of(info: model.BundleInfo) -> list[Input]:
@@ -150,7 +183,9 @@ def inputs_of(info: model.BundleInfo) -> list[Input]:
     return inputs_of_entries(info.inputs, info.rate_hz)
 
 
-def inputs_of_entries(entries: Sequence[model.Input], rate: float, *, needs_goals: bool = True) -> list[Input]:
+def inputs_of_entries(
+    entries: Sequence[model.Input], rate: float, *, needs_goals: bool = True
+) -> list[Input]:
     """As `inputs_of`, of a policy that acts at `rate`; without `needs_goals`, steps do not wait for goals."""
     return [
         Input(
@@ -183,16 +218,24 @@ def outputs_of_entries(entries: Sequence[model.Output]) -> list[Output]:
     ]
 
 
-def _ends(ends: tuple[tuple[float | None, ...], tuple[float | None, ...]] | None, shape: tuple[int, ...]) -> tuple[Array, Array]:
+def _ends(
+    ends: tuple[tuple[float | None, ...], tuple[float | None, ...]] | None, shape: tuple[int, ...]
+) -> tuple[Array, Array]:
     low, high = ends if ends is not None else ((), ())
     return _filled(low, shape, -np.inf), _filled(high, shape, np.inf)
 
 
 def _filled(values: Sequence[float | None], shape: tuple[int, ...], missing: float) -> Array:
-    return np.array([missing if each is None else each for each in values]) if values else np.full(shape, missing)
+    return (
+        np.array([missing if each is None else each for each in values])
+        if values
+        else np.full(shape, missing)
+    )
 
 
-def mapped(fields: Sequence[Field], given: Mapping[str, Topic], *, commands: bool = False) -> list[tuple[Field, Topic]]:
+def mapped(
+    fields: Sequence[Field], given: Mapping[str, Topic], *, commands: bool = False
+) -> list[tuple[Field, Topic]]:
     """Each field with its topic: the given one, else the first that fits.
 
     Raises:
@@ -201,16 +244,20 @@ def mapped(fields: Sequence[Field], given: Mapping[str, Topic], *, commands: boo
     topics = {**first_mapping(fields, commands=commands), **given}
     without = next((field.name for field in fields if field.name not in topics), None)
     if without is not None:
-        raise ServeError(f"no topic fits {without}; name its topic under `ros` in the scenario, and export the run again")
-    found = {field.name: (field, topics[field.name]) for field in fields}
+        raise ServeError(
+            f"no topic fits {without}; name its topic under `ros` in the scenario, and export the run again"
+        )
+    by_name = {field.name: (field, topics[field.name]) for field in fields}
     try:
-        problems = conflicts(found)
+        problems = conflicts(by_name)
     except ValueError as error:
         raise ServeError(str(error)) from None
     if problems:
         name, problem = next(iter(problems.items()))
-        raise ServeError(f"{name}: {problem}; name its topic under `ros` in the scenario, and export the run again")
-    return list(found.values())
+        raise ServeError(
+            f"{name}: {problem}; name its topic under `ros` in the scenario, and export the run again"
+        )
+    return list(by_name.values())
 
 
 # Serving
@@ -237,26 +284,49 @@ def serve(
     if not 0.0 < speed <= MAX_SPEED:
         raise ServeError(f"the speed {speed:g} is not between 0 and {MAX_SPEED:g}")
     if seconds is not None and not 0.0 < seconds < np.inf:
-        raise ServeError(f"{seconds:g} is no time to serve for; write a number of seconds above 0, or none, to serve until Ctrl-C")
+        raise ServeError(
+            f"{seconds:g} is no time to serve for; write a number of seconds above 0, or none, to serve"
+            " until Ctrl-C"
+        )
     inputs, outputs = inputs_of(bundle.info), outputs_of(bundle.info)
-    given = {name: Topic(topic.topic, topic.type, topic.part) for name, topic in bundle.info.ros.items()}
-    receives = mapped([each.field for each in inputs], given)
+    topics = {name: Topic(topic.topic, topic.type, topic.part) for name, topic in bundle.info.ros.items()}
+    receives = mapped([each.field for each in inputs], topics)
     sends = [
         action_field(len(bundle.info.choices) or len(bundle.info.action)),
-        *mapped([each.field for each in outputs], given, commands=True),
+        *mapped([each.field for each in outputs], topics, commands=True),
     ]
     writer = _opened(log, bundle)
     try:
         scenario = bundle.info.scenario
-        about = About("policy", scenario.name, scenario.task_digest, pace(lockstep=lockstep, speed=speed), rate=bundle.info.rate_hz)
+        about = About(
+            "policy",
+            scenario.name,
+            scenario.task_digest,
+            pace(lockstep=lockstep, speed=speed),
+            rate=bundle.info.rate_hz,
+        )
         link = transport.open(receives, sends, robot=False, about=about)
     except ServeError:
         if writer is not None:
             writer.close()
         raise
-    server = Server(bundle.start(), inputs, outputs, link, bundle.info.rate_hz, speed=speed, lockstep=lockstep, log=Notes(writer, note))
-    sources = ", ".join(dict.fromkeys(topic.name for _, topic in receives)) if transport.is_ros else "the robot"
-    note(f"{bundle.info.scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for {sources}")
+    server = Server(
+        bundle.start(),
+        inputs,
+        outputs,
+        link,
+        bundle.info.rate_hz,
+        speed=speed,
+        lockstep=lockstep,
+        log=Notes(writer, note),
+    )
+    sources = (
+        ", ".join(dict.fromkeys(topic.name for _, topic in receives)) if transport.is_ros else "the robot"
+    )
+    note(
+        f"{bundle.info.scenario.name} acts at {bundle.info.rate_hz:g} Hz over {link.name}; it waits for"
+        f" {sources}"
+    )
     try:
         with stopping() as stopped:
             server.run(until(stopped, seconds, server, note))
@@ -269,7 +339,8 @@ def serve(
 
 
 def nothing_served(report: Mapping[str, Any], seconds: float | None) -> str:
-    """The sentence about a time that passed without a step; empty if there was one, or if the server ended by a signal."""
+    """The sentence about a time that passed without a step; empty if there was one, or if the server ended by
+    a signal."""
     if seconds is None or report["steps"]:
         return ""
     missing = ", ".join(report["missing"][:5])
@@ -286,11 +357,16 @@ def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
         about = {"scenario": bundle.info.scenario.name, "digest": bundle.info.scenario.digest}
         return LogWriter(path, about, files=bundle.description())
     except ModuleNotFoundError as error:
-        raise ServeError(f'--log needs {error.name}, which is not installed; install it with: pip install "deepbots-robot[log]"') from None
+        raise ServeError(
+            f"--log needs {error.name}, which is not installed; install it with: pip install"
+            ' "deepbots-robot[log]"'
+        ) from None
     except FileExistsError:
         raise ServeError(f"{path} exists already; name another file for the log") from None
     except OSError as error:
-        raise ServeError(f"{path} cannot be written: {(error.strerror or 'unknown reason').lower()}") from None
+        raise ServeError(
+            f"{path} cannot be written: {(error.strerror or 'unknown reason').lower()}"
+        ) from None
 
 
 class Notes:
@@ -313,7 +389,10 @@ class Notes:
                 entry(self._log)
         except OSError as error:
             self._log = None
-            self._note(f"nothing more is written to the log ({(error.strerror or 'unknown reason').lower()}); the policy acts on")
+            self._note(
+                f"nothing more is written to the log ({(error.strerror or 'unknown reason').lower()}); the"
+                " policy acts on"
+            )
 
     def event(self, stamp: float, kind: str, text: str) -> None:
         now = time.monotonic()
@@ -347,18 +426,25 @@ class stopping:  # noqa: N801  a context manager
             signal.signal(number, handler)
 
 
-def until(stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], object]) -> Callable[[], bool]:
-    """Whether the server should end: `stopped`, or after `seconds`. Without a step in the first 5 s, `note` gets what is missing."""
+def until(
+    stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], object]
+) -> Callable[[], bool]:
+    """Whether the server should end: `stopped`, or after `seconds`. Without a step in the first 5 s, `note`
+    gets what is missing."""
     began = time.monotonic()
-    said = False
+    requested = False
 
     def done() -> bool:
-        nonlocal said
+        nonlocal requested
         passed = time.monotonic() - began
-        if not said and not server.steps and passed > QUIET:
-            said = True
+        if not requested and not server.steps and passed > QUIET:
+            requested = True
             missing = ", ".join(server.intake.missing()[:5])
-            note(f"no step in {QUIET:g} s: there is no value of {missing} yet" if missing else f"no step in {QUIET:g} s")
+            note(
+                f"no step in {QUIET:g} s: there is no value of {missing} yet"
+                if missing
+                else f"no step in {QUIET:g} s"
+            )
         return stopped() or (seconds is not None and passed >= seconds)
 
     return done

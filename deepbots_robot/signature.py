@@ -1,8 +1,8 @@
 """Signatures of bundles (Ed25519): who exported a bundle, and that nothing in it was changed since.
 
-The digests in bundle.json find damage. They do not find a forger, who can write new digests. A signature covers
-bundle.json, and with it the digests of all other files. Public keys are lines such as `ssh-ed25519 AAAA... name`, so
-`ssh-keygen -t ed25519` makes keys, too. The package `cryptography` computes and verifies.
+The digests in bundle.json find damage. They do not find a forger, who can write new digests. A signature
+covers bundle.json, and with it the digests of all other files. Public keys are lines such as `ssh-ed25519
+AAAA... name`, so `ssh-keygen -t ed25519` makes keys, too. The package `cryptography` computes and verifies.
 """
 
 from __future__ import annotations
@@ -55,7 +55,10 @@ def write_key(path: Path) -> Path:
     public = path.with_name(f"{path.name}.pub")
     secret = private.private_bytes(Encoding.PEM, PrivateFormat.OpenSSH, NoEncryption())
     try:
-        for file, content, mode in ((path, secret, 0o600), (public, f"{_line(private.public_key())}\n".encode(), 0o644)):
+        for file, content, mode in (
+            (path, secret, 0o600),
+            (public, f"{_line(private.public_key())}\n".encode(), 0o644),
+        ):
             with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
                 stream.write(content)
     except FileExistsError as error:
@@ -117,14 +120,16 @@ def verify(description: bytes, content: bytes, trusted: Sequence[str]) -> None:
     """Check that a bundle.json is signed with a trusted key.
 
     Raises:
-        BundleError: The signature is damaged, that of another file, or of a key that is not trusted; or `cryptography` is missing.
+        BundleError: The signature is damaged, that of another file, or of a key that is not trusted; or
+            `cryptography` is missing.
     """
     try:
         from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
         from cryptography.hazmat.primitives.serialization import load_ssh_public_key
     except ModuleNotFoundError as error:
         raise BundleError(
-            'checking a signature needs cryptography, which is not installed; install it with: pip install "deepbots-robot[sign]"'
+            "checking a signature needs cryptography, which is not installed; install it with: pip install"
+            ' "deepbots-robot[sign]"'
         ) from error
     try:
         signed = msgspec.json.decode(content, type=Signature)
@@ -155,7 +160,8 @@ def _private_key_class() -> type[Ed25519PrivateKey]:
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     except ModuleNotFoundError as error:
         raise KeyFileError(
-            'signing needs cryptography, which is not installed; install it with: pip install "deepbots-robot[sign]"'
+            "signing needs cryptography, which is not installed; install it with: pip install"
+            ' "deepbots-robot[sign]"'
         ) from error
     return Ed25519PrivateKey
 

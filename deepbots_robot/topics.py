@@ -1,7 +1,8 @@
-"""Which part of which ROS 2 message carries a field: units and counts, and the topics that a robot has by default.
+"""Which part of which ROS 2 message carries a field: units and counts, and the topics that a robot has by
+default.
 
-A field is what one sensor measures, what one actuator is commanded, or a value that the scenario's supervisor computes. Nothing here
-needs ROS or an implementation of DDS, so that a scenario can be checked without them.
+A field is what one sensor measures, what one actuator is commanded, or a value that the scenario's supervisor
+computes. Nothing here needs ROS or an implementation of DDS, so that a scenario can be checked without them.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ _TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 class Field:
     """A named array that crosses between robot and policy.
 
-    `kind` is the kind of the sensor or the actuator (`joint_position`, `velocity_motor`), or `value`. `joints` are the joints of the
-    numbers in their order; of other fields, `components` are the names of the numbers, empty for a single one. The unit is that of SI,
-    `1` for plain numbers and truth values. A picture has the shape (rows, columns, channels). `scan` has the first and last angle (rad)
-    and the reach (m) of a fan of rays, as far as they are known.
+    `kind` is the kind of the sensor or the actuator (`joint_position`, `velocity_motor`), or `value`.
+    `joints` are the joints of the numbers in their order; of other fields, `components` are the names of the
+    numbers, empty for a single one. The unit is that of SI, `1` for plain numbers and truth values. A picture
+    has the shape (rows, columns, channels). `scan` has the first and last angle (rad) and the reach (m) of a
+    fan of rays, as far as they are known.
     """
 
     name: str
@@ -64,15 +66,18 @@ ACTION = "action"
 
 
 def action_field(count: int) -> tuple[Field, Topic]:
-    """The action of a policy, which a robot needs no more than any other; a simulated one computes rewards with it."""
+    """The action of a policy, which a robot needs no more than any other; a simulated one computes rewards
+    with it."""
     return Field(ACTION, "", "value", "1", (count,)), Topic("/deepbots/action", "std_msgs/Float64MultiArray")
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a message: the attributes that lead to it, the units that it may have (any, if empty), and how many numbers it has.
+    """A part of a message: the attributes that lead to it, the units that it may have (any, if empty), and
+    how many numbers it has.
 
-    `count` is None where a message has any number of them; `by_joint` is whether they stand beside names of joints.
+    `count` is None where a message has any number of them; `by_joint` is whether they stand beside names of
+    joints.
     """
 
     path: str
@@ -99,8 +104,14 @@ PARTS: Mapping[str, Mapping[str, Part]] = {
     "sensor_msgs/Image": {"data": Part("data", picture=True)},
     "sensor_msgs/CompressedImage": {"data": Part("data", picture=True)},
     "geometry_msgs/Twist": {"linear": Part("linear", ("m/s",), 3), "angular": Part("angular", ("rad/s",), 3)},
-    "geometry_msgs/PoseStamped": {"position": Part("pose.position", ("m",), 3), "orientation": Part("pose.orientation", ("1",), 4)},
-    "geometry_msgs/WrenchStamped": {"force": Part("wrench.force", ("N",), 3), "torque": Part("wrench.torque", ("N*m",), 3)},
+    "geometry_msgs/PoseStamped": {
+        "position": Part("pose.position", ("m",), 3),
+        "orientation": Part("pose.orientation", ("1",), 4),
+    },
+    "geometry_msgs/WrenchStamped": {
+        "force": Part("wrench.force", ("N",), 3),
+        "torque": Part("wrench.torque", ("N*m",), 3),
+    },
     "nav_msgs/Odometry": {
         "position": Part("pose.pose.position", ("m",), 3),
         "orientation": Part("pose.pose.orientation", ("1",), 4),
@@ -109,42 +120,50 @@ PARTS: Mapping[str, Mapping[str, Part]] = {
     },
     "std_msgs/Float64MultiArray": {"data": Part("data")},
 }
-"""The parts of each type of message. A part of three or four numbers has parts of one number each, such as `linear.x`."""
+"""The parts of each type of message. A part of three or four numbers has parts of one number each, such as
+`linear.x`."""
 
 
 def parts(type: str) -> dict[str, Part]:
     """The parts of a type of message with their single numbers, by name."""
-    found = dict(PARTS[type])
+    type_parts = dict(PARTS[type])
     for name, part in PARTS[type].items():
         for letter in _XYZW[: part.count or 0] if part.count in (3, 4) else "":
-            found[f"{name}.{letter}"] = replace(part, path=f"{part.path}.{letter}", count=1)
-    return found
+            type_parts[f"{name}.{letter}"] = replace(part, path=f"{part.path}.{letter}", count=1)
+    return type_parts
 
 
 def part_of(field: Field, topic: Topic) -> str:
     """The name of the part of the message that carries a field.
 
     Raises:
-        ValueError: The topic is no name of ROS 2, the type is unknown, or no part of it has the unit and the count of the field. The
-            text is a sentence for a person.
+        ValueError: The topic is no name of ROS 2, the type is unknown, or no part of it has the unit and the
+            count of the field. The text is a sentence for a person.
     """
     if topic.type not in PARTS:
         raise ValueError(f"'{topic.type}' is unknown; the types are: {', '.join(PARTS)}")
     if len(topic.name) > MAX_NAME or not _TOPIC.fullmatch(topic.name):
-        raise ValueError(f"'{topic.name[:MAX_NAME]}' is no topic; write one like /{field.robot or 'robot'}/joint_states")
-    known = parts(topic.type)
+        raise ValueError(
+            f"'{topic.name[:MAX_NAME]}' is no topic; write one like /{field.robot or 'robot'}/joint_states"
+        )
+    known_parts = parts(topic.type)
     if topic.part is not None:
-        if topic.part not in known:
-            raise ValueError(f"{topic.type} has no part '{topic.part}'; its parts are: {', '.join(known)}")
-        problem = _misfit(field, known[topic.part])
+        if topic.part not in known_parts:
+            raise ValueError(
+                f"{topic.type} has no part '{topic.part}'; its parts are: {', '.join(known_parts)}"
+            )
+        problem = _misfit(field, known_parts[topic.part])
         if problem:
             raise ValueError(f"`{topic.part}` of {topic.type} {problem}")
         return topic.part
-    fitting = [name for name, part in known.items() if not _misfit(field, part)]
+    fitting = [name for name, part in known_parts.items() if not _misfit(field, part)]
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
-        raise ValueError(f"{field.name} fits several parts of {topic.type}; write one of them as `part`: {', '.join(fitting)}")
+        raise ValueError(
+            f"{field.name} fits several parts of {topic.type}; write one of them as `part`:"
+            f" {', '.join(fitting)}"
+        )
     if len(PARTS[topic.type]) == 1:
         ((name, part),) = PARTS[topic.type].items()
         raise ValueError(f"`{name}` of {topic.type} {_misfit(field, part)}")
@@ -155,7 +174,9 @@ def part_of(field: Field, topic: Topic) -> str:
 def _misfit(field: Field, part: Part) -> str:
     """What of a field does not fit; empty if it fits."""
     if part.picture != field.is_picture:
-        return f"is {'a picture' if part.picture else 'a row of numbers'}, and {field.name} is {describe(field)}"
+        return (
+            f"is {'a picture' if part.picture else 'a row of numbers'}, and {field.name} is {describe(field)}"
+        )
     if part.by_joint and not field.joints:
         return f"has one number per joint, and {field.name} is {describe(field)}"
     if part.units and field.unit not in part.units:
@@ -178,14 +199,15 @@ def _described(part: Part) -> str:
 
 
 def conflicts(mapping: Mapping[str, tuple[Field, Topic]]) -> dict[str, str]:
-    """What is wrong between the topics of several fields, by the name of the later field: another type, or a number that is taken."""
+    """What is wrong between the topics of several fields, by the name of the later field: another type, or a
+    number that is taken."""
     types: dict[str, tuple[str, str]] = {}
     taken: dict[tuple[str, str], str] = {}
-    found: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for name, (field, topic) in mapping.items():
         before, type = types.setdefault(topic.name, (name, topic.type))
         if type != topic.type:
-            found[name] = f"the topic {topic.name} has messages of the type {type}, as {before} says"
+            reasons[name] = f"the topic {topic.name} has messages of the type {type}, as {before} says"
             continue
         part = part_of(field, topic)
         single = f"{part}.{{}}".format
@@ -195,22 +217,27 @@ def conflicts(mapping: Mapping[str, tuple[Field, Topic]]) -> dict[str, str]:
         for number in numbers:
             other = taken.setdefault((topic.name, number), name)
             if other != name:
-                found.setdefault(name, f"`{number}` of the messages on {topic.name} is already {other}")
-    return found
+                reasons.setdefault(name, f"`{number}` of the messages on {topic.name} is already {other}")
+    return reasons
 
 
 def first_mapping(fields: Sequence[Field], *, commands: bool = False) -> dict[str, Topic]:
     """A topic for each field: types of ROS 2 where they fit, else plain arrays of numbers.
 
-    Joints of a robot share `/ROBOT/joint_states`, and with `commands` `/ROBOT/joint_commands`. Two sensors of one link that fit
-    `sensor_msgs/Imu` have a topic each, because a message says nothing about when each of its parts was measured.
+    Joints of a robot share `/ROBOT/joint_states`, and with `commands` `/ROBOT/joint_commands`. Two sensors of
+    one link that fit `sensor_msgs/Imu` have a topic each, because a message says nothing about when each of
+    its parts was measured.
     """
-    found: dict[str, Topic] = {}
+    mapping: dict[str, Topic] = {}
     taken: set[tuple[str, str, str]] = set()
     for field in fields:
         short = field.name.removeprefix(f"{field.robot}.")
         measured = field.robot and short != field.name
-        own = f"/{field.robot}/{short}" if measured else f"/supervisor/{re.sub('[^A-Za-z0-9]+', '_', short).strip('_')}"
+        own = (
+            f"/{field.robot}/{short}"
+            if measured
+            else f"/supervisor/{re.sub('[^A-Za-z0-9]+', '_', short).strip('_')}"
+        )
         for topic in _candidates(field, f"{own}/command" if commands else own, commands):
             try:
                 part = part_of(field, topic)
@@ -219,9 +246,9 @@ def first_mapping(fields: Sequence[Field], *, commands: bool = False) -> dict[st
             numbers = {(topic.name, part, joint) for joint in field.joints} or {(topic.name, part, "")}
             if not numbers & taken:
                 taken |= numbers
-                found[field.name] = topic
+                mapping[field.name] = topic
                 break
-    return found
+    return mapping
 
 
 def _candidates(field: Field, own: str, commands: bool) -> list[Topic]:
@@ -234,7 +261,9 @@ def _candidates(field: Field, own: str, commands: bool) -> list[Topic]:
         types.insert(0, "sensor_msgs/LaserScan" if field.count > 1 else "sensor_msgs/Range")
     elif field.kind == "position":
         types.insert(0, "geometry_msgs/PoseStamped")
-    found = [Topic(own, type) for type in types]
+    candidates = [Topic(own, type) for type in types]
     if field.joints:
-        found.insert(0, Topic(f"/{field.robot}/joint_{'commands' if commands else 'states'}", "sensor_msgs/JointState"))
-    return found
+        candidates.insert(
+            0, Topic(f"/{field.robot}/joint_{'commands' if commands else 'states'}", "sensor_msgs/JointState")
+        )
+    return candidates

@@ -1,7 +1,8 @@
 """The link over WebSocket: the messages of `zeromq.py`, JSON as text and MessagePack as binary frames.
 
-The policy listens on a port, and a robot connects to it. Pages of a browser are refused: they would send an origin. Each connection has
-threads and a buffer, so there are `MOST_CONNECTIONS` at most: a new one ends the oldest of those that the policy does not answer.
+The policy listens on a port, and a robot connects to it. Pages of a browser are refused: they would send an
+origin. Each connection has threads and a buffer, so there are `MOST_CONNECTIONS` at most: a new one ends the
+oldest of those that the policy does not answer.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from deepbots_robot.link import Arrival
 from deepbots_robot.messages import MessageLink
 from deepbots_robot.topics import Field
 
-_SILENT = logging.getLogger(__name__)  # websockets writes a traceback for each connection that is no WebSocket
+_SILENT = logging.getLogger(
+    __name__
+)  # websockets writes a traceback for each connection that is no WebSocket
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
 
@@ -50,7 +53,13 @@ class WebSocketLink(MessageLink):
     """One end of a link over WebSocket: a policy listens on a port, a robot connects to it."""
 
     def __init__(
-        self, address: str, receives: Sequence[Field], sends: Sequence[Field], *, robot: bool = False, about: About | None = None
+        self,
+        address: str,
+        receives: Sequence[Field],
+        sends: Sequence[Field],
+        *,
+        robot: bool = False,
+        about: About | None = None,
     ) -> None:
         """Listen at `PORT` of this machine or at `HOST:PORT`, or with `robot` connect to it.
 
@@ -73,7 +82,12 @@ class WebSocketLink(MessageLink):
         self._is_closed = False
         if not robot:
             try:
-                settings: dict[str, Any] = {"max_size": self._longest, "max_queue": 1, "compression": None, "logger": _SILENT}
+                settings: dict[str, Any] = {
+                    "max_size": self._longest,
+                    "max_queue": 1,
+                    "compression": None,
+                    "logger": _SILENT,
+                }
                 self._server = serve(
                     self._listen,
                     self._host,
@@ -85,14 +99,17 @@ class WebSocketLink(MessageLink):
                 )
                 self._server.socket.settimeout(_LOOK)
             except OSError as error:
-                raise ValueError(f"{self.name} cannot be opened: {(error.strerror or 'unknown reason').lower()}") from None
+                raise ValueError(
+                    f"{self.name} cannot be opened: {(error.strerror or 'unknown reason').lower()}"
+                ) from None
             self._accepting = threading.Thread(target=self._accept, daemon=True)
             self._accepting.start()
 
     def _accept(self) -> None:
         """Take connections, in a thread of its own, until the link is closed.
 
-        `serve_forever` of websockets starts a thread for each connection at once, and ends when there are no more files to open.
+        `serve_forever` of websockets starts a thread for each connection at once, and ends when there are no
+        more files to open.
         """
         while not self._is_closed:
             try:
@@ -112,7 +129,9 @@ class WebSocketLink(MessageLink):
     def _end_oldest(self) -> None:
         """End the oldest connection that the policy does not answer."""
         kept = getattr(self._peer, "socket", None)
-        oldest = next((each for each in list(self._open) if each is not kept), None)  # others may end at this moment
+        oldest = next(
+            (each for each in list(self._open) if each is not kept), None
+        )  # others may end at this moment
         with suppress(OSError):
             if oldest is not None:
                 oldest.shutdown(socket.SHUT_RDWR)
@@ -127,9 +146,12 @@ class WebSocketLink(MessageLink):
         """Take the messages of a connection, in a thread of its own, until it ends."""
         with suppress(WebSocketException, OSError):
             if sys.platform != "win32":
-                peer.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", 0, int(_SENDING * 1e6)))
+                peer.socket.setsockopt(
+                    socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", 0, int(_SENDING * 1e6))
+                )
             while True:
-                # Iterating over the connection would gather the parts of a message without a limit; empty ones have no size.
+                # Iterating over the connection would gather the parts of a message without a limit; empty
+                # ones have no size.
                 parts = [*islice(peer.recv_streaming(), _MOST_PARTS + 1)]
                 if len(parts) > _MOST_PARTS:
                     peer.close(1009, "a message in too many parts")
@@ -150,11 +172,11 @@ class WebSocketLink(MessageLink):
         self._here.clear()
 
     def take(self) -> Sequence[Arrival]:
-        found: list[Arrival] = []
+        arrivals: list[Arrival] = []
         while self._waiting:
             peer, content = self._waiting.popleft()
-            found += self._received(content.encode() if isinstance(content, str) else content, peer)
-        return found
+            arrivals += self._received(content.encode() if isinstance(content, str) else content, peer)
+        return arrivals
 
     def _is_answered(self, sender: Any) -> bool:
         return self._robot or self._peer is None or sender is self._peer
@@ -172,7 +194,13 @@ class WebSocketLink(MessageLink):
     def connected(self) -> bool:
         if self._peer is None and self._robot:
             with suppress(WebSocketException, OSError):  # nobody is there yet
-                peer = connect(f"ws://{self._host}:{self._port}", max_size=self._longest, compression=None, open_timeout=5, logger=_SILENT)
+                peer = connect(
+                    f"ws://{self._host}:{self._port}",
+                    max_size=self._longest,
+                    compression=None,
+                    open_timeout=5,
+                    logger=_SILENT,
+                )
                 self._peer = peer
                 threading.Thread(target=self._listen, args=(peer,), daemon=True).start()
         return self._peer is not None
@@ -181,7 +209,9 @@ class WebSocketLink(MessageLink):
         self._is_closed = True
         if self._server is not None:
             with suppress(OSError):
-                self._server.socket.shutdown(socket.SHUT_RDWR)  # ends the wait for a connection, which keeps the port
+                self._server.socket.shutdown(
+                    socket.SHUT_RDWR
+                )  # ends the wait for a connection, which keeps the port
             self._accepting.join(2 * _LOOK)
         with suppress(WebSocketException, OSError):
             if self._server is not None:

@@ -1,7 +1,9 @@
-"""The link over ZeroMQ: the policy has a ROUTER socket and answers in the format of the last message, a robot has a DEALER socket.
+"""The link over ZeroMQ: the policy has a ROUTER socket and answers in the format of the last message, a robot
+has a DEALER socket.
 
-A ROUTER takes the messages of its connections in turn, so a flood in one of them delays another one by a message. It keeps the parts of
-a message until the last one comes, however many, and has no limit for them: where the process grows, all connections are closed.
+A ROUTER takes the messages of its connections in turn, so a flood in one of them delays another one by a
+message. It keeps the parts of a message until the last one comes, however many, and has no limit for them:
+where the process grows, all connections are closed.
 
 `messages.py` describes the messages.
 """
@@ -37,22 +39,35 @@ _LOOK = 0.05
 """Seconds between two looks at the memory, which take 0.02 ms each."""
 _CLOSING = 2.0
 """Seconds in which ZeroMQ gives an address back."""
-_ENDLESS = Remark("the memory of this policy grew, as by a message without an end; all connections were closed, and robots connect again")
+_ENDLESS = Remark(
+    "the memory of this policy grew, as by a message without an end; all connections were closed, and robots"
+    " connect again"
+)
 
 
 class ZmqLink(MessageLink):
     """One end of a link over ZeroMQ: a policy binds an address, a robot connects to it."""
 
     def __init__(
-        self, address: str, receives: Sequence[Field], sends: Sequence[Field], *, robot: bool = False, about: About | None = None
+        self,
+        address: str,
+        receives: Sequence[Field],
+        sends: Sequence[Field],
+        *,
+        robot: bool = False,
+        about: About | None = None,
     ) -> None:
         """Bind the address, or with `robot` connect to it.
 
         Raises:
             ValueError: The address is no address of ZeroMQ, or is taken.
         """
-        if not re.fullmatch(ADDRESS, address) or (address.startswith("tcp") and int(address.rpartition(":")[2]) > 65535):
-            raise ValueError(f"'{address[:100]}' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555")
+        if not re.fullmatch(ADDRESS, address) or (
+            address.startswith("tcp") and int(address.rpartition(":")[2]) > 65535
+        ):
+            raise ValueError(
+                f"'{address[:100]}' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555"
+            )
         self.name = f"ZeroMQ at {address}"
         super().__init__(receives, sends, about)
         self._robot, self._peer = robot, b""
@@ -84,12 +99,15 @@ class ZmqLink(MessageLink):
         return opened
 
     def _limit_memory(self) -> None:
-        """Close all connections of a policy where the process has grown; not those of a file, which only its owners reach."""
+        """Close all connections of a policy where the process has grown; not those of a file, which only its
+        owners reach."""
         now = time.monotonic()
         if self._robot or now < self._looked_at + _LOOK or not self._address.startswith("tcp"):
             return
         self._looked_at, size = now, _process_bytes()
-        self._usual = max(self._size, min(self._usual, size))  # after connections were closed, their memory is free a little later
+        self._usual = max(
+            self._size, min(self._usual, size)
+        )  # after connections were closed, their memory is free a little later
         if size <= self._usual + _MOST_GROWTH:
             return
         self._was_flooded, self._peer = True, b""
@@ -112,15 +130,15 @@ class ZmqLink(MessageLink):
 
     def take(self) -> Sequence[Arrival]:
         self._limit_memory()
-        found: list[Arrival] = []
+        arrivals: list[Arrival] = []
         for _ in range(_TAKEN):
             try:
                 *sender, content = self._socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
                 break
             if self._robot or sender:
-                found += self._received(content, sender)
-        return found
+                arrivals += self._received(content, sender)
+        return arrivals
 
     def _is_answered(self, sender: Any) -> bool:
         return self._robot or not self._peer or sender[0] == self._peer

@@ -1,7 +1,9 @@
-"""The pages of the gallery: one for each shipped scenario that extends no other, with its variants as sections.
+"""The pages of the gallery: one for each shipped scenario that extends no other, with its variants as
+sections.
 
-A page begins with the text of docs/scenarios, if there is one. Spaces, rewards and endings are read from the compiled scenarios. Results
-are the cards of docs/results. Nothing is simulated or trained here. Paths are relative to the root of the repository.
+A page begins with the text of docs/scenarios, if there is one. Spaces, rewards and endings are read from the
+compiled scenarios. Results are the cards of docs/results. Nothing is simulated or trained here. Paths are
+relative to the root of the repository.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ _DIFFICULTIES = {60: "CPU 0 to 1 min", 300: "CPU 1 to 5 min", math.inf: "CPU ove
 
 
 class Clip(NamedTuple):
-    """Of which training a moving picture shows a held-out episode: its seed, and other options of `train` and `render`."""
+    """Of which training a moving picture shows a held-out episode: its seed, and other options of `train` and
+    `render`."""
 
     seed: int
     train: str = ""
@@ -105,7 +108,11 @@ def families() -> dict[str, tuple[str, ...]]:
     for path in sorted((ROOT / "scenarios").glob("*.yaml")):
         found = _EXTENDS.search(path.read_text(encoding="utf-8"))
         parents[path.stem] = found[1] if found else None
-    return {name: tuple(other for other, above in parents.items() if above == name) for name, parent in parents.items() if parent is None}
+    return {
+        name: tuple(other for other, above in parents.items() if above == name)
+        for name, parent in parents.items()
+        if parent is None
+    }
 
 
 @cache
@@ -119,7 +126,10 @@ def merged() -> dict[str, str]:
     """Pages that are sections of the page of a scenario: about its variants, and cards of results."""
     found = {}
     for base, variants in families().items():
-        paths = [*(f"{NOTES}/{variant}.md" for variant in variants), *(f"{CARDS}/{name}.md" for name in (base, *variants))]
+        paths = [
+            *(f"{NOTES}/{variant}.md" for variant in variants),
+            *(f"{CARDS}/{name}.md" for name in (base, *variants)),
+        ]
         found |= dict.fromkeys(paths, f"{NOTES}/{base}.md")
     return found
 
@@ -134,7 +144,9 @@ def pages() -> dict[str, str]:
     index = (ROOT / INDEX).read_text(encoding="utf-8")
     assert _CARDS.search(index), f"{INDEX}: no place for the cards"
     found = {INDEX: _CARDS.sub(lambda _: "\n".join(_cards()), index)}
-    return found | {f"{NOTES}/{base}.md": "\n".join(_page(base, variants)) for base, variants in families().items()}
+    return found | {
+        f"{NOTES}/{base}.md": "\n".join(_page(base, variants)) for base, variants in families().items()
+    }
 
 
 def clip_of(name: str) -> str:
@@ -150,7 +162,8 @@ def clip_of(name: str) -> str:
 
 
 def _cards() -> Iterator[str]:
-    """A card for each page, with a line of robots, sensors, algorithms and difficulties, which theme/static/gallery.js filters by."""
+    """A card for each page, with a line of robots, sensors, algorithms and difficulties, which
+    theme/static/gallery.js filters by."""
     yield "````{container} cards"
     for base, variants in families().items():
         here = world(base)
@@ -181,7 +194,16 @@ def _page(base: str, variants: tuple[str, ...]) -> Iterator[str]:
     yield from ("", "## The file", "", *_file(base))
     for variant in variants:
         other = world(variant)
-        yield from ("", f"## {other.title}", "", *_variant_notes(variant), "", *_differences(here, other), "", *_file(variant))
+        yield from (
+            "",
+            f"## {other.title}",
+            "",
+            *_variant_notes(variant),
+            "",
+            *_differences(here, other),
+            "",
+            *_file(variant),
+        )
         yield from _results(variant, level="###")
 
 
@@ -210,20 +232,38 @@ def _facts(here: World) -> Iterator[str]:
     repeat = here.program.action_repeat
     often = f"; an action is held for {repeat} timesteps" if repeat > 1 else ""
     engine = f", engine `{here.program.engine}`" if here.program.engine else ""
-    chosen = [f"{row['hyperparameter']} {_value(row['value'])}" for row in here.rows("hyperparameters") if row["from"] == "scenario"]
+    chosen = [
+        f"{row['hyperparameter']} {_value(row['value'])}"
+        for row in here.rows("hyperparameters")
+        if row["from"] == "scenario"
+    ]
     limits = [
         f"{scenario['max_steps']:,} steps" if scenario["max_steps"] else "",
         f"{scenario['max_time_s']:g} s" if scenario["max_time_s"] else "",
     ]
     rows = [
-        ("robots", ", ".join(f"{row['robot']} ({row['model']}, {_number(row['mass_kg'])} kg)" for row in _distinct_robots(here))),
+        (
+            "robots",
+            ", ".join(
+                f"{row['robot']} ({row['model']}, {_number(row['mass_kg'])} kg)"
+                for row in _distinct_robots(here)
+            ),
+        ),
         ("sensors", ", ".join(here.sensors) or "none"),
-        ("timestep", f"{_number(1000 * scenario['timestep_s'])} ms, {scenario['substeps']} physics steps{engine}{often}"),
+        (
+            "timestep",
+            f"{_number(1000 * scenario['timestep_s'])} ms, {scenario['substeps']} physics"
+            f" steps{engine}{often}",
+        ),
         ("time limit", " or ".join(filter(None, limits)) or "none"),
         ("action space", f"`{scenario['action_space']}`"),
         ("observation space", f"`{scenario['observation_space']}`"),
         ("solved", scenario["solved"] or "no criterion"),
-        ("algorithm", f"{here.algorithm}, {here.row('training').get('total_timesteps', 0):,} steps; {', '.join(chosen)}"),
+        (
+            "algorithm",
+            f"{here.algorithm}, {here.row('training').get('total_timesteps', 0):,} steps;"
+            f" {', '.join(chosen)}",
+        ),
         ("watch, train", f"`deepbots view {here.name}`, `deepbots train {here.name}`"),
     ]
     yield from _table(("", ""), rows)
@@ -236,18 +276,26 @@ def _distinct_robots(here: World) -> list[Mapping[str, Any]]:
 
 
 def _spaces(here: World) -> Iterator[str]:
-    actions = [(f"`{row['action']}`", row["kind"], _options(row), f"`{row.get('unit', '1')}`") for row in here.rows("action")]
+    actions = [
+        (f"`{row['action']}`", row["kind"], _options(row), f"`{row.get('unit', '1')}`")
+        for row in here.rows("action")
+    ]
     yield from ("", *_table(("action", "kind", "values", "unit"), actions))
     rows = []
     for row in _grouped(here.rows("observation")):
         index = "image" if row["index"] is None else str(row["index"])
         span = "" if row.get("low") is None else f"{_number(row['low'])} .. {_number(row['high'])}"
         age = f", {row['steps_ago']} step{'s' * (row['steps_ago'] > 1)} ago" if row.get("steps_ago") else ""
-        rows.append((index, f"`{row['name']}`{age}", span, f"`{row.get('unit', '1')}`", str(row.get("seen_as", ""))))
+        rows.append(
+            (index, f"`{row['name']}`{age}", span, f"`{row.get('unit', '1')}`", str(row.get("seen_as", "")))
+        )
     if rows:
         yield from ("", *_table(("index", "observation", "range", "unit", "seen as"), rows))
     if "goal" in here.tables:
-        yield from ("", *_table(("goal", "value"), [(key, f"`{text}`") for key, text in here.row("goal").items()]))
+        yield from (
+            "",
+            *_table(("goal", "value"), [(key, f"`{text}`") for key, text in here.row("goal").items()]),
+        )
 
 
 def _options(row: Mapping[str, Any]) -> str:
@@ -262,14 +310,20 @@ def _grouped(rows: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
 
     def vector(row: Mapping[str, Any]) -> tuple[object, ...]:
         name = re.sub(r"\d+|\.[xyzw]\b", "", str(row["name"]))
-        if name.count(".") > 1 or name.startswith("previous_action."):  # a component of a reading, or of an action
+        if name.count(".") > 1 or name.startswith(
+            "previous_action."
+        ):  # a component of a reading, or of an action
             name = name.rpartition(".")[0]
         return (name, *(row.get(key) for key in ("steps_ago", "low", "high", "unit", "seen_as")))
 
     for _, group in groupby(rows, vector):
         first, *others = group
         last = others[-1] if others else first
-        yield first if not others else {**first, **{key: f"{first[key]} .. {last[key]}" for key in ("index", "name")}}
+        yield (
+            first
+            if not others
+            else {**first, **{key: f"{first[key]} .. {last[key]}" for key in ("index", "name")}}
+        )
 
 
 def _value(value: object) -> str:
@@ -282,7 +336,10 @@ def _value(value: object) -> str:
 def _task(here: World) -> Iterator[str]:
     rows = [(f"`{row['term']}`", f"`{_cell(str(row['is']))}`") for row in here.rows("reward")]
     yield from ("", *_table(("reward term", "value per step"), rows))
-    rows = [(f"`{row['ending']}`", str(row["outcome"]), f"`{_cell(str(row['when']))}`") for row in here.rows("endings")]
+    rows = [
+        (f"`{row['ending']}`", str(row["outcome"]), f"`{_cell(str(row['when']))}`")
+        for row in here.rows("endings")
+    ]
     yield from ("", *_table(("ending", "outcome", "condition"), rows)) if rows else ()
 
 

@@ -6,7 +6,8 @@ keys.md      every key of a scenario, from the schema
 functions.md units, functions and built-in names, from the expression language
 rules.md     every finding, from the registry of rules and the docstrings of lint rules
 commands.md  every command with its options, from the help of the commands
-glossary.md  terms of reinforcement learning and their place in the language, from the glossary of `deepbots explain`
+glossary.md  terms of reinforcement learning and their place in the language, from the glossary of `deepbots
+explain`
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, TIME, UNI
 from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Family, Function
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.sb3.defaults import DEFAULTS, library_defaults, library_of
-from deepbots_cli.lint import RulePage, every_page
+from deepbots_cli.lint.pages import RulePage, every_page
 from deepbots_cli.scenario.base import (
     Forms,
     Kinds,
@@ -53,7 +54,12 @@ Route = tuple[str, ...]
 
 def pages() -> dict[str, str]:
     """The text of each page by its file name."""
-    texts = {"functions.md": _functions(), "rules.md": _rules(), "commands.md": _commands(), "glossary.md": _glossary()}
+    texts = {
+        "functions.md": _functions(),
+        "rules.md": _rules(),
+        "commands.md": _commands(),
+        "glossary.md": _glossary(),
+    }
     return {"keys.md": _Keys().text(), **texts}
 
 
@@ -72,9 +78,12 @@ class _Keys:
             "",
             _NOTE,
             "",
-            "`NAME` stands for a name of your choice. The column *known* says when deepbots knows a value: *fixed* values are"
-            " constants, *episode* values may be drawn at each reset, and *step* values are computed in each timestep.",
-            "Values are stored in SI units; the unit 1 is a plain number. [Units](../units.md) describes how values are written."
+            "`NAME` stands for a name of your choice. The column *known* says when deepbots knows a value:"
+            " *fixed* values are"
+            " constants, *episode* values may be drawn at each reset, and *step* values are computed in each"
+            " timestep.",
+            "Values are stored in SI units; the unit 1 is a plain number. [Units](../units.md) describes how"
+            " values are written."
             " The tests insert each example into a suitable scenario and run it.",
         ]
         return "\n".join([*head, *self._section("scenario", Scenario, ()), *_defaults()]) + "\n"
@@ -94,7 +103,9 @@ class _Keys:
         owners: dict[_Key, list[str]] = {}
         for name, model in models.items():
             for key in section_fields(model):
-                owners.setdefault(_Key(model, key, kind=next(iter(models)) if key == spec.key else ""), []).append(name)
+                owners.setdefault(
+                    _Key(model, key, kind=next(iter(models)) if key == spec.key else ""), []
+                ).append(name)
         rows = [(key, _of_kinds(names, list(models))) for key, names in owners.items()]
         doc = f"`{spec.key}` is one of {_listed(models)}."
         if spec.default is not None:
@@ -125,10 +136,16 @@ class _Keys:
             case MappingOf(value=inner) | ListOf(item=inner):
                 yield from self._below(f"{title}.NAME", inner, (*route, "*"))
             case Forms(options=options):
-                parts = [option for option in options if isinstance(option, type) and option is not PythonTerm]
+                parts = [
+                    option for option in options if isinstance(option, type) and option is not PythonTerm
+                ]
                 for option in options:
                     named = isinstance(option, type) and len(parts) > 1
-                    yield from self._below(f"{title} with {next(iter(section_fields(option)))}" if named else title, option, route)
+                    yield from self._below(
+                        f"{title} with {next(iter(section_fields(option)))}" if named else title,
+                        option,
+                        route,
+                    )
             case Kinds():
                 yield from self._kinds(title, spec, route)
 
@@ -136,12 +153,17 @@ class _Keys:
 def _defaults() -> Iterator[str]:
     """The hyperparameters of each algorithm, with what a training takes where the scenario is silent."""
     yield from ["", "## Defaults of the hyperparameters", ""]
-    yield "The values that a training uses if `train` does not set them. `deepbots inspect` shows them for one scenario or run."
+    yield (
+        "The values that a training uses if `train` does not set them. `deepbots inspect` shows them for"
+        " one scenario or run."
+    )
     for algorithm, model in ALGORITHMS.items():
         own, library, title = DEFAULTS[algorithm], library_defaults(algorithm) or {}, library_of(algorithm)
         yield from ["", f"### {algorithm}", "", "| hyperparameter | default | set by |", "|---|---|---|"]
         for name in model.hyperparameter_names():
-            text, source = (own[name].description, "deepbots") if name in own else (_plain(library.get(name)), title)
+            text, source = (
+                (own[name].description, "deepbots") if name in own else (_plain(library.get(name)), title)
+            )
             yield f"| `{name}` | {text} | {source} |"
 
 
@@ -149,7 +171,13 @@ def _plain(value: object) -> str:
     """A default of a library as the language writes it."""
     if value is None:
         return "none"
-    return str(value).lower() if isinstance(value, bool) else f"{value:_}" if isinstance(value, int) else str(value)
+    return (
+        str(value).lower()
+        if isinstance(value, bool)
+        else f"{value:_}"
+        if isinstance(value, int)
+        else str(value)
+    )
 
 
 class _Key:
@@ -159,10 +187,19 @@ class _Key:
         self.name = name
         self.spec = section_fields(part)[name]
         self.meaning = _cell(key_description(part, name))
-        default = "**required**" if part.model_fields[name].is_required() else f"`{written}`" if (written := default_of(part, name)) else ""
+        default = (
+            "**required**"
+            if part.model_fields[name].is_required()
+            else f"`{written}`"
+            if (written := default_of(part, name))
+            else ""
+        )
         example = found.text if (found := example_of(part, name)) else kind
         value = "a kind" if kind else _value(self.spec)
-        self.cells = f"| `{name}` | {value} | {unit_of(self.spec)} | {default} | {_known(self.spec)} | `{_cell(example)}` |"
+        self.cells = (
+            f"| `{name}` | {value} | {unit_of(self.spec)} | {default} | {_known(self.spec)} |"
+            f" `{_cell(example)}` |"
+        )
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Key) and (self.cells, self.meaning) == (other.cells, other.meaning)
@@ -186,7 +223,9 @@ def _value(spec: Shape) -> str:
             return f"mapping, each: {_inner(value)}"
         case Forms(options=options):  # short ones first
             texts = dict.fromkeys(sorted(map(_value, options), key=_openness))
-            return " **or** ".join(f"({text})" if "each:" in text and len(texts) > 1 else text for text in texts)
+            return " **or** ".join(
+                f"({text})" if "each:" in text and len(texts) > 1 else text for text in texts
+            )
         case Kinds(key=key):
             return f"mapping, kind given by `{key}`"
         case _:
@@ -246,10 +285,14 @@ _FAMILIES = {
     Family.DRAW: "Draws",
 }
 _KNOWN = {
-    Family.PURE: "A result becomes known with its latest argument: if all arguments are fixed, the result is fixed.",
-    Family.WORLD: "The present state of the world, which only the supervisor knows. The values change in each timestep (*step*).",
-    Family.MESSAGE: "The supervisor's information about messages. The values change in each timestep (*step*).",
-    Family.STATEFUL: "These functions remember values between timesteps. Their values change in each timestep (*step*). The optional"
+    Family.PURE: "A result becomes known with its latest argument: if all arguments are fixed, the result is"
+    " fixed.",
+    Family.WORLD: "The present state of the world, which only the supervisor knows. The values change in"
+    " each timestep (*step*).",
+    Family.MESSAGE: "The supervisor's information about messages. The values change in each timestep"
+    " (*step*).",
+    Family.STATEFUL: "These functions remember values between timesteps. Their values change in each"
+    " timestep (*step*). The optional"
     " argument `start` is the value before the first timestep.",
     Family.DRAW: "One draw per episode (*episode*), or, in a parameter, `every 5 s` or `each step`.",
 }
@@ -275,9 +318,12 @@ def _functions() -> str:
         "",
         _NOTE,
         "",
-        "[Units](../units.md) and [expressions](../language.md#expressions) describe their use. The examples are about one scenario: a"
-        " small two-wheeled `rover` with a camera `eye` and rays `near`, its actions `gas` and `turn`, a `ball`, and a painted line"
-        " `track`. The unit column gives the unit in which a value is stored; 1 is a plain number. *fixed*, *episode* and *step* have"
+        "[Units](../units.md) and [expressions](../language.md#expressions) describe their use. The examples"
+        " are about one scenario: a"
+        " small two-wheeled `rover` with a camera `eye` and rays `near`, its actions `gas` and `turn`, a"
+        " `ball`, and a painted line"
+        " `track`. The unit column gives the unit in which a value is stored; 1 is a plain number. *fixed*,"
+        " *episode* and *step* have"
         " the meaning that they have in [the keys](keys.md).",
         "",
         "## Units",
@@ -285,11 +331,28 @@ def _functions() -> str:
         "| unit | measures | in SI |",
         "|---|---|---|",
     ]
-    lines += [f"| `{unit.text}` | {unit.dimension.description} | {unit.to_si(1.0):.10g} |" for unit in UNITS.values()]
+    lines += [
+        f"| `{unit.text}` | {unit.dimension.description} | {unit.to_si(1.0):.10g} |"
+        for unit in UNITS.values()
+    ]
     for family, title in _FAMILIES.items():
-        lines += ["", f"## {title}", "", _KNOWN[family], "", "| function | gives | unit | example |", "|---|---|---|---|"]
+        lines += [
+            "",
+            f"## {title}",
+            "",
+            _KNOWN[family],
+            "",
+            "| function | gives | unit | example |",
+            "|---|---|---|---|",
+        ]
         lines += [_function_row(function) for function in FUNCTIONS.values() if function.family is family]
-    lines += ["", "## Where they may be called", "", f"| place | {' | '.join(_FAMILIES.values())} |", f"|---|{'---|' * len(_FAMILIES)}"]
+    lines += [
+        "",
+        "## Where they may be called",
+        "",
+        f"| place | {' | '.join(_FAMILIES.values())} |",
+        f"|---|{'---|' * len(_FAMILIES)}",
+    ]
     for context, place in _PLACES.items():
         cells = ["yes" if family in ALLOWED_FAMILIES[context] else "" for family in _FAMILIES]
         lines.append(f"| {place} | {' | '.join(cells)} |")
@@ -310,7 +373,9 @@ def _unit(function: Function) -> str:
         return f"`{function.result(ANGLE)}` or `{given}`"
     if function.result(TIME) == given:
         return "1" if given == NUMBER else f"`{given}`"
-    return {LENGTH: "as given", LENGTH * TIME: "as given, times seconds"}.get(given, "the square root of the given unit")
+    return {LENGTH: "as given", LENGTH * TIME: "as given, times seconds"}.get(
+        given, "the square root of the given unit"
+    )
 
 
 # Commands
@@ -322,8 +387,10 @@ def _commands() -> str:
         "",
         _NOTE,
         "",
-        "`deepbots COMMAND --help` prints the same. A SCENARIO is the path of a file, or the name of a [shipped scenario](../worlds.md)."
-        " A RUN is the folder of a training. All commands use the same [exit codes](../diagnostics.md#exit-codes).",
+        "`deepbots COMMAND --help` prints the same. A SCENARIO is the path of a file, or the name of a"
+        " [shipped scenario](../worlds.md)."
+        " A RUN is the folder of a training. All commands use the same [exit"
+        " codes](../diagnostics.md#exit-codes).",
     ]
     for group, commands in GROUPS.items():
         lines += ["", f"## {group}"]
@@ -339,9 +406,17 @@ def _command(name: str) -> Iterator[str]:
     yield from ("", f"### deepbots {name}", "")
     for block in command.help.split("\n\n"):
         if block.startswith("\b"):  # a block to show as it is
-            lines = [line.strip() if "deepbots " in line[:12] else line for line in cleandoc(block.removeprefix("\b")).splitlines()]
+            lines = [
+                line.strip() if "deepbots " in line[:12] else line
+                for line in cleandoc(block.removeprefix("\b")).splitlines()
+            ]
             is_examples = all(line.startswith("deepbots ") for line in lines)
-            yield from ("```console" if is_examples else "```text", *(f"$ {line}" if is_examples else line for line in lines), "```", "")
+            yield from (
+                "```console" if is_examples else "```text",
+                *(f"$ {line}" if is_examples else line for line in lines),
+                "```",
+                "",
+            )
         else:
             yield from (_with_options_marked(" ".join(block.split())), "")
     yield f"`{' '.join(['deepbots', name, '[OPTIONS]', *arguments])}`"
@@ -379,9 +454,12 @@ def _rules() -> str:
         "",
         _NOTE,
         "",
-        "Errors keep a scenario from being compiled; warnings do not, and can be suppressed. [Findings](../diagnostics.md) describes"
-        " the format of findings and the exit codes. A rule in preview may still give false positives, and runs with `--preview`. Rules"
-        " that need a simulation run with [`--deep`](../linting.md#simulating), those that search for exploits of the reward with"
+        "Errors keep a scenario from being compiled; warnings do not, and can be suppressed."
+        " [Findings](../diagnostics.md) describes"
+        " the format of findings and the exit codes. A rule in preview may still give false positives, and"
+        " runs with `--preview`. Rules"
+        " that need a simulation run with [`--deep`](../linting.md#simulating), those that search for"
+        " exploits of the reward with"
         " [`--exploits`](../linting.md#searching-for-exploits).",
         "",
         "| code | name | severity | by | what it is about |",
@@ -389,7 +467,12 @@ def _rules() -> str:
     ]
     for rule in RULES.values():
         severity = f"{rule.severity}, in preview" if rule.preview else rule.severity
-        by = {"no": "text", "too": "text, simulation", "only": "simulation", "exploits": "search for exploits"}[rule.deep]
+        by = {
+            "no": "text",
+            "too": "text, simulation",
+            "only": "simulation",
+            "exploits": "search for exploits",
+        }[rule.deep]
         lines.append(f"| {rule.code} | `{rule.name}` | {severity} | {by} | {_cell(rule.summary)} |")
     for page in every_page():
         lines += _rule_page(page)
@@ -397,13 +480,32 @@ def _rules() -> str:
 
 
 def _rule_page(page: RulePage) -> Iterator[str]:
-    """What `deepbots explain` says too; the tests lay examples in YAML upon CartPole, and read robot files as they are."""
+    """What `deepbots explain` says too; the tests lay examples in YAML upon CartPole, and read robot files as
+    they are."""
     is_second = page.deep and RULES[page.code].deep == "too"
-    yield from ["", f"### {page.code} by simulation" if is_second else f"## {page.code} {RULES[page.code].name}", "", page.about]
+    yield from [
+        "",
+        f"### {page.code} by simulation" if is_second else f"## {page.code} {RULES[page.code].name}",
+        "",
+        page.about,
+    ]
     if page.example:
         mark = "deep" if page.deep else "wrong"
-        wrong, right = ("xml", "xml") if page.language == "xml" else (f"yaml {mark} {page.code}", "yaml fragment")
-        yield from ["", f"```{wrong}", page.example, "```", "", "Instead:", "", f"```{right}", page.instead, "```"]
+        wrong, right = (
+            ("xml", "xml") if page.language == "xml" else (f"yaml {mark} {page.code}", "yaml fragment")
+        )
+        yield from [
+            "",
+            f"```{wrong}",
+            page.example,
+            "```",
+            "",
+            "Instead:",
+            "",
+            f"```{right}",
+            page.instead,
+            "```",
+        ]
 
 
 # Glossary
@@ -415,13 +517,17 @@ def _glossary() -> str:
         "",
         _NOTE,
         "",
-        "Terms of reinforcement learning and robotics, with the keys and commands of deepbots for each. `deepbots explain` prints the same"
+        "Terms of reinforcement learning and robotics, with the keys and commands of deepbots for each."
+        " `deepbots explain` prints the same"
         ' texts, and finds British and American spellings: `deepbots explain "time limit"`.',
         "",
         "| term | also |",
         "|---|---|",
     ]
-    lines += [f"| [{topic.name}](#{topic.name.replace(' ', '-')}) | {', '.join(topic.names)} |" for topic in topics()]
+    lines += [
+        f"| [{topic.name}](#{topic.name.replace(' ', '-')}) | {', '.join(topic.names)} |"
+        for topic in topics()
+    ]
     for topic in topics():
         lines += ["", f"## {topic.name}", "", " ".join(topic.about.split())]
         if topic.example:

@@ -2,8 +2,9 @@
 
     python docs/build_site.py
 
-`write_sources` copies the pages into build/docs-sources, with links that hold there, and writes the gallery. Sphinx makes HTML of them
-(conf.py). Each page is in the site as Markdown too, beside llms.txt, rules.json and the JSON Schema.
+`write_sources` copies the pages into build/docs-sources, with links that hold there, and writes the gallery.
+Sphinx makes HTML of them (conf.py). Each page is in the site as Markdown too, beside llms.txt, rules.json and
+the JSON Schema.
 """
 
 from __future__ import annotations
@@ -62,7 +63,10 @@ def write_sources(target: Path) -> None:
         place = place_of(path)
         file = target / place
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(("---\nnosearch: true\n---\n" if place in UNSEARCHED else "") + _for_site(text, path, copied), encoding="utf-8")
+        file.write_text(
+            ("---\nnosearch: true\n---\n" if place in UNSEARCHED else "") + _for_site(text, path, copied),
+            encoding="utf-8",
+        )
     for path in sorted(copied):
         file = target / place_of(path)
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -85,7 +89,11 @@ def place_of(path: str) -> str:
     if path in NAMES:
         return NAMES[path]
     path = build_gallery.merged().get(path, path)
-    return path.removeprefix("docs/") if path.startswith("docs/") else f"files/{path.replace('/.', '/').removeprefix('.')}"
+    return (
+        path.removeprefix("docs/")
+        if path.startswith("docs/")
+        else f"files/{path.replace('/.', '/').removeprefix('.')}"
+    )
 
 
 def _for_site(text: str, page: str, copied: set[str]) -> str:
@@ -116,7 +124,9 @@ def groups() -> dict[str, list[Entry]]:
         if line.startswith("## "):
             entries = found.setdefault(line.removeprefix("## "), [])
         elif row := _ROW.match(line):
-            entries.append(Entry(row[1], place_of(posixpath.normpath(posixpath.join("docs", row[2]))), row[3]))
+            entries.append(
+                Entry(row[1], place_of(posixpath.normpath(posixpath.join("docs", row[2]))), row[3])
+            )
     found["Gallery"] += [Entry(title, place_of(path), about) for path, title, about in build_gallery.listed()]
     return found
 
@@ -137,14 +147,24 @@ def llms_txt() -> str:
     """The list of pages in the form of llmstxt.org."""
     intro = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split("\n\n")[2].split())
     lines = ["# deepbots", "", f"> {intro}", ""]
-    lines += ["The JSON Schema of a scenario is `schemas/deepbots-1.schema.json`; `rules.json` holds every finding of `deepbots lint`.", ""]
+    lines += [
+        "The JSON Schema of a scenario is `schemas/deepbots-1.schema.json`; `rules.json` holds every finding"
+        " of `deepbots lint`.",
+        "",
+    ]
     for group, entries in groups().items():
-        lines += [f"## {group}", "", *(f"- [{entry.title}]({entry.place}): {entry.about}" for entry in entries), ""]
+        lines += [
+            f"## {group}",
+            "",
+            *(f"- [{entry.title}]({entry.place}): {entry.about}" for entry in entries),
+            "",
+        ]
     return "\n".join(lines)
 
 
 def write_for_machines(sources: Path, target: Path) -> None:
-    """Put the pages as Markdown with their files, the JSON Schema, the registry of findings and llms.txt into the site."""
+    """Put the pages as Markdown with their files, the JSON Schema, the registry of findings and llms.txt into
+    the site."""
     shutil.copytree(sources, target, dirs_exist_ok=True)
     shutil.copytree(ROOT / "schemas", target / "schemas", dirs_exist_ok=True)
     (target / "rules.json").write_text(json.dumps(rules_data(), indent=2) + "\n", encoding="utf-8")
@@ -152,16 +172,34 @@ def write_for_machines(sources: Path, target: Path) -> None:
 
 
 def write_html(sources: Path, target: Path) -> int:
-    """Make HTML of the pages; the exit status of Sphinx, which counts warnings as errors and names their file and line."""
+    """Make HTML of the pages; the exit status of Sphinx, which counts warnings as errors and names their file
+    and line."""
     shutil.rmtree(target, ignore_errors=True)
-    options = ["-q", "-W", "--keep-going", "-E", "-b", "html", "-c", str(ROOT / "docs"), "-d", f"{target}-trees"]
-    return subprocess.run([sys.executable, "-m", "sphinx", *options, str(sources), str(target)], check=False).returncode
+    options = [
+        "-q",
+        "-W",
+        "--keep-going",
+        "-E",
+        "-b",
+        "html",
+        "-c",
+        str(ROOT / "docs"),
+        "-d",
+        f"{target}-trees",
+    ]
+    return subprocess.run(
+        [sys.executable, "-m", "sphinx", *options, str(sources), str(target)], check=False
+    ).returncode
 
 
 def build(sources: Path = SOURCES, target: Path = SITE) -> int:
     """Build the site; an exit status."""
     if missing := [name for name in ("sphinx", "myst_parser", "furo") if find_spec(name) is None]:
-        print(f"{', '.join(missing)} cannot be imported; the site needs the extra `docs`: pip install -e '.[docs]'", file=sys.stderr)
+        print(
+            f"{', '.join(missing)} cannot be imported; the site needs the extra `docs`: pip install -e"
+            " '.[docs]'",
+            file=sys.stderr,
+        )
         return 2
     write_sources(sources)
     status = write_html(sources, target)

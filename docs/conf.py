@@ -25,7 +25,11 @@ html_show_copyright = False
 templates_path = ["theme/templates"]
 exclude_patterns = ["files"]
 myst_enable_extensions = ["html_image"]
-myst_disable_syntax = ["myst_line_comment", "myst_block_break", "myst_target"]  # a wrapped line may begin with "% of it"
+myst_disable_syntax = [
+    "myst_line_comment",
+    "myst_block_break",
+    "myst_target",
+]  # a wrapped line may begin with "% of it"
 smartquotes = False
 myst_heading_anchors = 4  # named as GitHub does
 highlight_language = "none"

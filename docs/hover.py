@@ -17,7 +17,9 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.scenario.base import Section, key_description, section_fields, shape_at
 from deepbots_cli.scenario.scenario import Scenario
 
-_BLOCK = re.compile(r'(?<=<div class="highlight-yaml notranslate"><div class="highlight"><pre>).*?(?=</pre>)', re.DOTALL)
+_BLOCK = re.compile(
+    r'(?<=<div class="highlight-yaml notranslate"><div class="highlight"><pre>).*?(?=</pre>)', re.DOTALL
+)
 _KEY = re.compile(r'<span class="nt">')
 
 
@@ -38,9 +40,14 @@ def _titled(block: str) -> str:
 
 @cache
 def _titles(text: str) -> list[str]:
-    """The description of each key of the text, in the order of Pygments; empty for a name that is not of the language."""
+    """The description of each key of the text, in the order of Pygments; empty for a name that is not of the
+    language."""
     known = dict(_described(text))
-    return [known.get(start, "") for start, kind, _ in YamlLexer().get_tokens_unprocessed(text) if kind is Name.Tag]
+    return [
+        known.get(start, "")
+        for start, kind, _ in YamlLexer().get_tokens_unprocessed(text)
+        if kind is Name.Tag
+    ]
 
 
 def _described(text: str) -> Iterator[tuple[int, str]]:

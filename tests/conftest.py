@@ -1,7 +1,8 @@
-"""Puts the engine `exact` where engines of other packages are found, and keeps temporary files of the package in folders of pytest.
+"""Puts the engine `exact` where engines of other packages are found, and keeps temporary files of the package
+in folders of pytest.
 
-Where PyBullet is not installed, as beyond Python 3.11, tests on the engine `pybullet` and tests that ask for PyBullet or for a file of
-pybullet_data are skipped.
+Where PyBullet is not installed, as beyond Python 3.11, tests on the engine `pybullet` and tests that ask for
+PyBullet or for a file of pybullet_data are skipped.
 """
 
 import gc
@@ -20,11 +21,13 @@ from deepbots_cli.engine_kinds import ENGINES
 
 sys.path.insert(0, str(Path(__file__).parent / "exact"))
 
-# The workers of pytest take all cores. Further threads of torch and BLAS wait for each other: a forward pass of a small network took 60 ms.
+# The workers of pytest take all cores. Further threads of torch and BLAS wait for each other: a forward pass
+# of a small network took 60 ms.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# No deadline: a busy machine, or the first import of scipy, takes seconds. A run draws other examples than the one before.
+# No deadline: a busy machine, or the first import of scipy, takes seconds. A run draws other examples than
+# the one before.
 hypothesis.settings.register_profile("few", deadline=None, max_examples=30)
 hypothesis.settings.register_profile("nightly", deadline=None, max_examples=200)
 hypothesis.settings.load_profile("few")
@@ -42,7 +45,8 @@ _NEEDS = (
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Collect no garbage while tests are found: it is 5 s of CPU in 16, for thousands of items that all stay."""
+    """Collect no garbage while tests are found: it is 5 s of CPU in 16, for thousands of items that all
+    stay."""
     gc.disable()
     try:
         return (yield)
@@ -52,10 +56,14 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what has the engine `pybullet` or a file of pybullet_data as a parameter, where it is not installed."""
+    """Skip what has the engine `pybullet` or a file of pybullet_data as a parameter, where it is not
+    installed."""
     for item in items if WITHOUT else ():
         values = getattr(getattr(item, "callspec", None), "params", {}).values()
-        texts = [value.read_text("utf-8") if isinstance(value, Path) and value.suffix == ".yaml" else str(value) for value in values]
+        texts = [
+            value.read_text("utf-8") if isinstance(value, Path) and value.suffix == ".yaml" else str(value)
+            for value in values
+        ]
         if any(text == "pybullet" or "pybullet_data/" in text for text in texts):
             item.add_marker(pytest.mark.skip(reason=str(WITHOUT)))
 
@@ -73,13 +81,16 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
 
 @pytest.fixture
 def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lint simulates in this process: one of its own costs 1 s of CPU, and `lint/test_simulation_process.py` has it."""
+    """Lint simulates in this process: one of its own costs 1 s of CPU, and `lint/test_simulation_process.py`
+    has it."""
     from deepbots_cli.compiler.inputs import Inputs
     from deepbots_cli.lint.rollouts import Simulator, compiled
     from deepbots_cli.lint.search import ExploitSearch
     from deepbots_cli.lint.simulation import Limits, SimulationReport
 
-    def measure(inputs: Inputs, limits: Limits, permissions: Permissions, search: bool = False) -> SimulationReport:
+    def measure(
+        inputs: Inputs, limits: Limits, permissions: Permissions, search: bool = False
+    ) -> SimulationReport:
         report = SimulationReport()
 
         def write(entry: dict[str, object]) -> None:
@@ -90,7 +101,9 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
 
         with tempfile.TemporaryDirectory() as folder:
             inputs.write(Path(folder))
-            (ExploitSearch if search else Simulator)(compiled(Path(folder)), write, begin_step, permissions=permissions).run()
+            (ExploitSearch if search else Simulator)(
+                compiled(Path(folder)), write, begin_step, permissions=permissions
+            ).run()
         report.add_line({"done": True})
         return report
 

@@ -1,7 +1,8 @@
 """From a program to what is known of its values without a simulation.
 
-`Analysis` follows names to their definitions as scalar trees, message fields to the sensors behind them, and sensors to the facts that
-they measure. It says which values are the same quantity, whatever their names, and what a value depends on.
+`Analysis` follows names to their definitions as scalar trees, message fields to the sensors behind them, and
+sensors to the facts that they measure. It says which values are the same quantity, whatever their names, and
+what a value depends on.
 
 ranges.py      the interval of a value, in any step and right after a reset; intervals as text
 conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
@@ -28,7 +29,17 @@ from deepbots_cli.expressions.intervals import INF
 from deepbots_cli.expressions.lower import Lowering, Scalars
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.scalar import children as parts
-from deepbots_cli.expressions.types import ComponentSelection, Constant, Invocation, Known, Operation, Reference, Symbol, Type, Typed
+from deepbots_cli.expressions.types import (
+    ComponentSelection,
+    Constant,
+    Invocation,
+    Known,
+    Operation,
+    Reference,
+    Symbol,
+    Type,
+    Typed,
+)
 from deepbots_cli.expressions.types import children as typed_parts
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
@@ -52,26 +63,31 @@ class _CachedLowering(Lowering):
         self._lowered: dict[int, tuple[Typed, Scalars]] = {}
 
     def scalars(self, value: Typed) -> Scalars:
-        known = self._lowered.get(id(value))
-        if known is None:
+        cached = self._lowered.get(id(value))
+        if cached is None:
             if isinstance(value, Reference):
                 self._leaves[value.symbol.name] = value.type
-            known = self._lowered[id(value)] = (value, super().scalars(value))  # a tree that is kept keeps its id
-        return known[1]
+            cached = self._lowered[id(value)] = (
+                value,
+                super().scalars(value),
+            )  # a tree that is kept keeps its id
+        return cached[1]
 
 
 class Analysis:
     """One program, with everything that several rules ask worked out once.
 
-    A sensor stands for what it measures only where its readings are exact, and a value with noise is not followed. The `ideal`
-    analysis ignores faults and noise.
+    A sensor stands for what it measures only where its readings are exact, and a value with noise is not
+    followed. The `ideal` analysis ignores faults and noise.
     """
 
     def __init__(self, program: Program, *, exact: Analysis | None = None) -> None:
-        """`exact` is the analysis of the same program of which this is the ideal one; they share lowered trees."""
+        """`exact` is the analysis of the same program of which this is the ideal one; they share lowered
+        trees."""
         self.program = program
         self._self = cast("Analysis", proxy(self))
-        """For ranges and rewards, which the analysis holds: collecting the cycles took 7 % of the time of linting 200 files."""
+        """For ranges and rewards, which the analysis holds: collecting the cycles took 7 % of the time of
+        linting 200 files."""
         self.leaves: dict[str, Type] = exact.leaves if exact else {}
         """Types of names without definition, such as action variables and readings."""
         self._is_ideal = exact is not None
@@ -79,11 +95,20 @@ class Analysis:
         self.intangible = frozenset(thing.name for thing in program.world.objects if not thing.solid)
         """Objects that nothing touches."""
         self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
-        self._defined: dict[str, tuple[Expression, str]] = {value.name: (value, "") for value in (*program.parameters, *program.signals)}
+        self._defined: dict[str, tuple[Expression, str]] = {
+            value.name: (value, "") for value in (*program.parameters, *program.signals)
+        }
         self._defined |= {ending.name: (ending, "") for ending in program.endings}
-        self._defined |= {f"{robot.name}.{value.name}": (value, robot.name) for robot in program.robots for value in robot.emit}
+        self._defined |= {
+            f"{robot.name}.{value.name}": (value, robot.name)
+            for robot in program.robots
+            for value in robot.emit
+        }
         if program.agent.goal is not None:
-            self._defined |= {"achieved": (program.agent.goal.achieved, ""), "desired": (program.agent.goal.desired, "")}
+            self._defined |= {
+                "achieved": (program.agent.goal.achieved, ""),
+                "desired": (program.agent.goal.desired, ""),
+            }
             self._defined["goal_reached"] = (_goal_reached(program.agent.goal), "")
         self._components: dict[str, dict[str | None, Scalar]] = {}
         self._lowerings: dict[str, _CachedLowering] = exact._lowerings if exact else {}
@@ -93,7 +118,8 @@ class Analysis:
         self._numbers: dict[tuple[object, ...], int] = {}
         self._ranges: dict[tuple[float, float], Ranges] = {}
         self.rates: dict[bool, dict[Scalar, float]] = {}
-        """The largest changes of values per second, as `speeds.rate_of` works them out: all, and those that are exact."""
+        """The largest changes of values per second, as `speeds.rate_of` works them out: all, and those that
+        are exact."""
         self.period = program.world.timestep * program.action_repeat
         """Seconds between two actions."""
         self.last_step = program.truncation.max_episode_steps(self.period)
@@ -141,8 +167,8 @@ class Analysis:
 
     def expression_named(self, name: str) -> Expression | None:
         """The definition of a name, where it has one."""
-        found = self._defined.get(name)
-        return found[0] if found else None
+        expression = self._defined.get(name)
+        return expression[0] if expression else None
 
     def scalars(self, value: Expression) -> tuple[Scalar, ...]:
         """A value of the supervisor, per component. Of a value in Python only the type is known."""
@@ -157,10 +183,10 @@ class Analysis:
     def resolve_aliases(self, node: Scalar) -> Scalar:
         """The definition of a name, through names that only rename; any other tree is returned as it is."""
         for _ in range(len(self._defined) + 1):
-            found = self.definition(node) if isinstance(node, Name) else None
-            if found is None:
+            definition = self.definition(node) if isinstance(node, Name) else None
+            if definition is None:
                 break
-            node = found
+            node = definition
         return node
 
     def is_noisy(self, name: str) -> bool:
@@ -180,14 +206,14 @@ class Analysis:
             trees = self.value_on_robot(value, robot) if robot else self.scalars(value)
             names = value.components if len(trees) > 1 else (None,)
             self._components[node.name] = dict(zip(names, trees, strict=False))
-        known = self._components[node.name]
-        return known[node.component] if node.component in known else next(iter(known.values()))
+        components = self._components[node.name]
+        return components[node.component] if node.component in components else next(iter(components.values()))
 
     def value_on_robot(self, value: Expression, robot: str) -> Scalars:
         """A value of a robot controller, per component. Its leaves are called `robot:name`."""
         met: dict[str, Type] = {}
         trees = _CachedLowering(value.owner, met).scalars(value.typed)
-        self.leaves.update((f"{robot}:{name}", known) for name, known in met.items())
+        self.leaves.update((f"{robot}:{name}", typed) for name, typed in met.items())
         return tuple(self._on_robot(tree, robot) for tree in trees)
 
     def _on_robot(self, node: Scalar, robot: str) -> Scalar:
@@ -195,7 +221,8 @@ class Analysis:
             case Name(name, component):
                 sensor = next((sensor for sensor in self._robots[robot].sensors if sensor.name == name), None)
                 if sensor is not None and (
-                    (self._is_ideal and sensor.world_function is not None and sensor.mount == Pose()) or sensor.is_direct
+                    (self._is_ideal and sensor.world_function is not None and sensor.mount == Pose())
+                    or sensor.is_direct
                 ):
                     return sensor.world_value(robot, component)
                 return node if name in self._defined else Name(f"{robot}:{name}", component)
@@ -215,11 +242,12 @@ class Analysis:
     # Dependencies
 
     def dependencies(self, node: Scalar) -> frozenset[str]:
-        """All names that a value depends on, its own included; `time` where it depends on how long something lasts."""
-        known = self._dependencies.get(id(node))
-        if known is None:
-            known = self._dependencies[id(node)] = (node, self._compute_dependencies(node))
-        return known[1]
+        """All names that a value depends on, its own included; `time` where it depends on how long something
+        lasts."""
+        cached = self._dependencies.get(id(node))
+        if cached is None:
+            cached = self._dependencies[id(node)] = (node, self._compute_dependencies(node))
+        return cached[1]
 
     def _compute_dependencies(self, node: Scalar) -> frozenset[str]:
         match node:
@@ -235,10 +263,10 @@ class Analysis:
 
     def drawn_dependencies(self, node: Scalar) -> frozenset[str]:
         """The drawn parameters and the bodies that a value depends on, among other names."""
-        known = self._sources.get(id(node))
-        if known is None:
-            known = self._sources[id(node)] = (node, frozenset(self._found_sources(node)))
-        return known[1]
+        cached = self._sources.get(id(node))
+        if cached is None:
+            cached = self._sources[id(node)] = (node, frozenset(self._found_sources(node)))
+        return cached[1]
 
     def _found_sources(self, node: Scalar) -> Iterator[str]:
         match node:
@@ -268,7 +296,8 @@ class Analysis:
                 waiting += parts(node)
 
     def conjuncts(self, *conditions: Scalar, limit: float = INF) -> Iterator[Scalar]:
-        """The parts of conditions that must all hold, through all names, each once; at most `limit` nodes are visited."""
+        """The parts of conditions that must all hold, through all names, each once; at most `limit` nodes are
+        visited."""
         met: set[int] = set()
         waiting = list(conditions)
         while waiting and len(met) < limit:
@@ -284,25 +313,36 @@ class Analysis:
     # Equal quantities
 
     def own_contacts(self, node: Scalar) -> list[str]:
-        """The contacts between links of one robot, which are never true: links of one robot do not touch each other."""
-        found = [part for part in self.walk_definitions(node) if isinstance(part, EngineRead) and part.function == "contact"]
-        owners = [(part, {name.partition(".")[0] for name in part.subjects}) for part in found]
+        """The contacts between links of one robot, which are never true: links of one robot do not touch each
+        other."""
+        contacts = [
+            part
+            for part in self.walk_definitions(node)
+            if isinstance(part, EngineRead) and part.function == "contact"
+        ]
+        owners = [(part, {name.partition(".")[0] for name in part.subjects}) for part in contacts]
         copies = self.program.agent.copies
         robots = self._robots.keys() - {copies.robot if copies else ""}  # a copy may touch another one
-        return sorted({f"contact({', '.join(part.subjects)})" for part, of in owners if len(of) == 1 and of <= robots})
+        return sorted(
+            {f"contact({', '.join(part.subjects)})" for part, of in owners if len(of) == 1 and of <= robots}
+        )
 
     def identity(self, node: Scalar) -> int:
         """A number that two trees share if they mean the same quantity."""
-        known = self._identities.get(id(node))
-        if known is None:
-            known = self._identities[id(node)] = (node, self._identity(node))
-        return known[1]
+        cached = self._identities.get(id(node))
+        if cached is None:
+            cached = self._identities[id(node)] = (node, self._identity(node))
+        return cached[1]
 
     def _identity(self, node: Scalar) -> int:
         match node:
             case Name():
                 meaning = self.resolve_aliases(node)
-                return self._number("name", meaning.name, meaning.component) if isinstance(meaning, Name) else self.identity(meaning)
+                return (
+                    self._number("name", meaning.name, meaning.component)
+                    if isinstance(meaning, Name)
+                    else self.identity(meaning)
+                )
             case Const(value):
                 return self._number("const", value)
             case EngineRead(function, subjects, component):
@@ -318,7 +358,8 @@ class Analysis:
         return self._numbers.setdefault(key, len(self._numbers))
 
     def distance_pair(self, node: Scalar) -> frozenset[str] | None:
-        """The two bodies whose distance this is, by any measure: between origins, between surfaces, or along a path."""
+        """The two bodies whose distance this is, by any measure: between origins, between surfaces, or along
+        a path."""
         match self.resolve_aliases(node):
             case EngineRead("clearance" | "path_distance", subjects):
                 return frozenset(self._roots.get(subject, subject) for subject in subjects)
@@ -330,15 +371,19 @@ class Analysis:
 
     def _offset(self, node: Scalar) -> frozenset[str] | None:
         match node:
-            case Op("sub", (EngineRead("position", (a,), axis), EngineRead("position", (b,), other))) if axis == other:
+            case Op("sub", (EngineRead("position", (a,), axis), EngineRead("position", (b,), other))) if (
+                axis == other
+            ):
                 return frozenset({self._roots.get(a, a), self._roots.get(b, b)})
             case _:
                 return None
 
 
 def _goal_reached(goal: Goal) -> Expression:
-    """The definition of `goal_reached`, as if it had been written out. It has no place in the scenario: its owner is empty."""
-    distance_text, limit = "norm(achieved - desired)", f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
+    """The definition of `goal_reached`, as if it had been written out. It has no place in the scenario: its
+    owner is empty."""
+    distance_text = "norm(achieved - desired)"
+    limit = f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
     text, end = f"{distance_text} <= {limit}", len(distance_text)
     size = Type(goal.achieved.typed.type.dimension, known=Known.STEP)
     whole = size._replace(components=goal.achieved.typed.type.components)
@@ -351,17 +396,20 @@ def _goal_reached(goal: Goal) -> Expression:
 
 
 def possible_returns(program: Program) -> tuple[float, float]:
-    """The least and the largest return of an episode that rewards and time limit allow; infinite where they imply none."""
-    known = return_range(Analysis(program))
-    return known.low, known.high
+    """The least and the largest return of an episode that rewards and time limit allow; infinite where they
+    imply none."""
+    interval = return_range(Analysis(program))
+    return interval.low, interval.high
 
 
 def unobserved_reads(program: Program, script: str) -> list[str]:
-    """What a script reads and the policy does not observe, as the scenario writes it: for a signal, the parts that are not observed.
+    """What a script reads and the policy does not observe, as the scenario writes it: for a signal, the parts
+    that are not observed.
 
-    A value is observed if it is a number of the observation or of the goal, or if everything that it is computed from is known by them. A
-    number makes known what it is computed from, if all but one of these values are known: a distance `a - b`, beside `b`, makes `a` known,
-    but a speed along a heading makes no heading known. Noise and clipping are left out.
+    A value is observed if it is a number of the observation or of the goal, or if everything that it is
+    computed from is known by them. A number makes known what it is computed from, if all but one of these
+    values are known: a distance `a - b`, beside `b`, makes `a` known, but a speed along a heading makes no
+    heading known. Noise and clipping are left out.
     """
     analysis, agent = Analysis(program).ideal, program.agent
 
@@ -376,14 +424,18 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
         return {source(node) for node in nodes if isinstance(node, (Name, EngineRead))}
 
     goal = () if agent.goal is None else (agent.goal.achieved, agent.goal.desired)
-    numbers = [tree for value in (*(entry.value for entry in agent.observation), *goal) for tree in analysis.scalars(value)]
+    numbers = [
+        tree
+        for value in (*(entry.value for entry in agent.observation), *goal)
+        for tree in analysis.scalars(value)
+    ]
     whole = {analysis.identity(tree) for tree in numbers}
     seen, unsolved = set[Hashable](), [sources([tree]) for tree in numbers]
     while solved := [read for read in unsolved if len(read - seen) <= 1]:
         seen.update(*solved)
         unsolved = [read for read in unsolved if not read <= seen]
     signals = {signal.name: signal for signal in program.signals}
-    found: dict[str, None] = {}
+    reads: dict[str, None] = {}
     waiting = [value for part in program.script(script).parts for value in part.values]
     for value in waiting:
         for node in _reads_in(value.typed):
@@ -394,13 +446,16 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
             signal = signals.pop(text.partition(".")[0], None) if not isinstance(node, Invocation) else None
             if signal is not None:
                 waiting.append(signal)
-            elif isinstance(node, Invocation) or text.partition(".")[0] not in {each.name for each in waiting}:
-                found[text] = None
-    return list(found)
+            elif isinstance(node, Invocation) or text.partition(".")[0] not in {
+                each.name for each in waiting
+            }:
+                reads[text] = None
+    return list(reads)
 
 
 def _reads_in(node: Typed) -> Iterator[Typed]:
-    """The named values and the functions of the world in an expression, without what is part of another one."""
+    """The named values and the functions of the world in an expression, without what is part of another
+    one."""
     match node:
         case Reference() | Constant():
             yield from () if isinstance(node, Constant) or node.symbol.value is not None else (node,)

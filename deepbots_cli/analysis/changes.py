@@ -1,7 +1,8 @@
 """What differs between two compiled scenarios, value by value.
 
-A compiled scenario is flattened to values by path, such as `world/robots/cart/model/links/pole/inertial/mass`. `_PATHS` maps the path of a
-value that differs to its path in the language, `robots.cart.links.pole`, and to the group of the difference. A change holds the texts of
+A compiled scenario is flattened to values by path, such as
+`world/robots/cart/model/links/pole/inertial/mass`. `_PATHS` maps the path of a value that differs to its path
+in the language, `robots.cart.links.pole`, and to the group of the difference. A change holds the texts of
 both scenarios at this path.
 """
 
@@ -40,13 +41,15 @@ class Effect(StrEnum):
 
 @dataclass(frozen=True)
 class WrittenScenario:
-    """A compiled scenario with its text after includes and settings; `root` is None where there is no text."""
+    """A compiled scenario with its text after includes and settings; `root` is None where there is no
+    text."""
 
     program: Program
     root: Node | None
 
     def text_at(self, path: str) -> str:
-        """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by its name."""
+        """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by
+        its name."""
         node = self._written(path)
         return "" if node is None else inline_text(node)
 
@@ -85,7 +88,9 @@ class Change:
         if self.kind == "changed" and not (self.one or self.other):
             return []
         sides = (("-", self.one, "added"), ("+", self.other, "removed"))
-        texts = [f"    {mark} {text or '(not written)'}" for mark, text, absent in sides if self.kind != absent]
+        texts = [
+            f"    {mark} {text or '(not written)'}" for mark, text, absent in sides if self.kind != absent
+        ]
         return [*texts, f"      also {self.by}"] if self.through else texts
 
     @property
@@ -99,8 +104,15 @@ class Change:
     @property
     def by(self) -> str:
         """The parameters and poses that change the meaning of the text."""
-        listed = (f"{name}: {one or '(not written)'} -> {other or '(not written)'}" for name, (one, other) in self.through.items())
-        what = "" if any(" " in name for name in self.through) else f"the parameter{'s' * (len(self.through) > 1)} "
+        listed = (
+            f"{name}: {one or '(not written)'} -> {other or '(not written)'}"
+            for name, (one, other) in self.through.items()
+        )
+        what = (
+            ""
+            if any(" " in name for name in self.through)
+            else f"the parameter{'s' * (len(self.through) > 1)} "
+        )
         return f"changed by {what}{', '.join(listed)}"
 
 
@@ -109,8 +121,8 @@ class Meanings:
     """The differences between two scenarios that say what of their policies can be compared.
 
     Attributes:
-        acting: What an observation or an action means: robots, sensors, actuators, `apply`, observation, action, control period. Policies
-            for which these differ need each their own scenario.
+        acting: What an observation or an action means: robots, sensors, actuators, `apply`, observation,
+            action, control period. Policies for which these differ need each their own scenario.
         returns: What a return sums: reward, endings, limits of an episode, goal, control period.
         success: What a success is.
     """
@@ -128,7 +140,11 @@ _SUCCESS = ("termination.success.", "goal.")
 
 def compared_meanings(one: WrittenScenario, other: WrittenScenario) -> Meanings:
     """What of the policies of two scenarios can be compared."""
-    changes = [change for change in scenario_changes(one, other) if change.group not in (Effect.cosmetic, Effect.training)]
+    changes = [
+        change
+        for change in scenario_changes(one, other)
+        if change.group not in (Effect.cosmetic, Effect.training)
+    ]
     acting, returns, success = set[str](), set[str](), set[str]()
     for program in (one.program, other.program):
         agent = program.agent
@@ -149,14 +165,14 @@ def compared_meanings(one: WrittenScenario, other: WrittenScenario) -> Meanings:
 def _names_behind(program: Program, parts: object) -> set[str]:
     """The names of the signals and parameters that parts of a program read, and of those behind them."""
     definitions = {entry.name: entry for entry in (*program.signals, *program.parameters)}
-    found: set[str] = set()
+    names: set[str] = set()
     waiting = set(_names_read(parts))
     while waiting:
         name = waiting.pop()
-        if name in definitions and name not in found:
-            found.add(name)
+        if name in definitions and name not in names:
+            names.add(name)
             waiting |= set(_names_read(definitions[name]))
-    return found
+    return names
 
 
 def _names_read(part: object) -> Iterator[str]:
@@ -192,7 +208,11 @@ _PATHS: tuple[tuple[str, str, Effect], ...] = (
     (r"robots/([^/]+)/variables/([^/]+)", r"robots.\1.receive.\2", Effect.task),
     (r"robots/([^/]+)/(\w+)/([^/]+)", r"robots.\1.\2.\3", Effect.task),
     (r"(name|summary)", r"\1", Effect.cosmetic),
-    (r"world/robots/([^/]+)/model/links/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"robots.\1.links.\2", Effect.cosmetic),
+    (
+        r"world/robots/([^/]+)/model/links/([^/]+)" + _LOOKS_PATH,
+        APPEARANCE_PREFIX + r"robots.\1.links.\2",
+        Effect.cosmetic,
+    ),
     (r"world/objects/([^/#]+)[^/]*" + _LOOKS_PATH, APPEARANCE_PREFIX + r"objects.\1", Effect.cosmetic),
     (r"world/lines/([^/]+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.lines.\1", Effect.cosmetic),
     (r"world/(\w+)" + _LOOKS_PATH, APPEARANCE_PREFIX + r"world.\1", Effect.cosmetic),
@@ -214,29 +234,58 @@ _PATHS: tuple[tuple[str, str, Effect], ...] = (
     (r"reset/(\w+)", r"reset.\1", Effect.world),
     (_AGENT + "(solved)", r"\1", Effect.training),
     (r"evaluation/(\w+)", r"evaluation.\1", Effect.training),
-    (_AGENT + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)", r"train.\1", Effect.training),
+    (
+        _AGENT + r"training/(algorithm|total_timesteps|environments|action_noise|replay|normalize|device)",
+        r"train.\1",
+        Effect.training,
+    ),
     (_AGENT + "training/teacher", "train.teacher", Effect.training),
     (_AGENT + r"training/network/(\w+)", r"train.network.\1", Effect.training),
     (_AGENT + r"training/hyperparameters/([^/]+)", r"train.\1", Effect.training),
     (_AGENT + r"scripts/([^/]+)", r"scripts.\1", Effect.training),
 )
-_AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z"))
-_CONTAINER_RECORDS = (Program, WorldModel, RobotBody, RobotModel, Robot, Route, Agent, Truncation, Reset, JointStart, Training, Network)
+_AXES = {"rpy": ("roll", "pitch", "yaw")} | dict.fromkeys(
+    ("xyz", "size", "axis", "spacing", "scale", "gravity"), ("x", "y", "z")
+)
+_CONTAINER_RECORDS = (
+    Program,
+    WorldModel,
+    RobotBody,
+    RobotModel,
+    Robot,
+    Route,
+    Agent,
+    Truncation,
+    Reset,
+    JointStart,
+    Training,
+    Network,
+)
 """Records that only hold other records; their class is not compared."""
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _MAX_LISTED = 3
 
 
 def scenario_changes(one: WrittenScenario, other: WrittenScenario) -> list[Change]:
-    """All differences, the most serious group first; empty if both scenarios compile to the same program, except for paths of files."""
-    found = [*_of_interface(one, other), *_of_values(one, other), *_of_variants(one, other), *_of_orders(one.program, other.program)]
-    if not found and identity.digest(one.program) != identity.digest(other.program):
+    """All differences, the most serious group first; empty if both scenarios compile to the same program,
+    except for paths of files."""
+    changes = [
+        *_of_interface(one, other),
+        *_of_values(one, other),
+        *_of_variants(one, other),
+        *_of_orders(one.program, other.program),
+    ]
+    if not changes and identity.digest(one.program) != identity.digest(other.program):
         path = "last digits" if list(values(one.program)) == list(values(other.program)) else "order of keys"
-        found = [Change(path, Effect.cosmetic, "changed", "", "")]
+        changes = [Change(path, Effect.cosmetic, "changed", "", "")]
     by_path: dict[str, Change] = {}
-    for change in sorted(found, key=lambda change: list(Effect).index(change.group)):
+    for change in sorted(changes, key=lambda change: list(Effect).index(change.group)):
         # Components of an observation replace the entry of the whole observation.
-        parts = [known for path, known in by_path.items() if path.startswith(f"{change.path}.") and known.group is not change.group]
+        parts = [
+            same_group
+            for path, same_group in by_path.items()
+            if path.startswith(f"{change.path}.") and same_group.group is not change.group
+        ]
         if change.path not in by_path and not parts:
             by_path[change.path] = change
     return list(by_path.values())
@@ -247,7 +296,11 @@ def _of_interface(one: WrittenScenario, other: WrittenScenario) -> Iterator[Chan
     before, after = (identity.interface(side.program)[side.program.agent.name] for side in (one, other))
     for name in dict.fromkeys((*before, *after)):
         if before.get(name) != after.get(name):
-            path = "goal.range" if name.startswith("goal") else re.sub(r"^message to robot ([^.]+)\.", r"robots.\1.receive.", name)
+            path = (
+                "goal.range"
+                if name.startswith("goal")
+                else re.sub(r"^message to robot ([^.]+)\.", r"robots.\1.receive.", name)
+            )
             path = re.sub(r"^message from robot ([^.]+)\.", r"robots.\1.emit.", path)
             old, new = ({"": side[name]} if name in side else {} for side in (before, after))
             yield _change(path, Effect.policy, old, new, one, other)
@@ -267,7 +320,8 @@ def _of_values(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]
 
 
 def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Effect], str]:
-    """The rank, the path in the language and the group of the item that a value belongs to, and its path from there."""
+    """The rank, the path in the language and the group of the item that a value belongs to, and its path from
+    there."""
     for rank, (pattern, template, group) in enumerate(_PATHS):
         if match := re.match(pattern, raw):
             path = match.expand(template)
@@ -280,15 +334,25 @@ def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Effect],
 def _is_seen(path: str, scenario: Program) -> bool:
     """Whether a robot has a camera, or the look belongs to a robot that has no other shapes."""
     name = path.removeprefix(APPEARANCE_PREFIX).split(".")[1]
-    bodies = [body for body in scenario.world.robots if path.startswith(f"{APPEARANCE_PREFIX}robots.") and body.name == name]
+    bodies = [
+        body
+        for body in scenario.world.robots
+        if path.startswith(f"{APPEARANCE_PREFIX}robots.") and body.name == name
+    ]
     shapeless = any(not any(link.collisions for link in body.model.links) for body in bodies)
     return shapeless or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors)
 
 
 def _change(
-    path: str, group: Effect, old: Mapping[str, str], new: Mapping[str, str], one: WrittenScenario, other: WrittenScenario
+    path: str,
+    group: Effect,
+    old: Mapping[str, str],
+    new: Mapping[str, str],
+    one: WrittenScenario,
+    other: WrittenScenario,
 ) -> Change:
-    """The change at a path: the texts of both scenarios, or the compiled values that differ where the texts do not."""
+    """The change at a path: the texts of both scenarios, or the compiled values that differ where the texts
+    do not."""
     section, _, name = path.partition(".")
     if section == "signals" and any(name in side.keys_at("augment") for side in (one, other)):
         path = f"augment.{name}"
@@ -300,13 +364,20 @@ def _change(
     if texts[0] != texts[1]:
         both = all(texts) and not path.startswith("parameters.")
         also = _altered_parameters(texts[0], one, other, set()) if both else {}
-        return Change(path, group, kind, *texts, {name: sides for name, sides in also.items() if name.split()[-1] in texts[1]})
+        return Change(
+            path,
+            group,
+            kind,
+            *texts,
+            {name: sides for name, sides in also.items() if name.split()[-1] in texts[1]},
+        )
     through = _altered_parameters(texts[0], one, other, set())
     return Change(path, group, kind, *(texts if through else _differing(old, new)), through)
 
 
 def _entry_of_joint(path: str, scenario: WrittenScenario) -> str | None:
-    """The only entry of `reset.joints` for the robot of a joint that has no entry of its own: that of a group with the joint."""
+    """The only entry of `reset.joints` for the robot of a joint that has no entry of its own: that of a group
+    with the joint."""
     if not path.startswith("reset.joints."):
         return None
     robot = path.split(".")[2]
@@ -315,7 +386,11 @@ def _entry_of_joint(path: str, scenario: WrittenScenario) -> str | None:
 
 
 def _kind(before: bool, after: bool) -> Kind:
-    return "changed" if before and after else "removed" if before else "added"
+    if before and after:
+        return "changed"
+    if before:
+        return "removed"
+    return "added"
 
 
 def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str]:
@@ -324,49 +399,75 @@ def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str
     if len(names) > _MAX_LISTED and not (old and new):
         return "", ""
     rest = [f"... {len(names)} in all"] if len(names) > _MAX_LISTED else []
-    shown = [[f"{name} {side[name]}".strip() for name in names[:_MAX_LISTED] if name in side] for side in (old, new)]
-    return ", ".join([*shown[0], *rest] if shown[0] else []), ", ".join([*shown[1], *rest] if shown[1] else [])
+    shown = [
+        [f"{name} {side[name]}".strip() for name in names[:_MAX_LISTED] if name in side]
+        for side in (old, new)
+    ]
+    return ", ".join([*shown[0], *rest] if shown[0] else []), ", ".join(
+        [*shown[1], *rest] if shown[1] else []
+    )
 
 
-def _altered_parameters(text: str, one: WrittenScenario, other: WrittenScenario, known: set[str]) -> dict[str, tuple[str, str]]:
-    """The parameters whose texts differ, of those in a text and of those that they are computed from; and both texts of each.
+def _altered_parameters(
+    text: str, one: WrittenScenario, other: WrittenScenario, visited: set[str]
+) -> dict[str, tuple[str, str]]:
+    """The parameters whose texts differ, of those in a text and of those that they are computed from; and
+    both texts of each.
 
     A pose of a robot is one too: `the pose stand`.
     """
-    found: dict[str, tuple[str, str]] = {}
+    altered: dict[str, tuple[str, str]] = {}
     for name in dict.fromkeys(_NAME.findall(text)):
         for robot in one.keys_at("robots"):
             poses = one.text_at(f"robots.{robot}.poses.{name}"), other.text_at(f"robots.{robot}.poses.{name}")
             if poses[0] != poses[1]:
-                found[f"the pose {name}"] = poses
+                altered[f"the pose {name}"] = poses
         here, there = one.text_at(f"parameters.{name}"), other.text_at(f"parameters.{name}")
         if here != there:
-            found[name] = here, there
-        elif here and name not in known:
-            found |= _altered_parameters(here, one, other, known | {name})
-    return found
+            altered[name] = here, there
+        elif here and name not in visited:
+            altered |= _altered_parameters(here, one, other, visited | {name})
+    return altered
 
 
 def _of_variants(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
     """Cases and stages, by the values that each changes in its scenario."""
     for section, before, after in (
-        ("evaluation.cases", _variants(one.program, one.program.cases), _variants(other.program, other.program.cases)),
-        ("curriculum", _variants(one.program, one.program.curriculum), _variants(other.program, other.program.curriculum)),
+        (
+            "evaluation.cases",
+            _variants(one.program, one.program.cases),
+            _variants(other.program, other.program.cases),
+        ),
+        (
+            "curriculum",
+            _variants(one.program, one.program.curriculum),
+            _variants(other.program, other.program.curriculum),
+        ),
     ):
         for name in dict.fromkeys((*before, *after)):
             if before.get(name) != after.get(name):
                 path = f"{section}.{name}"
-                yield Change(path, Effect.training, _kind(name in before, name in after), one.text_at(path), other.text_at(path))
+                yield Change(
+                    path,
+                    Effect.training,
+                    _kind(name in before, name in after),
+                    one.text_at(path),
+                    other.text_at(path),
+                )
 
 
 def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
     base = values(scenario)
-    found: dict[str, object] = {}
+    variants: dict[str, object] = {}
     for entry in entries:
-        made = values(entry.program)
-        changed = {path: made.get(path) for path in {**base, **made} if base.get(path) != made.get(path)}
-        found[entry.name] = {"set": changed, **dict(_leaves(replace(entry, program=None), ""))}
-    return found
+        variant_values = values(entry.program)
+        changed = {
+            path: variant_values.get(path)
+            for path in {**base, **variant_values}
+            if base.get(path) != variant_values.get(path)
+        }
+        variants[entry.name] = {"set": changed, **dict(_leaves(replace(entry, program=None), ""))}
+    return variants
 
 
 def _of_orders(one: Program, other: Program) -> Iterator[Change]:
@@ -379,7 +480,10 @@ def _of_orders(one: Program, other: Program) -> Iterator[Change]:
 
 
 def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Effect], list[str]]]:
-    yield ("order of what is observed, done and sent", Effect.policy), list(identity.interface(scenario)[scenario.agent.name])
+    yield (
+        ("order of what is observed, done and sent", Effect.policy),
+        list(identity.interface(scenario)[scenario.agent.name]),
+    )
     yield ("order of endings", Effect.task), [ending.name for ending in scenario.endings]
     yield ("order of reset.place", Effect.world), [place.body for place in scenario.reset.placements]
     yield ("order of evaluation.cases", Effect.training), [case.name for case in scenario.cases]
@@ -393,20 +497,35 @@ def values(scenario: Program) -> dict[str, str]:
     """Every value of a scenario as text, by path; without cases, stages and paths of files."""
     kinds = dict.fromkeys(scenario.failures, "failure") | dict.fromkeys(scenario.agent.success, "success")
     leaves = _leaves(replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=()), "")
-    return {re.sub(r"^endings/(\w+)", lambda found: f"endings/{kinds[found[1]]}/{found[1]}", path): text for path, text in leaves}
+    return {
+        re.sub(r"^endings/(\w+)", lambda found: f"endings/{kinds[found[1]]}/{found[1]}", path): text
+        for path, text in leaves
+    }
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
-    """The single values in a record, with their paths; numbers to twelve digits, since units are converted in floats."""
+    """The single values in a record, with their paths; numbers to twelve digits, since units are converted in
+    floats."""
     value = value.value if isinstance(value, Const) else value
     members = None if isinstance(value, Scalar) else identity.record_members(value)
     if members is not None and "scalars" in members:
-        members = {"": members["scalars"], **{name: members[name] for name in ("noise", "foreign", "redraw") if name in members}}
+        members = {
+            "": members["scalars"],
+            **{name: members[name] for name in ("noise", "foreign", "redraw") if name in members},
+        }
     elif members is not None:
         kind = {} if type(value) in _CONTAINER_RECORDS else {"kind": type(value).__name__.lower()}
         key = path.rpartition("/")[2]
-        members = kind | {name: member for name, member in members.items() if name not in ("name", "body", "robot") or member != key}
-    elif isinstance(value, tuple) and not isinstance(value, Scalar) and not all(isinstance(entry, str) for entry in value):
+        members = kind | {
+            name: member
+            for name, member in members.items()
+            if name not in ("name", "body", "robot") or member != key
+        }
+    elif (
+        isinstance(value, tuple)
+        and not isinstance(value, Scalar)
+        and not all(isinstance(entry, str) for entry in value)
+    ):
         members = _keyed(value, path)
     elif isinstance(value, Mapping):
         members = dict(value)
@@ -428,7 +547,9 @@ def _keyed(entries: tuple[Any, ...], path: str) -> dict[str, Any]:
     axes = _AXES.get(path.rpartition("/")[2], ())
     if len(entries) == len(axes):
         return dict(zip(axes, entries, strict=True))
-    return {_key(entry) or (str(index) if len(entries) > 1 else ""): entry for index, entry in enumerate(entries)}
+    return {
+        _key(entry) or (str(index) if len(entries) > 1 else ""): entry for index, entry in enumerate(entries)
+    }
 
 
 def _key(entry: Any) -> str:
@@ -445,7 +566,11 @@ def _path_of_draw(entry: RandomizedParameter) -> str:
     """The path in the language of a value that is drawn per episode."""
     body, *rest = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
     if entry.what == "color":
-        return f"{APPEARANCE_PREFIX}robots.{body}.links.{rest[0]}" if rest and rest[0] else f"{APPEARANCE_PREFIX}objects.{body}"
+        return (
+            f"{APPEARANCE_PREFIX}robots.{body}.links.{rest[0]}"
+            if rest and rest[0]
+            else f"{APPEARANCE_PREFIX}objects.{body}"
+        )
     first = entry.scalars[0]
     if isinstance(first, Draw):
         return first.stream.partition("#")[0].partition(":")[0]

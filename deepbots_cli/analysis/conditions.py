@@ -1,4 +1,5 @@
-"""Conditions: the comparisons in them, the thresholds that these set for quantities, and endings that hide others."""
+"""Conditions: the comparisons in them, the thresholds that these set for quantities, and endings that hide
+others."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ _MIN_LEAD_SHARE = 0.02
 """By this share of its limit another ending has to hold first: a value may pass both limits within a step."""
 _MAX_ENDINGS = 32
 """With more endings, not all pairs are compared."""
-_CONTINUOUS_FUNCTIONS = frozenset({"position", "orientation", "joint_position", "clearance", "cross_track_error", "arc_length"})
+_CONTINUOUS_FUNCTIONS = frozenset(
+    {"position", "orientation", "joint_position", "clearance", "cross_track_error", "arc_length"}
+)
 """Facts that do not jump, unlike speeds and forces when bodies collide."""
 
 
@@ -36,21 +39,30 @@ class ConditionComparison(NamedTuple):
 
 
 def comparisons(analysis: Analysis, condition: Expression) -> Iterator[ConditionComparison]:
-    """Comparisons of which at least one must hold for the condition to hold; also those within `duration(...)`."""
+    """Comparisons of which at least one must hold for the condition to hold; also those within
+    `duration(...)`."""
     yield from _compared(analysis, condition, condition.typed, set()) if condition.foreign is None else ()
 
 
-def _compared(analysis: Analysis, value: Expression, node: Typed, met: set[str]) -> Iterator[ConditionComparison]:
+def _compared(
+    analysis: Analysis, value: Expression, node: Typed, met: set[str]
+) -> Iterator[ConditionComparison]:
     match node:
         case Operation(operator=operator) if operator in _COMPARISONS:
             long, short = node.args if node.operator.startswith("greater") else node.args[::-1]
-            is_long = isinstance(long, Invocation) and long.function == "duration" and not isinstance(short, Invocation)
+            is_long = (
+                isinstance(long, Invocation)
+                and long.function == "duration"
+                and not isinstance(short, Invocation)
+            )
             held = long.args[0] if is_long and isinstance(long, Invocation) else None
             yield from _compared(analysis, value, held, met) if held else (ConditionComparison(value, node),)
         case Operation(operator="and" | "or", args=args):
             for arg in args:
                 yield from _compared(analysis, value, arg, met)
-        case Reference(symbol=symbol) if (meant := analysis.expression_named(symbol.name)) is not None and meant.typed.type.boolean:
+        case Reference(symbol=symbol) if (
+            meant := analysis.expression_named(symbol.name)
+        ) is not None and meant.typed.type.boolean:
             if symbol.name not in met and meant.foreign is None:
                 met.add(symbol.name)
                 yield from _compared(analysis, meant, meant.typed, met)
@@ -58,15 +70,19 @@ def _compared(analysis: Analysis, value: Expression, node: Typed, met: set[str])
 
 def only_comparison(analysis: Analysis, condition: Expression) -> ConditionComparison | None:
     """The comparison that a condition is; None for a conjunction, a disjunction and others."""
-    meaning, found = analysis.resolve_aliases(analysis.scalars(condition)[0]), list(comparisons(analysis, condition))
-    return found[0] if len(found) == 1 and isinstance(meaning, Op) and meaning.op in _COMPARISONS else None
+    meaning = analysis.resolve_aliases(analysis.scalars(condition)[0])
+    compared = list(comparisons(analysis, condition))
+    return (
+        compared[0] if len(compared) == 1 and isinstance(meaning, Op) and meaning.op in _COMPARISONS else None
+    )
 
 
 class Threshold(NamedTuple):
-    """A condition needs `quantity` above (or below) some value in `bound`; `dimension` is None where it is unknown.
+    """A condition needs `quantity` above (or below) some value in `bound`; `dimension` is None where it is
+    unknown.
 
-    `now` is false where the condition may hold without: `running_max(x) > 1 m` holds for ever after, and `abs(x) > 1 m` needs one of
-    two things.
+    `now` is false where the condition may hold without: `running_max(x) > 1 m` holds for ever after, and
+    `abs(x) > 1 m` needs one of two things.
     """
 
     quantity: Scalar
@@ -89,7 +105,10 @@ def is_clock(analysis: Analysis, quantity: Scalar) -> bool:
 
 def has_choice(analysis: Analysis, condition: Expression) -> bool:
     """Whether one part of a condition may hold without the others."""
-    return any(isinstance(part, Op) and part.op == "or" for part in analysis.conjuncts(analysis.scalars(condition)[0]))
+    return any(
+        isinstance(part, Op) and part.op == "or"
+        for part in analysis.conjuncts(analysis.scalars(condition)[0])
+    )
 
 
 def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Threshold]:
@@ -115,9 +134,16 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
             now = threshold.now and ranges.of(inner).low >= 0.0
             yield from _derived(threshold._replace(quantity=inner, now=now), ranges)
             if threshold.above:
-                yield from _derived(Threshold(inner, False, iv.negate(threshold.bound), threshold.dimension, False), ranges)
+                yield from _derived(
+                    Threshold(inner, False, iv.negate(threshold.bound), threshold.dimension, False), ranges
+                )
         case Op("neg", (inner,)):
-            yield from _derived(threshold._replace(quantity=inner, above=not threshold.above, bound=iv.negate(threshold.bound)), ranges)
+            yield from _derived(
+                threshold._replace(
+                    quantity=inner, above=not threshold.above, bound=iv.negate(threshold.bound)
+                ),
+                ranges,
+            )
         case Op("add" | "sub" | "mul" | "div" as op, (a, b)):
             yield from _solved(op, a, b, threshold, ranges)
         case State(function, (inner, *_)) if function in ORDER_PRESERVING:
@@ -128,50 +154,64 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
 
 def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
     """`a + b > c` needs a > c - b, where b is known."""
-    known, unknown = (ranges.of(b), a) if ranges.of(b).is_finite else (ranges.of(a), b)
-    if not known.is_finite or ranges.of(unknown).is_single:
+    limit, unknown = (ranges.of(b), a) if ranges.of(b).is_finite else (ranges.of(a), b)
+    if not limit.is_finite or ranges.of(unknown).is_single:
         return
-    if op in ("mul", "div") and (known.low <= 0.0 <= known.high or (op == "div" and unknown is b)):
+    if op in ("mul", "div") and (limit.low <= 0.0 <= limit.high or (op == "div" and unknown is b)):
         return
     above = threshold.above
     match op:
         case "add":
-            bound = iv.subtract(threshold.bound, known)
+            bound = iv.subtract(threshold.bound, limit)
         case "sub" if unknown is a:
-            bound = iv.add(threshold.bound, known)
+            bound = iv.add(threshold.bound, limit)
         case "sub":
-            bound, above = iv.subtract(known, threshold.bound), not above
+            bound, above = iv.subtract(limit, threshold.bound), not above
         case _:
             solve = iv.divide if op == "mul" else iv.multiply
-            bound, above = solve(threshold.bound, known), above == (known.low > 0.0)
+            bound, above = solve(threshold.bound, limit), above == (limit.low > 0.0)
     dimension = threshold.dimension if op in ("add", "sub") else None
     yield from _derived(Threshold(unknown, above, bound, dimension, threshold.now), ranges)
 
 
 def shadowed_endings(analysis: Analysis) -> Mapping[Expression, Expression]:
-    """Endings that have no effect, each with the ending that always holds first: `abs(x) > 45 cm` after `abs(x) > 39 cm`.
+    """Endings that have no effect, each with the ending that always holds first: `abs(x) > 45 cm` after
+    `abs(x) > 39 cm`.
 
     A failure has precedence over a success, so a failure behind a success still counts.
     """
     program, success, ranges = analysis.program, analysis.program.agent.success, analysis.ranges_in(0.0, INF)
-    own = [ending for ending in program.endings if ending.foreign is None and not ranges.of(analysis.scalars(ending)[0]).is_single]
-    found: dict[Expression, Expression] = {}
+    own = [
+        ending
+        for ending in program.endings
+        if ending.foreign is None and not ranges.of(analysis.scalars(ending)[0]).is_single
+    ]
+    shadowed: dict[Expression, Expression] = {}
     for late in own if 1 < len(own) <= _MAX_ENDINGS else ():
-        others = [other for other in own if other is not late and (late.name in success or other.name not in success)]
+        others = [
+            other
+            for other in own
+            if other is not late and (late.name in success or other.name not in success)
+        ]
         if not others or has_choice(analysis, late):
             continue
         for comparison in comparisons(analysis, late):
             for threshold in thresholds(comparison, ranges):
                 if not threshold.now or not _is_gradual(analysis, threshold.quantity):
                     continue
-                ahead = threshold.limit - (1.0 if threshold.above else -1.0) * _MIN_LEAD_SHARE * abs(threshold.limit)
-                there = ranges.where(
-                    analysis.identity(threshold.quantity), Interval(ahead, INF) if threshold.above else Interval(-INF, ahead)
+                ahead = threshold.limit - (1.0 if threshold.above else -1.0) * _MIN_LEAD_SHARE * abs(
+                    threshold.limit
                 )
-                first = next((other for other in others if there.of(analysis.scalars(other)[0]) == ALWAYS), None)
+                there = ranges.where(
+                    analysis.identity(threshold.quantity),
+                    Interval(ahead, INF) if threshold.above else Interval(-INF, ahead),
+                )
+                first = next(
+                    (other for other in others if there.of(analysis.scalars(other)[0]) == ALWAYS), None
+                )
                 if first is not None:
-                    found.setdefault(late, first)
-    return found
+                    shadowed.setdefault(late, first)
+    return shadowed
 
 
 def _is_gradual(analysis: Analysis, quantity: Scalar) -> bool:

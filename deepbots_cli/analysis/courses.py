@@ -1,8 +1,10 @@
-"""The values of a program along an assumed course of some quantities, timestep by timestep, without a simulated world.
+"""The values of a program along an assumed course of some quantities, timestep by timestep, without a
+simulated world.
 
-A `Course` fixes quantities, such as a distance, and the clock in each timestep. Every other fact of the world keeps one value that is not
-known: it stands for all values of its range, and it never changes. So `delta` of it is 0, and speeds are 0. `ways` solves a condition:
-which values of the compared quantities make it true, or false.
+A `Course` fixes quantities, such as a distance, and the clock in each timestep. Every other fact of the world
+keeps one value that is not known: it stands for all values of its range, and it never changes. So `delta` of
+it is 0, and speeds are 0. `ways` solves a condition: which values of the compared quantities make it true, or
+false.
 """
 
 from __future__ import annotations
@@ -49,9 +51,11 @@ Way = Mapping[int, Required]
 
 
 def ways(analysis: Analysis, condition: Scalar, *, truth: bool = True) -> list[Way]:
-    """The ways in which quantities make a condition true or false; of very many only the first; none where it cannot be so.
+    """The ways in which quantities make a condition true or false; of very many only the first; none where it
+    cannot be so.
 
-    A condition about how long or how often something has been so is met by what it counts: `duration(near) > 1 s` by `near`.
+    A condition about how long or how often something has been so is met by what it counts: `duration(near) >
+    1 s` by `near`.
     """
     node = analysis.resolve_aliases(condition)
     match node:
@@ -73,21 +77,21 @@ def ways(analysis: Analysis, condition: Scalar, *, truth: bool = True) -> list[W
 
 
 def _together(parts: list[list[Way]]) -> list[Way]:
-    found = (merged(*chosen) for chosen in product(*parts))
-    return [way for way in islice(found, _MAX_WAYS * _MAX_WAYS) if way is not None][:_MAX_WAYS]
+    combined = (merged(*chosen) for chosen in product(*parts))
+    return [way for way in islice(combined, _MAX_WAYS * _MAX_WAYS) if way is not None][:_MAX_WAYS]
 
 
 def merged(*chosen: Way) -> Way | None:
     """What all these ways require; None where they contradict each other."""
-    found: dict[int, Required] = {}
+    requirements: dict[int, Required] = {}
     for way in chosen:
         for quantity, required in way.items():
-            known = found.get(quantity, required).within
-            low, high = max(known.low, required.within.low), min(known.high, required.within.high)
+            within = requirements.get(quantity, required).within
+            low, high = max(within.low, required.within.low), min(within.high, required.within.high)
             if low > high:
                 return None
-            found[quantity] = Required(required.node, Interval(low, high))
-    return found
+            requirements[quantity] = Required(required.node, Interval(low, high))
+    return requirements
 
 
 def _compared(analysis: Analysis, whole: Op, a: Scalar, b: Scalar, *, rising: bool, truth: bool) -> list[Way]:
@@ -118,23 +122,39 @@ def _is_settled(analysis: Analysis, node: Scalar) -> bool:
     """Whether a value does not change within an episode."""
     drawn = {value.name for value in analysis.program.parameters}
     parts = analysis.walk_definitions(node)
-    return all(isinstance(part, (Const, Op, Draw)) or (isinstance(part, Name) and part.name in drawn) for part in parts)
+    return all(
+        isinstance(part, (Const, Op, Draw)) or (isinstance(part, Name) and part.name in drawn)
+        for part in parts
+    )
 
 
 def _counted(analysis: Analysis, quantity: Scalar) -> tuple[State, bool] | None:
-    """The memory that a quantity counts with, and whether it rises with it; None for a quantity of the present."""
+    """The memory that a quantity counts with, and whether it rises with it; None for a quantity of the
+    present."""
     node = analysis.resolve_aliases(quantity)
     match node:
-        case State("duration" | "integral" | "accumulate" | "low_pass" | "hold" | "previous" | "running_max" | "running_min"):
+        case State(
+            "duration"
+            | "integral"
+            | "accumulate"
+            | "low_pass"
+            | "hold"
+            | "previous"
+            | "running_max"
+            | "running_min"
+        ):
             return node, True
         case Op("neg", (inner,)):
-            found = _counted(analysis, inner)
-            return None if found is None else (found[0], not found[1])
-        case Op("add" | "sub" | "mul" | "div" as op, (a, b)) if analysis.ranges.of(b).is_single or analysis.ranges.of(a).is_single:
+            counted = _counted(analysis, inner)
+            return None if counted is None else (counted[0], not counted[1])
+        case Op("add" | "sub" | "mul" | "div" as op, (a, b)) if (
+            analysis.ranges.of(b).is_single or analysis.ranges.of(a).is_single
+        ):
             is_first = analysis.ranges.of(b).is_single
-            found, factor = _counted(analysis, a if is_first else b), analysis.ranges.of(b if is_first else a)
+            counted = _counted(analysis, a if is_first else b)
+            factor = analysis.ranges.of(b if is_first else a)
             falls = (op in ("mul", "div") and factor.high < 0.0) or (op in ("sub", "div") and not is_first)
-            return None if found is None else (found[0], found[1] != falls)
+            return None if counted is None else (counted[0], counted[1] != falls)
         case _:
             return None
 
@@ -158,13 +178,21 @@ def _ways_to_count(analysis: Analysis, counted: tuple[State, bool], *, above: bo
 class Course(Ranges):
     """The ranges of values in the timesteps of a course; `follow` moves to the next one.
 
-    `flags` are the truth values of `terminated`, `truncated` and `ended`; endings have those of their conditions.
+    `flags` are the truth values of `terminated`, `truncated` and `ended`; endings have those of their
+    conditions.
     """
 
     def __init__(
-        self, analysis: Analysis, watched: list[Scalar], quantities: Mapping[int, Scalar], *, begin: float, is_moving: bool
+        self,
+        analysis: Analysis,
+        watched: list[Scalar],
+        quantities: Mapping[int, Scalar],
+        *,
+        begin: float,
+        is_moving: bool,
     ) -> None:
-        """`watched` are the trees whose memories advance, `quantities` those that the course fixes; it begins in the step `begin`."""
+        """`watched` are the trees whose memories advance, `quantities` those that the course fixes; it begins
+        in the step `begin`."""
         super().__init__(analysis, {}, (min(begin, float(analysis.last_step)), float(analysis.last_step)))
         self._is_moving = is_moving
         self._course = quantities
@@ -179,8 +207,16 @@ class Course(Ranges):
         self._ticks = self.steps[0] * analysis.program.action_repeat
         parts = [part for tree in watched for part in analysis.walk_definitions(tree)]
         self._states = {analysis.identity(part): part for part in parts if isinstance(part, State)}
-        pairs = {pair: key for key, node in quantities.items() if (pair := analysis.distance_pair(node)) is not None}
-        same = ((part, pairs.get(pair)) for part in parts if (pair := analysis.distance_pair(part)) is not None) if pairs else ()
+        pairs = {
+            pair: key
+            for key, node in quantities.items()
+            if (pair := analysis.distance_pair(node)) is not None
+        }
+        same = (
+            ((part, pairs.get(pair)) for part in parts if (pair := analysis.distance_pair(part)) is not None)
+            if pairs
+            else ()
+        )
         self._same = {analysis.identity(part): key for part, key in same if key is not None}
         """Other measures of a distance that the course fixes."""
 
@@ -196,7 +232,11 @@ class Course(Ranges):
     def _set_clock(self, ticks: float) -> None:
         repeat = self.analysis.program.action_repeat
         self._ticks = min(ticks, self.steps[1] * repeat)
-        self.given = {**self.given, "time": single(self._ticks * self._tick), "step": single(float(floor(self._ticks / repeat)))}
+        self.given = {
+            **self.given,
+            "time": single(self._ticks * self._tick),
+            "step": single(float(floor(self._ticks / repeat))),
+        }
 
     @property
     def memories(self) -> Mapping[int, Interval]:
@@ -204,7 +244,8 @@ class Course(Ranges):
         return dict(self._memory)
 
     def skip(self, since: Mapping[int, Interval], rounds: float, ticks: int) -> None:
-        """Skip rounds of so many timesteps, in each of which a memory changes as much as since these `memories`."""
+        """Skip rounds of so many timesteps, in each of which a memory changes as much as since these
+        `memories`."""
         for identity, now in self._memory.items():
             before = since.get(identity, now)
             state = self._states.get(identity)
@@ -216,10 +257,11 @@ class Course(Ranges):
         self._set_clock(self._ticks + rounds * ticks)
 
     def certain(self, node: Scalar) -> float:
-        """What a value is at least, where memories leave it open, and at most, where only facts of the present do.
+        """What a value is at least, where memories leave it open, and at most, where only facts of the
+        present do.
 
-        Facts of the present may have any value, at any time. The range of a memory says nothing of what it kept before: a `running_max`
-        of a range does not rise by this range in each timestep.
+        Facts of the present may have any value, at any time. The range of a memory says nothing of what it
+        kept before: a `running_max` of a range does not rise by this range in each timestep.
         """
         value, identity = self.of(node), self.analysis.identity(node)
         if identity not in self._remembers:
@@ -243,10 +285,10 @@ class Course(Ranges):
             return self._constant[identity]
         if identity in self._same:
             return self._values[self._same[identity]]
-        found = super()._of(node)
+        interval = super()._of(node)
         if not self._varies(node):
-            self._constant[identity] = found
-        return found
+            self._constant[identity] = interval
+        return interval
 
     def _varies(self, node: Scalar) -> bool:
         """Whether a value depends on what the course fixes, on memories, or on how an episode ends."""
@@ -254,7 +296,9 @@ class Course(Ranges):
         identity = self.analysis.identity(node)
         if identity not in self._is_varied:
             self._is_varied[identity] = True  # a definition that refers to itself
-            self._is_varied[identity] = self._is_source(node, identity) or any(map(self._varies, _parts(node)))
+            self._is_varied[identity] = self._is_source(node, identity) or any(
+                map(self._varies, _parts(node))
+            )
         return self._is_varied[identity]
 
     def _is_source(self, node: Scalar, identity: int) -> bool:
@@ -272,7 +316,11 @@ class Course(Ranges):
     def _unchanged(self, node: Scalar) -> Scalar:
         """The value one timestep later, where it does not vary."""
         meaning = self.analysis.resolve_aliases(node)
-        if isinstance(meaning, State) and meaning.function == "previous" and not self._varies(meaning.args[0]):
+        if (
+            isinstance(meaning, State)
+            and meaning.function == "previous"
+            and not self._varies(meaning.args[0])
+        ):
             return meaning.args[0]
         return meaning
 
@@ -318,7 +366,9 @@ class Course(Ranges):
                 kept = value = iv.where(args[1], x, x if before is None else before)
             case "low_pass":
                 share = iv.divide(single(self._tick), iv.add(args[1], single(self._tick)))
-                kept = value = x if before is None or not self._varies(node.args[0]) else _mixed(before, x, share)
+                kept = value = (
+                    x if before is None or not self._varies(node.args[0]) else _mixed(before, x, share)
+                )
             case "running_max":
                 kept = value = x if before is None else iv.maximum(before, x)
             case "running_min":
@@ -353,11 +403,11 @@ def _parts(node: Scalar) -> tuple[Scalar, ...]:
 
 def value_within(ranges: Ranges, required: Required) -> float:
     """A value that a way allows: the middle of two bounds, or just beyond the only one."""
-    known, (low, high) = ranges.of(required.node), required.within
+    bounds, (low, high) = ranges.of(required.node), required.within
     if low == high:
         return low
-    if low == -INF and 0.0 < high < INF and known.low > -INF:
-        return (max(known.low, 0.0) + high) / 2
+    if low == -INF and 0.0 < high < INF and bounds.low > -INF:
+        return (max(bounds.low, 0.0) + high) / 2
     if low > -INF and high < INF:
         return (low + high) / 2
     return beyond(low, 1.0) if low > -INF else beyond(high, -1.0)
@@ -374,8 +424,14 @@ def thresholds_of(analysis: Analysis, trees: list[Scalar]) -> Iterator[tuple[Sca
         if isinstance(part, Op) and part.op in _COMPARISONS:
             for quantity, other in (part.args, part.args[::-1]):
                 bound = analysis.ranges.of(other)
-                is_compared = _is_settled(analysis, other) and not _is_settled(analysis, quantity) and bound.is_finite
-                if is_compared and not is_clock(analysis, quantity) and _may_go_to_and_fro(analysis, quantity, bound):
+                is_compared = (
+                    _is_settled(analysis, other) and not _is_settled(analysis, quantity) and bound.is_finite
+                )
+                if (
+                    is_compared
+                    and not is_clock(analysis, quantity)
+                    and _may_go_to_and_fro(analysis, quantity, bound)
+                ):
                     yield quantity, (bound.low + bound.high) / 2
 
 
@@ -387,11 +443,15 @@ def _may_go_to_and_fro(analysis: Analysis, quantity: Scalar, bound: Interval) ->
 
 def hold_times(analysis: Analysis, trees: list[Scalar]) -> set[float]:
     """The times (s) with which trees compare how long something lasts."""
-    found: set[float] = set()
+    times: set[float] = set()
     for part in (part for tree in trees for part in analysis.walk_definitions(tree)):
         if isinstance(part, Op) and part.op in _COMPARISONS:
             for quantity, other in (part.args, part.args[::-1]):
                 counted = _counted(analysis, quantity)
-                if counted is not None and counted[0].function == "duration" and analysis.ranges.of(other).is_finite:
-                    found.add(analysis.ranges.of(other).high)
-    return found
+                if (
+                    counted is not None
+                    and counted[0].function == "duration"
+                    and analysis.ranges.of(other).is_finite
+                ):
+                    times.add(analysis.ranges.of(other).high)
+    return times

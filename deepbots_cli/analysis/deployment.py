@@ -29,18 +29,21 @@ class Deployment:
         self._program = program
         self.definitions = Definitions(program)
         self._roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
-        self.joints = {f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints}
+        self.joints = {
+            f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints
+        }
 
     @cached_property
     def sensed(self) -> Mapping[EngineRead, tuple[Robot, Sensor, int]]:
-        """The readings that are a component of a sensor without faults: robot, sensor and the index of the component."""
-        found: dict[EngineRead, tuple[Robot, Sensor, int]] = {}
+        """The readings that are a component of a sensor without faults: robot, sensor and the index of the
+        component."""
+        sensors: dict[EngineRead, tuple[Robot, Sensor, int]] = {}
         for robot in self._program.robots:
             for sensor in robot.sensors if self._program.is_direct(robot, "from_robot") else ():
                 for index, component in enumerate(sensor.components or (None,)):
                     if sensor.is_direct:
-                        found.setdefault(sensor.world_value(robot.name, component), (robot, sensor, index))
-        return found
+                        sensors.setdefault(sensor.world_value(robot.name, component), (robot, sensor, index))
+        return sensors
 
     def subjects(self, read: EngineRead) -> tuple[str, ...]:
         """The parts of the world that a reading is about; a robot for its root link."""
@@ -51,13 +54,20 @@ class Deployment:
         return f"{read.function}({', '.join(self.subjects(read))})"
 
     def is_measured(self, read: EngineRead) -> bool:
-        """Whether the robot measures it: the age of its messages, or a joint of which it has a sensor of this kind."""
+        """Whether the robot measures it: the age of its messages, or a joint of which it has a sensor of this
+        kind."""
         if read.function in _OF_CHANNEL or read in self.sensed:
             return True
         joint = self.joints.get(read.subjects[0])
-        robot = next((robot for robot in self._program.robots if robot.name == read.subjects[0].partition(".")[0]), None)
+        robot = next(
+            (robot for robot in self._program.robots if robot.name == read.subjects[0].partition(".")[0]),
+            None,
+        )
         sensors = robot.sensors if robot is not None and joint is not None else ()
-        return any(sensor.kind == read.function and joint is not None and joint.name in sensor.subjects for sensor in sensors)
+        return any(
+            sensor.kind == read.function and joint is not None and joint.name in sensor.subjects
+            for sensor in sensors
+        )
 
     @cached_property
     def unmeasured(self) -> tuple[str, ...]:
@@ -87,6 +97,11 @@ class Deployment:
         for robot in self._program.robots:
             if robot.name in agent.robots:
                 sent = {entry.name: entry for entry in robot.receive}
-                names = [leaf.name for command in robot.commands for tree in command.scalars for leaf in names_in(tree)]
+                names = [
+                    leaf.name
+                    for command in robot.commands
+                    for tree in command.scalars
+                    for leaf in names_in(tree)
+                ]
                 for value in dict.fromkeys(sent[name] for name in names if name in sent):
                     yield from value.scalars

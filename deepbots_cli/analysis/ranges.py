@@ -1,8 +1,9 @@
 """Value ranges: intervals of scalar trees, sharper than the intervals of their types.
 
-The type of an expression is known without its context. Here names are followed to their definitions, component by component, and
-leaves are narrowed by what the scenario says of an episode: joint limits, the start, which endings hold. Truth values are 0 and 1:
-[0, 0] is never true and [1, 1] always true. An infinite bound means that nothing is known.
+The type of an expression is known without its context. Here names are followed to their definitions,
+component by component, and leaves are narrowed by what the scenario says of an episode: joint limits, the
+start, which endings hold. Truth values are 0 and 1: [0, 0] is never true and [1, 1] always true. An infinite
+bound means that nothing is known.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ class Ranges:
         steps: tuple[float, float] | None = None,
         kept: tuple[int, Interval] | None = None,
     ) -> None:
-        """The names in `given` have these values; the quantity with the identity `kept[0]` stays within `kept[1]`.
+        """The names in `given` have these values; the quantity with the identity `kept[0]` stays within
+        `kept[1]`.
 
         `steps` are the first and the last step, by default all steps of an episode.
         """
@@ -57,10 +59,10 @@ class Ranges:
 
     def of(self, node: Scalar) -> Interval:
         """The range of a value. Trees are looked up by their id: hashing a tree walks it."""
-        known = self._known.get(id(node))
-        if known is None:
-            known = self._known[id(node)] = (node, self._of(node))  # a tree that is kept keeps its id
-        return known[1]
+        cached = self._known.get(id(node))
+        if cached is None:
+            cached = self._known[id(node)] = (node, self._of(node))  # a tree that is kept keeps its id
+        return cached[1]
 
     def _of(self, node: Scalar) -> Interval:
         if isinstance(node, Const):
@@ -86,13 +88,16 @@ class Ranges:
             return self.given[node.name]
         if node not in self._names:
             meaning = self.analysis.resolve_aliases(node)
-            known = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
+            interval = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
             goal = self.analysis.program.agent.goal
-            if goal is not None and node.name in ("achieved", "desired"):  # both are clipped to the range of the goal
+            if goal is not None and node.name in (
+                "achieved",
+                "desired",
+            ):  # both are clipped to the range of the goal
                 names = goal.achieved.components or (None,)
                 at = names.index(node.component) if node.component in names else 0
-                known = iv.clamp(known, single(goal.low[at]), single(goal.high[at]))
-            self._names[node] = known
+                interval = iv.clamp(interval, single(goal.low[at]), single(goal.high[at]))
+            self._names[node] = interval
         return self._names[node]
 
     def _leaf(self, node: Name) -> Interval:
@@ -101,15 +106,21 @@ class Ranges:
         if self.analysis.is_noisy(node.name):
             return EVERYTHING
         foreign = self.analysis.expression_named(node.name)
-        known = foreign.typed.type if foreign is not None else self.analysis.leaves.get(node.name)
-        return known.interval_of(node.component) if known else EVERYTHING
+        leaf_type = foreign.typed.type if foreign is not None else self.analysis.leaves.get(node.name)
+        return leaf_type.interval_of(node.component) if leaf_type else EVERYTHING
 
     def _world(self, node: EngineRead) -> Interval:
         if node.function == "joint_position":
             robot, _, name = node.subjects[0].partition(".")
             limit = self.analysis.body(robot).model.joint(name).limit
-            return EVERYTHING if limit.lower is None or limit.upper is None else Interval(limit.lower, limit.upper)
-        if node.function in ("contact", "collided") and not self.analysis.intangible.isdisjoint(node.subjects):
+            return (
+                EVERYTHING
+                if limit.lower is None or limit.upper is None
+                else Interval(limit.lower, limit.upper)
+            )
+        if node.function in ("contact", "collided") and not self.analysis.intangible.isdisjoint(
+            node.subjects
+        ):
             return NEVER
         function = FUNCTIONS.get(node.function)
         return TRUTH if function is None or function.boolean else function.interval()
@@ -129,7 +140,12 @@ class Ranges:
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
         if op == "where":
             condition = self.of(args[0])
-            chosen = args[1:2] if condition.low > 0.0 else args[2:] if condition.high <= 0.0 else args[1:]
+            if condition.low > 0.0:
+                chosen = args[1:2]
+            elif condition.high <= 0.0:
+                chosen = args[2:]
+            else:
+                chosen = args[1:]
             return hull([self.of(arg) for arg in chosen])
         if op == "mul" and args[0] == args[1]:
             return iv.power(self.of(args[0]), single(2.0))
@@ -143,19 +159,22 @@ class Ranges:
         """Whether a quantity would have to be above and below: `x > 20 cm and x < 10 cm`."""
         within: dict[int, Interval] = {}
         for quantity, required in self._required(conditions):
-            known = within.get(quantity, EVERYTHING)
-            low, high = max(known.low, required.low), min(known.high, required.high)
+            interval = within.get(quantity, EVERYTHING)
+            low, high = max(interval.low, required.low), min(interval.high, required.high)
             if low > high:
                 return True
             within[quantity] = Interval(low, high)
         return False
 
     def _required(self, conditions: Sequence[Scalar]) -> Iterator[tuple[int, Interval]]:
-        """The range of each quantity in which all these conditions can hold; of very many conditions only the first count."""
+        """The range of each quantity in which all these conditions can hold; of very many conditions only the
+        first count."""
         analysis = self.analysis
         for condition in analysis.conjuncts(*conditions, limit=_MAX_CONDITIONS):
             match condition:
-                case Op("less" | "less_equal", (small, large)) | Op("greater" | "greater_equal", (large, small)):
+                case Op("less" | "less_equal", (small, large)) | Op(
+                    "greater" | "greater_equal", (large, small)
+                ):
                     high = self.of(large).high
                     high = math.nextafter(high, -INF) if condition.op in ("less", "greater") else high
                     yield analysis.identity(small), Interval(-INF, high)
@@ -182,11 +201,12 @@ class StartRanges(Ranges):
         self._bodies |= {thing.name: thing.name for thing in program.world.objects}
 
     def _world(self, node: EngineRead) -> Interval:
-        found = self.initial(node)
-        return super()._world(node) if found is None else found
+        interval = self.initial(node)
+        return super()._world(node) if interval is None else interval
 
     def initial(self, node: EngineRead) -> Interval | None:
-        """The initial range of a fact, no wider than what it is drawn from; None where the scenario does not say it."""
+        """The initial range of a fact, no wider than what it is drawn from; None where the scenario does not
+        say it."""
         if not self._is_placed:
             return None
         subject = node.subjects[0]
@@ -195,14 +215,22 @@ class StartRanges(Ranges):
                 return self.joint(subject)
             case "position":
                 places = list(self._placements(self._bodies.get(subject, "")))
-                return hull([self._coordinate(place, node.component or "") for place in places]) if places else None
+                return (
+                    hull([self._coordinate(place, node.component or "") for place in places])
+                    if places
+                    else None
+                )
             case "joint_velocity":
                 return self.joint(subject, "velocity") or NEVER
             case "velocity" | "angular_velocity" as function:
                 return self._velocity(subject, function, "xyz".index(node.component or "x"))
             case "orientation":
                 places = list(self._placements(self._bodies.get(subject, "")))
-                return hull([self._quaternion(place)["xyzw".index(node.component or "")] for place in places]) if places else None
+                return (
+                    hull([self._quaternion(place)["xyzw".index(node.component or "")] for place in places])
+                    if places
+                    else None
+                )
             case _:
                 return None
 
@@ -215,7 +243,9 @@ class StartRanges(Ranges):
         model = next((body.model for body in self.analysis.program.world.robots if body.name == robot), None)
         mimic = model.followers.get(name) if model is not None else None
         if mimic is not None:
-            leader = iv.multiply(self.joint(f"{robot}.{mimic.joint}", what) or NEVER, single(mimic.multiplier))
+            leader = iv.multiply(
+                self.joint(f"{robot}.{mimic.joint}", what) or NEVER, single(mimic.multiplier)
+            )
             return iv.add(leader, single(mimic.offset)) if what == "position" else leader
         for start in self.analysis.program.reset.joint_starts:
             value = start.position if what == "position" else start.velocity
@@ -224,25 +254,33 @@ class StartRanges(Ranges):
         return None
 
     def _velocity(self, subject: str, function: str, axis: int) -> Interval | None:
-        """Zero unless the scenario says otherwise; None where the origin moves because the body turns or its joints move."""
+        """Zero unless the scenario says otherwise; None where the origin moves because the body turns or its
+        joints move."""
         body = self._bodies.get(subject)
         places = list(self._placements(body or subject.partition(".")[0].partition("#")[0]))
         is_moved = any(place.velocity is not None or place.angular_velocity is not None for place in places)
         starts = self.analysis.program.reset.joint_starts
-        swings = any(start.robot == subject.partition(".")[0] and start.velocity is not None for start in starts)
+        swings = any(
+            start.robot == subject.partition(".")[0] and start.velocity is not None for start in starts
+        )
         if not is_moved and (body is not None or not swings):
             return NEVER
-        if body is None or (function == "velocity" and any(place.angular_velocity is not None for place in places)):
+        if body is None or (
+            function == "velocity" and any(place.angular_velocity is not None for place in places)
+        ):
             return None
-        given = [place.velocity if function == "velocity" else place.angular_velocity for place in places]
-        trees = [() if value is None else value.scalars for value in given]
+        velocities = [
+            place.velocity if function == "velocity" else place.angular_velocity for place in places
+        ]
+        trees = [() if value is None else value.scalars for value in velocities]
         return hull([self.of(parts[axis if len(parts) > 1 else 0]) if parts else NEVER for parts in trees])
 
     def _placements(self, body: str) -> Iterator[Placement]:
         return (place for place in self.analysis.placements if place.body == body)
 
     def poses(self, body: str) -> Iterator[tuple[Placement, dict[str, Interval]]]:
-        """Each placement of a body or of the copies of a group, before the world settles: x, y, z in m, roll, pitch, yaw in rad.
+        """Each placement of a body or of the copies of a group, before the world settles: x, y, z in m, roll,
+        pitch, yaw in rad.
 
         The z of a body that rests on the ground is unknown.
         """
@@ -318,8 +356,8 @@ def bounds_text(interval: Interval, dimension: Dimension) -> str:
         return f"always {with_unit(interval.low, dimension)}"
     if interval.is_finite:
         return f"between {_number(interval.low, dimension)} and {with_unit(interval.high, dimension)}"
-    known = interval.low if interval.low > -math.inf else interval.high
-    return f"{'at least' if interval.low > -math.inf else 'at most'} {with_unit(known, dimension)}"
+    bound = interval.low if interval.low > -math.inf else interval.high
+    return f"{'at least' if interval.low > -math.inf else 'at most'} {with_unit(bound, dimension)}"
 
 
 def _number(value: float, dimension: Dimension) -> str:
@@ -327,4 +365,8 @@ def _number(value: float, dimension: Dimension) -> str:
 
 
 def _unit(dimension: Dimension) -> str:
-    return "" if dimension == NUMBER else " deg" if dimension == ANGLE else f" {dimension}"
+    if dimension == NUMBER:
+        return ""
+    if dimension == ANGLE:
+        return " deg"
+    return f" {dimension}"

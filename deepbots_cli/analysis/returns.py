@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 Terms = list[tuple[Expression, Scalar]]
 
-_PROGRESS_FUNCTIONS = frozenset({"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"})
+_PROGRESS_FUNCTIONS = frozenset(
+    {"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"}
+)
 """Functions that pay for getting somewhere, and nothing for staying."""
 
 
@@ -28,7 +30,9 @@ class RewardTerms:
     def __init__(self, analysis: Analysis) -> None:
         self.analysis = analysis
         self.program = analysis.program
-        self.terms = [(term, analysis.scalars(term)[0]) for term in self.program.agent.reward if term.foreign is None]
+        self.terms = [
+            (term, analysis.scalars(term)[0]) for term in self.program.agent.reward if term.foreign is None
+        ]
         self.is_complete = len(self.terms) == len(self.program.agent.reward)
         self._steps = (1.0, float(analysis.last_step))
         self._running: dict[tuple[float, float], Ranges] = {}
@@ -44,7 +48,9 @@ class RewardTerms:
     def ranges_at(self, ending: Expression | None) -> Ranges:
         """Ranges in the step in which this ending holds, and no other; None stands for the truncation."""
         if ending not in self._at:
-            self._at[ending] = Ranges(self.analysis, self._end_flags_at(ending, truncated=ending is None), self._steps)
+            self._at[ending] = Ranges(
+                self.analysis, self._end_flags_at(ending, truncated=ending is None), self._steps
+            )
         return self._at[ending]
 
     @property
@@ -54,7 +60,11 @@ class RewardTerms:
 
     def _end_flags_at(self, ending: Expression | None, *, truncated: bool) -> dict[str, Interval]:
         holds = {entry.name: entry is ending for entry in self.program.endings}
-        holds |= {"terminated": ending is not None, "truncated": truncated, "ended": truncated or ending is not None}
+        holds |= {
+            "terminated": ending is not None,
+            "truncated": truncated,
+            "ended": truncated or ending is not None,
+        }
         return {name: ALWAYS if held else NEVER for name, held in holds.items()}
 
     def split_by_end(self) -> tuple[Terms, Terms]:
@@ -69,16 +79,20 @@ class RewardTerms:
         return ordinary, final
 
     def largest_final(self, final: Terms) -> float:
-        """The largest amount that the terms in `final` pay or cost at an end; infinite where that is unknown."""
-        return max(iv.absolute(total_range(final, self.ranges_at(ending))).high for ending in self.endings_and_truncation)
+        """The largest amount that the terms in `final` pay or cost at an end; infinite where that is
+        unknown."""
+        return max(
+            iv.absolute(total_range(final, self.ranges_at(ending))).high
+            for ending in self.endings_and_truncation
+        )
 
 
 def total_range(terms: Terms, ranges: Ranges) -> Interval:
     """The sum of terms in one step."""
-    found = NEVER
+    total = NEVER
     for _, node in terms:
-        found = iv.add(found, ranges.of(node))
-    return found
+        total = iv.add(total, ranges.of(node))
+    return total
 
 
 def return_range(analysis: Analysis) -> Interval:
@@ -87,7 +101,9 @@ def return_range(analysis: Analysis) -> Interval:
     if not reward.is_complete:
         return Interval(-INF, INF)
     step = total_range(reward.terms, reward.ranges_while_running())
-    end = total_range(reward.terms, analysis.ranges_in(1.0, float(analysis.last_step)))  # whichever endings hold, also several at once
+    end = total_range(
+        reward.terms, analysis.ranges_in(1.0, float(analysis.last_step))
+    )  # whichever endings hold, also several at once
     ticks = analysis.last_step * analysis.program.action_repeat - 1
     fewest = 0 if analysis.program.endings else ticks
     high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
@@ -97,4 +113,7 @@ def return_range(analysis: Analysis) -> Interval:
 
 def is_progress(analysis: Analysis, node: Scalar) -> bool:
     """Whether a value depends on what was before."""
-    return any(isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS for part in analysis.walk_definitions(node))
+    return any(
+        isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS
+        for part in analysis.walk_definitions(node)
+    )

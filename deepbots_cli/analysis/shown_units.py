@@ -1,6 +1,7 @@
 """In which unit each quantity of a scenario is shown: the one in which its file writes it.
 
-Programs, messages, recordings and JSON have SI units. Everything that a person reads has the units of `ShownUnits`.
+Programs, messages, recordings and JSON have SI units. Everything that a person reads has the units of
+`ShownUnits`.
 """
 
 from __future__ import annotations
@@ -31,10 +32,12 @@ class ShownUnits:
         self._root = root
 
     def of(self, unit: str, *texts: str) -> Unit:
-        """The unit in which a quantity with the SI unit `unit` is shown; `texts` are what the file says of it.
+        """The unit in which a quantity with the SI unit `unit` is shown; `texts` are what the file says of
+        it.
 
-        It is the first unit in the texts that fits, or else the first in the definitions of the names in them. An angle whose texts
-        have no unit is shown in the unit that the file uses most for angles. Anything else has its usual unit.
+        It is the first unit in the texts that fits, or else the first in the definitions of the names in
+        them. An angle whose texts have no unit is shown in the unit that the file uses most for angles.
+        Anything else has its usual unit.
         """
         names = [name for text in texts for name in _NAME.findall(text[:MAX_TEXT])]
         definitions = [text_at(self._root, section, name) for name in names for section in _DEFINITIONS]
@@ -58,10 +61,15 @@ class ShownUnits:
 
     @cached_property
     def _of_angles(self) -> Mapping[str, Unit]:
-        """The unit that the file uses most for angles, for angular velocities, and so on, by their SI units."""
+        """The unit that the file uses most for angles, for angular velocities, and so on, by their SI
+        units."""
         nodes = [] if self._root is None else [node for _, node in walk(self._root)]
         counts = Counter(
-            unit for node in nodes if isinstance(node, ScalarNode) for unit in units_in(inline_text(node)) if unit.dimension.rad
+            unit
+            for node in nodes
+            if isinstance(node, ScalarNode)
+            for unit in units_in(inline_text(node))
+            if unit.dimension.rad
         )
         most = {str(unit.dimension): unit for unit, _ in reversed(counts.most_common())}
         return {each: unit for each, unit in most.items() if unit.dimension.rad == 1}

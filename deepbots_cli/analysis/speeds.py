@@ -1,10 +1,10 @@
 """Limits of speed, and the return that they allow.
 
-Wheels on flat ground limit the speed of their robot, and motors that of their joints. A distance changes no faster than its two bodies
-move, so the sum of its changes over an episode is at most speed times time.
+Wheels on flat ground limit the speed of their robot, and motors that of their joints. A distance changes no
+faster than its two bodies move, so the sum of its changes over an episode is at most speed times time.
 
-The limits hold while wheels stay on the ground: an engine does not enforce them. So `highest_return` may show that a required return is out
-of reach, and is no bound for statistics; `returns.return_range` is.
+The limits hold while wheels stay on the ground: an engine does not enforce them. So `highest_return` may show
+that a required return is out of reach, and is no bound for statistics; `returns.return_range` is.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from deepbots_cli.analysis import Analysis
 
 _TOLERANCE = 1.1
-"""An e-puck that turns back in each timestep exceeds the speed of its wheels by 4 %, since it tilts; one that drives on by 0.02 %."""
+"""An e-puck that turns back in each timestep exceeds the speed of its wheels by 4 %, since it tilts; one that
+drives on by 0.02 %."""
 _GROUND_GAP = 0.01
 """m; casters often end a little above the ground, so that the weight is on the wheels."""
 _MAX_EXPONENT = 50.0
@@ -37,7 +38,8 @@ _AS_FAST_AS_THE_BODY = frozenset({"clearance", "path_distance", "cross_track_err
 
 
 def joint_speed(analysis: Analysis, robot: str, joint: str) -> float:
-    """The largest speed (rad/s or m/s) that a velocity motor gives a joint; infinite where nothing limits it."""
+    """The largest speed (rad/s or m/s) that a velocity motor gives a joint; infinite where nothing limits
+    it."""
     controller = next((entry for entry in analysis.program.robots if entry.name == robot), None)
     for command in controller.commands if controller is not None else ():
         actuator = command.actuator
@@ -51,11 +53,19 @@ def joint_speed(analysis: Analysis, robot: str, joint: str) -> float:
 
 
 def base_speed(analysis: Analysis, robot: str) -> float:
-    """The largest speed (m/s) of the origin of a robot that nothing but its wheels can move; infinite where that is unknown."""
+    """The largest speed (m/s) of the origin of a robot that nothing but its wheels can move; infinite where
+    that is unknown."""
     program = analysis.program
     world = program.world
-    pushed = bool(program.disturbances) or world.terrain is not None or world.ground is None or any(world.gravity[:2])
-    pushed = pushed or any(place.velocity is not None or place.angular_velocity is not None for place in analysis.placements)
+    pushed = (
+        bool(program.disturbances)
+        or world.terrain is not None
+        or world.ground is None
+        or any(world.gravity[:2])
+    )
+    pushed = pushed or any(
+        place.velocity is not None or place.angular_velocity is not None for place in analysis.placements
+    )
     pushed = pushed or any(start.velocity is not None for start in program.reset.joint_starts)
     if pushed or program.agent.copies is not None:
         return INF
@@ -66,16 +76,31 @@ def base_speed(analysis: Analysis, robot: str) -> float:
 
 
 def _speed_on_wheels(analysis: Analysis, robot: str, model: RobotModel) -> float:
-    wheels = [joint for joint in model.moving_joints if _radius(model, joint) is not None and joint.parent == model.root]
+    wheels = [
+        joint
+        for joint in model.moving_joints
+        if _radius(model, joint) is not None and joint.parent == model.root
+    ]
     speeds = {joint.name: joint_speed(analysis, robot, joint.name) for joint in wheels}
     controller = next(entry for entry in analysis.program.robots if entry.name == robot)
     driven = {joint for command in controller.commands for joint in command.actuator.components}
-    if len(wheels) < len(model.moving_joints) or not driven or not driven <= speeds.keys() or not _stands(model, wheels):
+    if (
+        len(wheels) < len(model.moving_joints)
+        or not driven
+        or not driven <= speeds.keys()
+        or not _stands(model, wheels)
+    ):
         return INF
-    fastest = max(speeds[joint.name] * (_radius(model, joint) or 0.0) for joint in wheels if joint.name in driven)
+    fastest = max(
+        speeds[joint.name] * (_radius(model, joint) or 0.0) for joint in wheels if joint.name in driven
+    )
     places = [joint.origin.xyz for joint in wheels if joint.name in driven]
-    (left, right), (back, front) = ((min(at[axis] for at in places), max(at[axis] for at in places)) for axis in (1, 0))
-    off = hypot(max(0.0, back, -front), max(0.0, left, -right))  # how far the origin is from between the wheels
+    (left, right), (back, front) = (
+        (min(at[axis] for at in places), max(at[axis] for at in places)) for axis in (1, 0)
+    )
+    off = hypot(
+        max(0.0, back, -front), max(0.0, left, -right)
+    )  # how far the origin is from between the wheels
     if off > 1e-6 and right - left < 1e-6:
         return INF
     turning = 2.0 * off / (right - left) if off > 1e-6 else 0.0
@@ -103,7 +128,9 @@ def _stands(model: RobotModel, wheels: Sequence[Joint]) -> bool:
             if low < bottom + _GROUND_GAP:
                 width = 0.0 if isinstance(shape, Sphere) else _half_width(shape)
                 places += [(x + offset[0] + width * side, y + offset[1]) for side in (-1.0, 1.0)]
-    spread = [max(at[axis] for at in places) - min(at[axis] for at in places) if places else 0.0 for axis in (0, 1)]
+    spread = [
+        max(at[axis] for at in places) - min(at[axis] for at in places) if places else 0.0 for axis in (0, 1)
+    ]
     return min(spread) > 1e-3
 
 
@@ -165,13 +192,15 @@ def _rate(analysis: Analysis, node: Scalar, *, exact: bool) -> float:
         case State("running_max" | "running_min" | "low_pass", (inner, *_)):
             return rate_of(analysis, inner, exact=exact)
         case Op(op, args):
-            return _rate_of_operation(analysis, op, args, [rate_of(analysis, arg, exact=exact) for arg in args])
+            return _rate_of_operation(
+                analysis, op, args, [rate_of(analysis, arg, exact=exact) for arg in args]
+            )
         case _:
             return INF
 
 
 def _rate_of_operation(analysis: Analysis, op: str, args: Sequence[Scalar], rates: Sequence[float]) -> float:
-    known = [analysis.ranges.of(arg) for arg in args]
+    intervals = [analysis.ranges.of(arg) for arg in args]
     match op:
         case "neg" | "abs" | "add" | "sub":
             return sum(rates)
@@ -179,13 +208,13 @@ def _rate_of_operation(analysis: Analysis, op: str, args: Sequence[Scalar], rate
             return hypot(*rates)
         case "min" | "max" | "clamp":
             return max(rates)
-        case "mul" if known[1].is_single or known[0].is_single:
-            at = 0 if known[1].is_single else 1
-            return iv.multiply(Interval(0.0, rates[at]), iv.absolute(known[1 - at])).high
-        case "div" if known[1].is_single and known[1].low != 0.0:
-            return rates[0] / abs(known[1].low)
-        case "exp" if known[0].high < _MAX_EXPONENT:
-            return rates[0] * exp(known[0].high)
+        case "mul" if intervals[1].is_single or intervals[0].is_single:
+            at = 0 if intervals[1].is_single else 1
+            return iv.multiply(Interval(0.0, rates[at]), iv.absolute(intervals[1 - at])).high
+        case "div" if intervals[1].is_single and intervals[1].low != 0.0:
+            return rates[0] / abs(intervals[1].low)
+        case "exp" if intervals[0].high < _MAX_EXPONENT:
+            return rates[0] * exp(intervals[0].high)
         case _:
             return INF
 
@@ -194,28 +223,38 @@ class SpeedRanges(Ranges):
     """Value ranges that limits of speed narrow: of speeds, and of changes in a timestep."""
 
     def _world(self, node: EngineRead) -> Interval:
-        found, limit = super()._world(node), INF
+        interval, limit = super()._world(node), INF
         if node.function == "velocity":
             limit = _speed_of(self.analysis, node.subjects[0])
         elif node.function == "joint_velocity":
             robot, _, joint = node.subjects[0].partition(".")
             limit = joint_speed(self.analysis, robot, joint) * _TOLERANCE
-        return _within(found, limit)
+        return _within(interval, limit)
 
     def _state(self, node: State) -> Interval:
-        found = super()._state(node)
-        return _within(found, self.change(node.args[0])) if node.function == "delta" and len(node.args) == 1 else found
+        interval = super()._state(node)
+        return (
+            _within(interval, self.change(node.args[0]))
+            if node.function == "delta" and len(node.args) == 1
+            else interval
+        )
 
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
-        found = super()._op(op, args)
+        interval = super()._op(op, args)
         if op == "sub" and (quantity := change_of(self.analysis, args[0], args[1])) is not None:
-            return _within(found, self.change(quantity))
+            return _within(interval, self.change(quantity))
         if op == "hypot":
             parts = [self.analysis.resolve_aliases(arg) for arg in args]
-            subjects = {part.subjects for part in parts if isinstance(part, EngineRead) and part.function == "velocity"}
-            if len(subjects) == 1 and all(isinstance(part, EngineRead) and part.function == "velocity" for part in parts):
-                return _within(found, _speed_of(self.analysis, subjects.pop()[0]))
-        return found
+            subjects = {
+                part.subjects
+                for part in parts
+                if isinstance(part, EngineRead) and part.function == "velocity"
+            }
+            if len(subjects) == 1 and all(
+                isinstance(part, EngineRead) and part.function == "velocity" for part in parts
+            ):
+                return _within(interval, _speed_of(self.analysis, subjects.pop()[0]))
+        return interval
 
     def change(self, quantity: Scalar) -> float:
         """The largest change of a quantity in a timestep."""
@@ -223,7 +262,8 @@ class SpeedRanges(Ranges):
 
 
 def change_of(analysis: Analysis, one: Scalar, other: Scalar) -> Scalar | None:
-    """The quantity whose change in a timestep the difference of two values is, as in `previous(x) - x`; None for any other."""
+    """The quantity whose change in a timestep the difference of two values is, as in `previous(x) - x`; None
+    for any other."""
     a, b = analysis.resolve_aliases(one), analysis.resolve_aliases(other)
     for before, now in ((a, b), (b, a)):
         match before:
@@ -232,8 +272,8 @@ def change_of(analysis: Analysis, one: Scalar, other: Scalar) -> Scalar | None:
     return None
 
 
-def _within(known: Interval, limit: float) -> Interval:
-    return Interval(max(known.low, -limit), min(known.high, limit)) if limit < INF else known
+def _within(interval: Interval, limit: float) -> Interval:
+    return Interval(max(interval.low, -limit), min(interval.high, limit)) if limit < INF else interval
 
 
 # Returns
@@ -241,7 +281,7 @@ def _within(known: Interval, limit: float) -> Interval:
 
 def highest_return(analysis: Analysis) -> float:
     """The highest return of an episode within limits of speed; infinite where nothing bounds it."""
-    reward, known = analysis.reward, return_range(analysis).high
+    reward, highest = analysis.reward, return_range(analysis).high
     if not reward.is_complete:
         return INF
     ranges = SpeedRanges(analysis, {}, (1.0, float(analysis.last_step)))
@@ -250,7 +290,7 @@ def highest_return(analysis: Analysis) -> float:
     total = 0.0
     for term, node in reward.terms:
         total += max(0.0, ranges.of(node).high) if term.name in final else _sum(ranges, node, ticks).high
-    return min(total, known)
+    return min(total, highest)
 
 
 def _sum(ranges: SpeedRanges, node: Scalar, ticks: int) -> Interval:
@@ -272,17 +312,21 @@ def _sum(ranges: SpeedRanges, node: Scalar, ticks: int) -> Interval:
         case Op("mul", (a, b)) if ranges.of(a).is_single:
             return iv.multiply(ranges.of(a), _sum(ranges, b, ticks))
     step = ranges.of(node)
-    return Interval(step.low * (ticks if step.low < 0.0 else 1), step.high * (ticks if step.high > 0.0 else 1))
+    return Interval(
+        step.low * (ticks if step.low < 0.0 else 1), step.high * (ticks if step.high > 0.0 else 1)
+    )
 
 
 def _total_change(ranges: SpeedRanges, quantity: Scalar, ticks: int) -> Interval:
     """The change of a quantity over an episode: within its range, and no faster than it can change."""
     limit = rate_of(ranges.analysis, quantity, exact=True) * ranges.analysis.program.world.timestep * ticks
-    known = iv.subtract(ranges.of(quantity), ranges.analysis.start.of(quantity))
-    return _within(known, limit) if 0.0 in known else known
+    change = iv.subtract(ranges.of(quantity), ranges.analysis.start.of(quantity))
+    return _within(change, limit) if 0.0 in change else change
 
 
 def speed_notes(analysis: Analysis) -> tuple[str, ...]:
     """The largest speeds of the robots, for a note."""
     speeds = {body.name: base_speed(analysis, body.name) for body in analysis.program.world.robots}
-    return tuple(f"`{name}` moves at most with {speed:.3g} m/s" for name, speed in speeds.items() if speed < INF)
+    return tuple(
+        f"`{name}` moves at most with {speed:.3g} m/s" for name, speed in speeds.items() if speed < INF
+    )

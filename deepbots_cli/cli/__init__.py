@@ -32,8 +32,8 @@ _COLLECT_EVERY = 50_000
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line, by default that of the process, and return its exit code.
 
-    0: success. 1: findings, or a required result was not reached. 2: wrong usage, a missing file, not a run, a missing extra.
-    3: an internal error of deepbots. 130: interrupted.
+    0: success. 1: findings, or a required result was not reached. 2: wrong usage, a missing file, not a run,
+    a missing extra. 3: an internal error of deepbots. 130: interrupted.
     """
     gc.set_threshold(_COLLECT_EVERY)
     from deepbots_cli.cli.exits import run_guarded

@@ -26,7 +26,8 @@ MAX_SEEDS = 1000
 
 
 def known_engine(name: str | None) -> str | None:
-    """A callback that refuses the name of an unknown engine, and an engine that is not installed where another one is."""
+    """A callback that refuses the name of an unknown engine, and an engine that is not installed where
+    another one is."""
     from deepbots_cli.engine_kinds import ENGINES
 
     if name is None:
@@ -64,18 +65,23 @@ def _workers(text: str | int) -> int:
     """The parser of `--workers`."""
     number = whole_number(-(10**9), 1024)(text)
     if number < 1:
-        raise UsageError(f"--workers {text} starts no process; write --workers 1 or more, or leave it out to work in this process")
+        raise UsageError(
+            f"--workers {text} starts no process; write --workers 1 or more, or leave it out to work in this"
+            " process"
+        )
     return number
 
 
 ADVANCED = "Advanced"
 """The group of options that few need, and of those that are dangerous; it is the last in the help."""
 EPISODES, SCENARIO, OUTPUT = "Episodes", "Scenario", "Output"
-"""Groups of options: which episodes run and who acts, what is changed in the scenario, and what is written where."""
+"""Groups of options: which episodes run and who acts, what is changed in the scenario, and what is written
+where."""
 
 
 def option(usage: str, help: str, group: str | None = None, **settings: Any) -> Any:
-    """An option for `Annotated`, from its usage such as `--output -o FILE`: its names, and the word for its value; a flag has none.
+    """An option for `Annotated`, from its usage such as `--output -o FILE`: its names, and the word for its
+    value; a flag has none.
 
     `group` is its section in the help, by default `Options`.
     """
@@ -84,23 +90,27 @@ def option(usage: str, help: str, group: str | None = None, **settings: Any) -> 
     return typer.Option(*words, metavar=metavar, help=help, rich_help_panel=group, **settings)
 
 
-def integer(usage: str, help: str, minimum: int = 1, maximum: int | None = None, group: str | None = None) -> Any:
+def integer(
+    usage: str, help: str, minimum: int = 1, maximum: int | None = None, group: str | None = None
+) -> Any:
     """An option that takes a whole number."""
     return option(usage, help, group, parser=whole_number(minimum, maximum))
 
 
 def start_values(given: Sequence[str] | None) -> dict[str, Any]:
-    """The `options` of `reset` that `--start` gives: a number, a word, or several numbers with commas between them.
+    """The `options` of `reset` that `--start` gives: a number, a word, or several numbers with commas between
+    them.
 
     Raises:
-        UsageError: One is not of the form NAME=VALUE, a name is given twice, or numbers are in brackets or without commas.
+        UsageError: One is not of the form NAME=VALUE, a name is given twice, or numbers are in brackets or
+            without commas.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for text in given or ():
         name, _, value = (part.strip() for part in text.partition("="))
         if not name or not value:
             raise UsageError(f"--start {text}: write NAME=VALUE, such as --start mark.x=0.5")
-        if name in found:
+        if name in values:
             raise UsageError(f"--start sets {name} twice")
         try:
             numbers = [float(number) for number in value.split(",")]
@@ -108,12 +118,13 @@ def start_values(given: Sequence[str] | None) -> dict[str, Any]:
             parts = value.strip("[]() ").replace(",", " ").split()
             if parts and all(map(_is_number, parts)):
                 raise UsageError(
-                    f"--start {text}: separate the numbers by commas, without spaces or brackets: --start {name}={','.join(parts)}"
+                    f"--start {text}: separate the numbers by commas, without spaces or brackets: --start"
+                    f" {name}={','.join(parts)}"
                 ) from None
-            found[name] = value
+            values[name] = value
         else:
-            found[name] = numbers if len(numbers) > 1 else numbers[0]
-    return found
+            values[name] = numbers if len(numbers) > 1 else numbers[0]
+    return values
 
 
 def _is_number(text: str) -> bool:
@@ -155,7 +166,9 @@ def seed_list(text: str) -> tuple[int, ...]:
         if high < low:
             raise typer.BadParameter(f"--seeds: '{part}' ends before it begins; write {high}..{low}")
         if high - low >= MAX_SEEDS:
-            raise typer.BadParameter(f"--seeds: '{part}' has {high - low + 1:,} seeds; the limit is {MAX_SEEDS:,}")
+            raise typer.BadParameter(
+                f"--seeds: '{part}' has {high - low + 1:,} seeds; the limit is {MAX_SEEDS:,}"
+            )
         seeds += range(low, high + 1)
         if len(seeds) > MAX_SEEDS:
             raise typer.BadParameter(f"--seeds: a group has at most {MAX_SEEDS} seeds")
@@ -183,20 +196,42 @@ def fraction(text: str) -> float:
     return value
 
 
-Scenario = Annotated[str, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")]
+Scenario = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots."
+    ),
+]
 Overrides = Annotated[
     list[str] | None,
-    option("--set PATH=VALUE", "Override a value of the scenario, such as fall_angle=10deg; may be repeated.", SCENARIO),
+    option(
+        "--set PATH=VALUE",
+        "Override a value of the scenario, such as fall_angle=10deg; may be repeated.",
+        SCENARIO,
+    ),
 ]
 AllowPaths = Annotated[
-    list[Path] | None, option("--allow-path DIR", "Allow reading files from this folder outside the project; may be repeated.", ADVANCED)
+    list[Path] | None,
+    option(
+        "--allow-path DIR",
+        "Allow reading files from this folder outside the project; may be repeated.",
+        ADVANCED,
+    ),
 ]
 AllowCode = Annotated[
     bool,
-    option("--allow-code", "Allow reward terms and endings that are Python functions; use it only for packages that you trust.", ADVANCED),
+    option(
+        "--allow-code",
+        "Allow reward terms and endings that are Python functions; use it only for packages that you trust.",
+        ADVANCED,
+    ),
 ]
-Case = Annotated[str | None, option("--case NAME", "Apply the settings of this case of `evaluation.cases`.", SCENARIO)]
-Stage = Annotated[str | None, option("--stage NAME", "Apply the settings of this stage of the curriculum.", SCENARIO)]
+Case = Annotated[
+    str | None, option("--case NAME", "Apply the settings of this case of `evaluation.cases`.", SCENARIO)
+]
+Stage = Annotated[
+    str | None, option("--stage NAME", "Apply the settings of this stage of the curriculum.", SCENARIO)
+]
 Force = Annotated[bool, option("--force", "Overwrite files that exist.", ADVANCED)]
 Json = Annotated[bool, option("--json", "Print the result as JSON.", OUTPUT)]
 Seed = Annotated[int, integer("--seed N", "Root seed of all random numbers.", 0, MAX_SEED, EPISODES)]
@@ -204,8 +239,10 @@ Driver = Annotated[
     str | None,
     option(
         "--driver NAME",
-        "Who acts: `policy` (of a run), a script of the scenario, `random`, `zero` (the middle of each range, the first option of each"
-        " choice), or actions to repeat, such as forward*5,backward. By default the policy, else the first script, else random actions.",
+        "Who acts: `policy` (of a run), a script of the scenario, `random`, `zero` (the middle of each"
+        " range, the first option of each"
+        " choice), or actions to repeat, such as forward*5,backward. By default the policy, else the first"
+        " script, else random actions.",
         EPISODES,
     ),
 ]
@@ -213,7 +250,8 @@ Start = Annotated[
     list[str] | None,
     option(
         "--start NAME=VALUE",
-        "Set a value that each episode otherwise draws at random, in SI units, such as mark.x=0.5; may be repeated. `deepbots try SCENARIO"
+        "Set a value that each episode otherwise draws at random, in SI units, such as mark.x=0.5; may be"
+        " repeated. `deepbots try SCENARIO"
         " --json` lists the names under `drawn`.",
         SCENARIO,
     ),
@@ -222,24 +260,39 @@ Engine = Annotated[
     str | None,
     option(
         "--engine NAME",
-        "Physics engine: pybullet, mujoco, or an engine that an installed package adds; by default `world.engine` of the scenario, else"
+        "Physics engine: pybullet, mujoco, or an engine that an installed package adds; by default"
+        " `world.engine` of the scenario, else"
         " pybullet.",
         SCENARIO,
         callback=known_engine,
     ),
 ]
-Workers = Annotated[int | None, option("--workers N", "Use N processes of this machine.", ADVANCED, parser=_workers)]
+Workers = Annotated[
+    int | None, option("--workers N", "Use N processes of this machine.", ADVANCED, parser=_workers)
+]
 ClusterAddress = Annotated[
     str | None,
-    option("--cluster ADDRESS", "Use the Ray cluster at HOST:PORT, or with `auto` the one of this machine.", ADVANCED),
+    option(
+        "--cluster ADDRESS",
+        "Use the Ray cluster at HOST:PORT, or with `auto` the one of this machine.",
+        ADVANCED,
+    ),
 ]
 Quiet = Annotated[bool, option("--quiet -q", "Print no progress.", OUTPUT)]
-Page = Annotated[bool, option("--view", "Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.", OUTPUT)]
+Page = Annotated[
+    bool,
+    option(
+        "--view",
+        "Show the newest policy in the browser while it is trained, as `deepbots view RUN` does.",
+        OUTPUT,
+    ),
+]
 Callbacks = Annotated[
     list[str] | None,
     option(
         "--callback NAME",
-        "Call this callback of an installed package during the training; may be repeated. `none` drops those of a resumed training.",
+        "Call this callback of an installed package during the training; may be repeated. `none` drops those"
+        " of a resumed training.",
         ADVANCED,
     ),
 ]
@@ -247,14 +300,20 @@ Loggers = Annotated[
     list[str] | None,
     option(
         "--logger NAME",
-        "Write the scalars with this logger too: csv, or one that an installed package adds; may be repeated. `none` drops those of a"
+        "Write the scalars with this logger too: csv, or one that an installed package adds; may be"
+        " repeated. `none` drops those of a"
         " resumed training.",
         ADVANCED,
     ),
 ]
 EngineOrRun = Annotated[
     str | None,
-    option("--engine NAME", "Physics engine; by default that of the run or scenario, else pybullet.", SCENARIO, callback=known_engine),
+    option(
+        "--engine NAME",
+        "Physics engine; by default that of the run or scenario, else pybullet.",
+        SCENARIO,
+        callback=known_engine,
+    ),
 ]
 
 
@@ -264,13 +323,14 @@ _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
 class Command(TyperCommand):
-    """A command whose help has its options in groups, and which says what is written instead of the option of another name."""
+    """A command whose help has its options in groups, and which says what is written instead of the option of
+    another name."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        known = {name for parameter in self.params for name in parameter.opts}
+        names = {name for parameter in self.params for name in parameter.opts}
         for word in args[: args.index("--")] if "--" in args else args:
             name = word.partition("=")[0]
-            if name.startswith("--") and name in REPLACEMENTS and name not in known:
+            if name.startswith("--") and name in REPLACEMENTS and name not in names:
                 ctx.fail(f"there is no option {name}; use `{REPLACEMENTS[name]}`")
         return super().parse_args(ctx, args)
 
@@ -289,10 +349,13 @@ class Command(TyperCommand):
 
 @cache
 def _command(name: str) -> Any:
-    """The command of this name. It is kept for programs that call `main` several times: typer takes 4 ms to read its annotations."""
+    """The command of this name. It is kept for programs that call `main` several times: typer takes 4 ms to
+    read its annotations."""
     module, _, function = COMMANDS[name][0].partition(".")
     app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-    app.command(name, cls=Command)(_with_permission_options(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)))
+    app.command(name, cls=Command)(
+        _with_permission_options(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function))
+    )
     return typer.main.get_command(app)
 
 
@@ -307,7 +370,12 @@ class Commands(TyperGroup):
             others = [name for name, meant in REPLACEMENTS.items() if meant.startswith("deepbots ")]
             near = nearest_word(cmd_name, (*COMMANDS, *others)) or ""
             other = f"the commands are: {', '.join(COMMANDS)}"
-            hint = f"use `{REPLACEMENTS[near]}`" if near in REPLACEMENTS else f"did you mean '{near}'?" if near else other
+            if near in REPLACEMENTS:
+                hint = f"use `{REPLACEMENTS[near]}`"
+            elif near:
+                hint = f"did you mean '{near}'?"
+            else:
+                hint = other
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
         return _command(cmd_name)
 
@@ -316,7 +384,11 @@ class Commands(TyperGroup):
 
         if incomplete.startswith("-"):
             return super().shell_complete(ctx, incomplete)
-        return [CompletionItem(name, help=summary) for name, (_, summary) in COMMANDS.items() if name.startswith(incomplete)]
+        return [
+            CompletionItem(name, help=summary)
+            for name, (_, summary) in COMMANDS.items()
+            if name.startswith(incomplete)
+        ]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         width = max(map(len, COMMANDS))
@@ -336,7 +408,8 @@ class Commands(TyperGroup):
 
 
 def _with_permission_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the options --allow-path and --allow-code in the place of its parameter `permissions`, if it has one."""
+    """The command with the options --allow-path and --allow-code in the place of its parameter `permissions`,
+    if it has one."""
     signature = inspect.signature(command, eval_str=True)
     if "permissions" not in signature.parameters:
         return command
@@ -371,9 +444,12 @@ def run_command(arguments: Sequence[str] | None) -> None:
 
 
 def without_old_spelling(words: list[str]) -> list[str]:
-    """`train --resume RUN` and `tune --resume STUDY` of earlier versions as the commands `resume` and `apply`, with a note."""
+    """`train --resume RUN` and `tune --resume STUDY` of earlier versions as the commands `resume` and
+    `apply`, with a note."""
     command, options = (words or [""])[0], words[1:]
-    place = next((number for number, word in enumerate(options) if word.partition("=")[0] == "--resume"), None)
+    place = next(
+        (number for number, word in enumerate(options) if word.partition("=")[0] == "--resume"), None
+    )
     if command not in ("train", "tune") or place is None:
         return words
     folder = options.pop(place).partition("=")[2]
@@ -381,7 +457,10 @@ def without_old_spelling(words: list[str]) -> list[str]:
         folder = options.pop(place)
     verb = "apply" if "--apply" in options else "resume"
     dropped = ("--apply", "--quiet", "-q") if verb == "apply" else ()
-    terminal.note(f"note: `deepbots {command} --resume` is now `deepbots {verb}`; the next version drops the old spelling")
+    terminal.note(
+        f"note: `deepbots {command} --resume` is now `deepbots {verb}`; the next version drops the old"
+        " spelling"
+    )
     return [verb, *filter(None, [folder]), *(option for option in options if option not in dropped)]
 
 
@@ -392,7 +471,9 @@ def _version(wanted: bool) -> None:
 
 
 def _deepbots(
-    version: Annotated[bool, option("--version", "Show the version and exit.", callback=_version, is_eager=True)] = False,
+    version: Annotated[
+        bool, option("--version", "Show the version and exit.", callback=_version, is_eager=True)
+    ] = False,
 ) -> None:
     """Train robot policies from one YAML scenario and one URDF robot.
 
@@ -403,6 +484,6 @@ def _deepbots(
       deepbots try mine.yaml                    run three episodes with random actions
       deepbots train mine.yaml                  train a policy, and evaluate it
 
-    A scenario is the path of a file, or the name of a scenario that comes with deepbots: `deepbots train cartpole` needs no file.
-    `deepbots COMMAND --help` shows the options and examples of a command.
+    A scenario is the path of a file, or the name of a scenario that comes with deepbots: `deepbots train
+    cartpole` needs no file. `deepbots COMMAND --help` shows the options and examples of a command.
     """

@@ -1,4 +1,5 @@
-"""Exit codes: an exception becomes a code and a line on stderr, and output whose reader is gone becomes neither."""
+"""Exit codes: an exception becomes a code and a line on stderr, and output whose reader is gone becomes
+neither."""
 
 from __future__ import annotations
 
@@ -22,14 +23,15 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 FAILED, WRONG_USAGE, INTERNAL_ERROR, INTERRUPTED = 1, 2, 3, 130
-"""The same for every command: findings or a result that was not met; wrong usage or a missing file; a fault of deepbots itself, which
-`lint` also reports as DB903 of the file; Ctrl-C or SIGTERM."""
+"""The same for every command: findings or a result that was not met; wrong usage or a missing file; a fault
+of deepbots itself, which `lint` also reports as DB903 of the file; Ctrl-C or SIGTERM."""
 
 _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 def run_guarded(run: Callable[[], object]) -> int:
-    """Call `run`, report errors, and return the exit code, which does not depend on whether anyone reads the output."""
+    """Call `run`, report errors, and return the exit code, which does not depend on whether anyone reads the
+    output."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _interrupt)
     with _lasting_streams():
@@ -47,21 +49,29 @@ def _exit_code(run: Callable[[], object]) -> int:
     try:
         run()
     except SystemExit as end:
-        return end.code if isinstance(end.code, int) else FAILED if end.code else 0
+        if isinstance(end.code, int):
+            return end.code
+        if end.code:
+            return FAILED
+        return 0
     except ScenarioError as error:
         terminal.show_findings(error.findings)
         return FAILED
     except DeepbotsError as error:
         terminal.print_error(error.full_message)
         return WRONG_USAGE if isinstance(error, UsageError) else FAILED
-    except KeyboardInterrupt:  # before the command begins, or after its end; `Commands.invoke` tells of one in between
+    except (
+        KeyboardInterrupt
+    ):  # before the command begins, or after its end; `Commands.invoke` tells of one in between
         terminal.note("interrupted")
         return INTERRUPTED
     except OSError as error:
         # The system names no file where writing fails, in contrast to opening.
         if error.filename is None and error.errno not in _DISK_ERRORS:
             return _fault(error)
-        terminal.print_error(f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}")
+        terminal.print_error(
+            f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}"
+        )
         return WRONG_USAGE
     except ModuleNotFoundError as error:
         module = (error.name or "").partition(".")[0]
@@ -95,10 +105,11 @@ def _fault(error: Exception) -> int:
 
 
 class _Stream(io.BufferedIOBase):
-    """A stream that survives its reader: after the first failure everything is discarded, so that it is reported once.
+    """A stream that survives its reader: after the first failure everything is discarded, so that it is
+    reported once.
 
-    A reader that is gone (`| head`) is no reason to end a training. A full disk is an error of standard output only: nobody could
-    read that of standard error.
+    A reader that is gone (`| head`) is no reason to end a training. A full disk is an error of standard
+    output only: nobody could read that of standard error.
     """
 
     def __init__(self, target: BinaryIO, name: str, *, essential: bool) -> None:
@@ -136,9 +147,11 @@ class _Stream(io.BufferedIOBase):
 
 @contextmanager
 def _lasting_streams() -> Iterator[None]:
-    """Within, printing fails only where stdout is a file that cannot be written, and every character can be printed.
+    """Within, printing fails only where stdout is a file that cannot be written, and every character can be
+    printed.
 
-    A terminal of another encoding shows escapes. Streams that a caller has put in place of the process's own stay as they are.
+    A terminal of another encoding shows escapes. Streams that a caller has put in place of the process's own
+    stay as they are.
     """
     kept = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = _lasting(sys.stdout, 1), _lasting(sys.stderr, 2)
@@ -150,7 +163,8 @@ def _lasting_streams() -> Iterator[None]:
 
 def _lasting(stream: TextIO | None, number: int) -> TextIO:
     if stream is None:
-        # The process was started without it (`>&-`); the next file to be opened would get its number, and all that is printed.
+        # The process was started without it (`>&-`); the next file to be opened would get its number, and all
+        # that is printed.
         _lead_nowhere(number)
         return open(number, "w", encoding="utf-8", errors="backslashreplace", closefd=False)
     if not isinstance(stream, io.TextIOWrapper):
@@ -158,7 +172,9 @@ def _lasting(stream: TextIO | None, number: int) -> TextIO:
     stream.reconfigure(errors="backslashreplace")
     if stream not in (sys.__stdout__, sys.__stderr__):
         return stream
-    lasting = _Stream(stream.buffer, "standard output" if number == 1 else "standard error", essential=number == 1)
+    lasting = _Stream(
+        stream.buffer, "standard output" if number == 1 else "standard error", essential=number == 1
+    )
     by_line = stream.line_buffering or stream.write_through
     return io.TextIOWrapper(lasting, stream.encoding, "backslashreplace", line_buffering=by_line)
 

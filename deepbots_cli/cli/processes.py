@@ -18,14 +18,22 @@ def available_cores() -> int:
 
 def check_dividable(workers: int | None, address: str | None, count: int, reason: str) -> None:
     """Raises: UsageError: There are workers for `count` parts, fewer than two; `reason` says why."""
-    option = "--workers" if workers is not None else "--cluster" if address is not None else None
+    if workers is not None:
+        option = "--workers"
+    elif address is not None:
+        option = "--cluster"
+    else:
+        option = None
     if option is not None and count < 2:
         raise UsageError(f"{option} has nothing to divide, since {reason}")
 
 
 @contextmanager
-def executor(workers: int | None, address: str | None, count: int | None = None, *, quiet: bool = False) -> Iterator[Executor]:
-    """Where at most `count` calls run, or shards: in this process, unless an option names workers, which end with the block.
+def executor(
+    workers: int | None, address: str | None, count: int | None = None, *, quiet: bool = False
+) -> Iterator[Executor]:
+    """Where at most `count` calls run, or shards: in this process, unless an option names workers, which end
+    with the block.
 
     Raises:
         UsageError: Both options are given, or the cluster does not answer.
@@ -40,7 +48,10 @@ def executor(workers: int | None, address: str | None, count: int | None = None,
     if workers is not None:
         workers = workers if count is None else min(workers, count)
         if workers > (cores := available_cores()) and not quiet:
-            terminal.note(f"{workers} workers share {cores} core{'' if cores == 1 else 's'}; more workers than cores are not faster")
+            terminal.note(
+                f"{workers} workers share {cores} core{'' if cores == 1 else 's'}; more workers than cores"
+                " are not faster"
+            )
     cluster = Cluster(workers=workers, address=address)
     with terminal.transient_line("" if quiet or address is None else f"joining {address} ..."):
         cluster.__enter__()

@@ -1,7 +1,8 @@
 """Records as text, JSON and CSV.
 
-A record is what has statistics of episodes: an evaluation, also one that a run keeps, a group, a listed run, a level of robustness, a part
-of the range of a drawn value. `scores` is its columns in every table, `with_interval` a statistic in a list of lines.
+A record is what has statistics of episodes: an evaluation, also one that a run keeps, a group, a listed run,
+a level of robustness, a part of the range of a drawn value. `scores` is its columns in every table,
+`with_interval` a statistic in a list of lines.
 """
 
 from __future__ import annotations
@@ -17,8 +18,14 @@ from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import Interval, Summary
-from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import PATIENCE, EvaluationRecord, Run, RunRecord, TrainingResult, in_parentheses
+from deepbots_cli.learning.records import (
+    PATIENCE,
+    EvaluationRecord,
+    RunRecord,
+    TrainingResult,
+    in_parentheses,
+)
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 
 if TYPE_CHECKING:
@@ -37,15 +44,20 @@ MAX_DRAWN = 8
 
 
 def scores(record: Any, *, success_defined: bool = True, intervals: bool = True) -> Row:
-    """The columns of a record, of which a table leaves out those that are empty in every row: return and success, with 95 % intervals.
+    """The columns of a record, of which a table leaves out those that are empty in every row: return and
+    success, with 95 % intervals.
 
-    A success that the scenario does not define (`success_defined`, here or of the record) is empty. The interval of equal returns is not
-    shown, since it follows from the possible returns alone.
+    A success that the scenario does not define (`success_defined`, here or of the record) is empty. The
+    interval of equal returns is not shown, since it follows from the possible returns alone.
     """
-    is_defined = success_defined and getattr(record, "success_defined", True) and record.success_rate is not None
+    is_defined = (
+        success_defined and getattr(record, "success_defined", True) and record.success_rate is not None
+    )
     row: dict[str, object] = {"return": record.mean_return}
     if intervals:
-        row["return_95 %"] = "all equal" if getattr(record, "std_return", None) == 0 else interval_text(record.return_interval)
+        row["return_95 %"] = (
+            "all equal" if getattr(record, "std_return", None) == 0 else interval_text(record.return_interval)
+        )
     row["success"] = percent(record.success_rate) if is_defined else ""
     if intervals:
         row["success_95 %"] = interval_text(record.success_interval, percent) if is_defined else ""
@@ -66,7 +78,12 @@ def differences(entry: GroupDifference | EngineDifference) -> Row:
 def engines_table(pairs: Sequence[EngineDifference]) -> str:
     """A row for each engine and case, against the first engine."""
     itself = "(the scenario itself)" if any(pair.case for pair in pairs) else ""
-    return table([{"difference": f"{pair.engine} - {pair.first}", "case": pair.case or itself, **differences(pair)} for pair in pairs])
+    return table(
+        [
+            {"difference": f"{pair.engine} - {pair.first}", "case": pair.case or itself, **differences(pair)}
+            for pair in pairs
+        ]
+    )
 
 
 def number(value: float) -> str:
@@ -83,16 +100,13 @@ def interval_text(interval: tuple[Any, Any] | None, form: Callable[[Any], str] =
     return "" if interval is None else " .. ".join(dict.fromkeys(map(form, interval)))
 
 
-def with_interval(value: float, interval: Interval | None, form: Callable[[float], str] = number, remark: str = "") -> str:
+def with_interval(
+    value: float, interval: Interval | None, form: Callable[[float], str] = number, remark: str = ""
+) -> str:
     """A statistic and its interval, with a remark behind the interval."""
-    return form(value) + ("" if interval is None else f" (95 %: {form(interval[0])} .. {form(interval[1])}{remark})")
-
-
-def success_or_return(result: EvaluationResult) -> str:
-    """The success rate with its interval; where the scenario defines no success, the mean return."""
-    if result.success_defined:
-        return f"success rate {with_interval(result.success_rate, result.success_interval, percent)}"
-    return f"mean return {with_interval(result.mean_return, result.return_interval)}"
+    return form(value) + (
+        "" if interval is None else f" (95 %: {form(interval[0])} .. {form(interval[1])}{remark})"
+    )
 
 
 def _statistics(result: Summary, *, success_defined: bool) -> Row:
@@ -104,7 +118,9 @@ def _statistics(result: Summary, *, success_defined: bool) -> Row:
         "minimum, maximum": f"{number(result.least_return)}, {number(result.greatest_return)}",
         "mean length": f"{result.mean_length:.1f} steps",
         "ended by": ", ".join(f"{name} {count}" for name, count in result.endings.items()),
-        "success rate": with_interval(result.success_rate, result.success_interval, percent) if success_defined else "",
+        "success rate": with_interval(result.success_rate, result.success_interval, percent)
+        if success_defined
+        else "",
     }
 
 
@@ -124,7 +140,9 @@ def training_text(result: TrainingResult) -> str:
         rows[f"stage {end.name}"] = f"done after {end.steps:,} steps, {end.episodes:,} episodes"
     rows["last stage"] = result.stage
     if result.mean_return is not None:
-        rows["mean return"] = f"{result.mean_return:.1f} over the most recent training episodes, with exploration"
+        rows["mean return"] = (
+            f"{result.mean_return:.1f} over the most recent training episodes, with exploration"
+        )
     if result.success_rate is not None:
         rows["success rate"] = f"{result.success_rate:.0%} of these episodes"
     at = result.confirmed_at
@@ -135,11 +153,17 @@ def training_text(result: TrainingResult) -> str:
     by_callback = result.stopped_by if result.stopped_by == PATIENCE else f"the callback {result.stopped_by}"
     rows["stopped by"] = result.stopped_by and by_callback
     rows["initialized from"] = result.initialized_from
-    lines = [f"training {result.status}", row_as_lines(rows), *(f"note: {reason}" for reason in result.inexact)]
+    lines = [
+        f"training {result.status}",
+        row_as_lines(rows),
+        *(f"note: {reason}" for reason in result.inexact),
+    ]
     if result.stop_requested and any(result.run.glob("models/*/best.zip")):  # not before the first checkpoint
         lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
     if result.interrupted:
-        lines.append(f"the policy is kept; continue the training with: deepbots resume {quote(str(result.run))}")
+        lines.append(
+            f"the policy is kept; continue the training with: deepbots resume {quote(str(result.run))}"
+        )
     return "\n".join(lines)
 
 
@@ -147,16 +171,16 @@ def group_training_text(result: GroupTraining) -> str:
     """The trainings of a group, a line for each seed that was trained, and how to go on."""
     rows = [
         {
-            "run": found.run.name,
-            "status": found.status,
-            "steps": found.steps,
-            "episodes": found.episodes,
-            "recent_return": found.mean_return,
-            "solved_after": found.confirmed_at.steps if found.confirmed_at else None,
-            "best_at": found.best_model.steps if found.best_model else None,
-            "cpu_s": round(found.cpu_seconds, 1),
+            "run": training.run.name,
+            "status": training.status,
+            "steps": training.steps,
+            "episodes": training.episodes,
+            "recent_return": training.mean_return,
+            "solved_after": training.confirmed_at.steps if training.confirmed_at else None,
+            "best_at": training.best_model.steps if training.best_model else None,
+            "cpu_s": round(training.cpu_seconds, 1),
         }
-        for found in result.trained
+        for training in result.trained
     ]
     lines = [f"group {result.group}", *([table(rows)] if rows else [])]
     if result.skipped:
@@ -177,27 +201,38 @@ def held_out(episodes: int) -> str:
     return f"{episodes:,} held-out start{'' if episodes == 1 else 's'}"
 
 
-def evaluation_text(result: EvaluationResult, cases: Sequence[EvaluationResult] = (), *, scenario: str | None = None) -> str:
+def evaluation_text(
+    result: EvaluationResult, cases: Sequence[EvaluationResult] = (), *, scenario: str | None = None
+) -> str:
     """Statistics with their intervals, how the episodes ended, the verdict, and the cases in a table.
 
     `scenario` is the scenario, in words, where it is not the one of the training.
     """
     terms = result.term_means if len(result.term_means) > 1 else {}
     rows = {
-        "model": f"{result.run} ({result.model}{'' if result.model_steps is None else f', after {result.model_steps:,} steps'})",
+        "model": f"{result.run}"
+        f" ({result.model}{'' if result.model_steps is None else f', after {result.model_steps:,} steps'})",
         "scenario": scenario,
-        "episodes": f"{held_out(result.episodes)} from seed {result.seed}{'' if result.deterministic else ', actions sampled'}",
+        "episodes": f"{held_out(result.episodes)} from seed"
+        f" {result.seed}{'' if result.deterministic else ', actions sampled'}",
         **_statistics(result, success_defined=result.success_defined),
         **{f"reward {name}": f"{mean:.2f} per episode" for name, mean in terms.items()},
     }
-    where = f", case {result.case}" if result.case else f", stage {result.stage}" if result.stage else ""
-    text = "\n".join([f"evaluation of {result.scenario}{where}", row_as_lines(rows), *_notes(result.notes), result.verdict])
+    if result.case:
+        where = f", case {result.case}"
+    elif result.stage:
+        where = f", stage {result.stage}"
+    else:
+        where = ""
+    text = "\n".join(
+        [f"evaluation of {result.scenario}{where}", row_as_lines(rows), *_notes(result.notes), result.verdict]
+    )
     return f"{text}\n\ncases\n{table(case_rows([result, *cases]))}" if cases else text
 
 
 def evaluation_json(result: EvaluationResult, cases: Sequence[EvaluationResult] = ()) -> dict[str, Any]:
     """An evaluation and its cases as a dictionary."""
-    return {**to_json(result), "cases": list(map(to_json, cases))}
+    return result.model_dump(mode="json") | {"cases": [case.model_dump(mode="json") for case in cases]}
 
 
 def kept_text(kept: KeptModel) -> str:
@@ -224,13 +259,15 @@ def kept_text(kept: KeptModel) -> str:
 
 def kept_json(kept: KeptModel) -> dict[str, Any]:
     """The same as a dictionary."""
-    played = [{"name": each.name, **each.result.model_dump()} for each in kept.played]
-    return {"model": kept.name, "best": kept.best.model_dump(), "earlier": kept.earlier, "played": played}
+    played = [{"name": each.name, **vars(each.result)} for each in kept.played]
+    return {"model": kept.name, "best": kept.best, "earlier": kept.earlier, "played": played}
 
 
 def summary_text(summary: Summary, *, success_defined: bool) -> str:
     """The same values for episodes without a trained policy."""
-    return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(_statistics(summary, success_defined=success_defined))
+    return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(
+        _statistics(summary, success_defined=success_defined)
+    )
 
 
 def _notes(notes: Iterable[str]) -> list[str]:
@@ -239,11 +276,15 @@ def _notes(notes: Iterable[str]) -> list[str]:
 
 def evaluation_rows(what: str, results: Iterable[tuple[str | None, EvaluationResult]]) -> list[Row]:
     """A row for each evaluation, under its name in the column `what`."""
-    return [{what: name, "episodes": result.episodes, **scores(result), "mean_length": result.mean_length} for name, result in results]
+    return [
+        {what: name, "episodes": result.episodes, **scores(result), "mean_length": result.mean_length}
+        for name, result in results
+    ]
 
 
 def case_rows(results: Sequence[EvaluationResult]) -> list[Row]:
-    """A row for each evaluation of one policy: in the scenario, in its cases, in the stages of its curriculum."""
+    """A row for each evaluation of one policy: in the scenario, in its cases, in the stages of its
+    curriculum."""
     itself = "(the scenario itself)" if any(map(case_label, results)) else ""
     return evaluation_rows("case", ((case_label(result) or itself, result) for result in results))
 
@@ -254,7 +295,8 @@ def case_label(result: EvaluationResult | EvaluationRecord) -> str | None:
 
 
 def drawn_text(result: EvaluationResult) -> str:
-    """The drawn values that have an effect, with the episodes by the parts of their ranges; parameters of the scenario first."""
+    """The drawn values that have an effect, with the episodes by the parts of their ranges; parameters of the
+    scenario first."""
     effects = result.by_drawn_value
     if effects.starts < 2:
         return "by drawn value\n  a single episode shows no effect; evaluate more of them with --episodes N"
@@ -272,7 +314,10 @@ def drawn_text(result: EvaluationResult) -> str:
     ]
     left = len(effects.effective) - MAX_DRAWN
     more = f"\n  and {left} more; --json has all of them" if left > 0 else ""
-    return f"by drawn value: {effects.conclusion}\n{table(rows) if rows else '  --json has the parts of each value'}{more}"
+    return (
+        "by drawn value:"
+        f" {effects.conclusion}\n{table(rows) if rows else '  --json has the parts of each value'}{more}"
+    )
 
 
 def group_text(group: GroupResult) -> str:
@@ -281,12 +326,16 @@ def group_text(group: GroupResult) -> str:
     solved = [solved_by(result) for result in group.evaluations]
     over_starts = {
         "mean return": with_interval(group.mean_return, group.return_interval_over_starts),
-        "success rate": with_interval(group.success_rate, group.success_interval_over_starts, percent) if has_success else "",
+        "success rate": with_interval(group.success_rate, group.success_interval_over_starts, percent)
+        if has_success
+        else "",
     }
     rows = {
         "mean return": with_interval(group.mean_return, group.return_interval),
         "interquartile mean": number(group.interquartile_mean),
-        "success rate": with_interval(group.success_rate, group.success_interval, percent) if has_success else "",
+        "success rate": with_interval(group.success_rate, group.success_interval, percent)
+        if has_success
+        else "",
         "solved": "" if None in solved else f"{sum(map(bool, solved))} of {count} seeds",
     }
     seeds = f"over {count} seed{'' if count == 1 else 's'}"
@@ -294,10 +343,16 @@ def group_text(group: GroupResult) -> str:
         seeds += ": what another training may give; more seeds narrow the intervals"
     starts = f"over {group.starts:,} start{'' if group.starts == 1 else 's'}"
     notes = [f"no model yet of seed {', '.join(map(str, group.waiting))}"] if group.waiting else []
-    notes += [note for attribute in ("notes", "remarks") for result in group.evaluations for note in getattr(result, attribute)]
+    notes += [
+        note
+        for attribute in ("notes", "remarks")
+        for result in group.evaluations
+        for note in getattr(result, attribute)
+    ]
     return "\n".join(
         [
-            f"evaluation of {first.scenario}, group {group.name}: {held_out(first.episodes)} of each run, from seed {first.seed}",
+            f"evaluation of {first.scenario}, group {group.name}: {held_out(first.episodes)} of each run,"
+            f" from seed {first.seed}",
             table(evaluation_rows("run", ((result.run.name, result) for result in group.evaluations))),
             seeds,
             row_as_lines(rows),
@@ -309,7 +364,8 @@ def group_text(group: GroupResult) -> str:
 
 
 def solved_by(result: EvaluationResult) -> bool | None:
-    """Whether a run is solved: by its verdict, or where the evaluation is no usual one of the run, by the evaluation."""
+    """Whether a run is solved: by its verdict, or where the evaluation is no usual one of the run, by the
+    evaluation."""
     if result.circumstances:
         return result.solved
     return run_verdict(result.run, RunRecord.read(result.run)).solved
@@ -317,49 +373,84 @@ def solved_by(result: EvaluationResult) -> bool | None:
 
 def group_json(group: GroupResult) -> dict[str, Any]:
     """A group as a dictionary: its statistics over seeds, and the evaluation of each run."""
-    names = ["name", "waiting", "mean_return", "return_interval", "return_interval_over_starts", "interquartile_mean", "solved_after"]
-    names += ["success_rate", "success_interval", "success_interval_over_starts"] if group.success_defined else []
+    names = [
+        "name",
+        "waiting",
+        "mean_return",
+        "return_interval",
+        "return_interval_over_starts",
+        "interquartile_mean",
+        "solved_after",
+    ]
+    names += (
+        ["success_rate", "success_interval", "success_interval_over_starts"] if group.success_defined else []
+    )
     data = {name: getattr(group, name) for name in names}
-    return {**data, "solved": list(map(solved_by, group.evaluations)), "runs": [to_json(result) for result in group.evaluations]}
+    return {**data, "solved": list(map(solved_by, group.evaluations)), "runs": group.evaluations}
 
 
 def robustness_text(found: Robustness) -> str:
-    """A row for each level of each condition, and for each side of a condition the level up to which the policy holds."""
+    """A row for each level of each condition, and for each side of a condition the level up to which the
+    policy holds."""
     title = (
-        f"robustness of {found.run} in {found.scenario}: {found.nominal.episodes} held-out episodes of each level,"
+        f"robustness of {found.run} in {found.scenario}: {found.nominal.episodes} held-out episodes of each"
+        " level,"
         f" from seed {found.nominal.seed}{in_parentheses(found.nominal.circumstances)}"
     )
     if found.bar is None:
         rate = with_interval(found.nominal.success_rate, found.nominal.success_interval, percent)
         return (
-            f"{title}\nnothing to keep: without any change, the success rate is {rate}, so no changed condition was evaluated;"
+            f"{title}\nnothing to keep: without any change, the success rate is {rate}, so no changed"
+            " condition was evaluated;"
             " train the policy further, or require a return with --min-return VALUE"
         )
     is_rate = found.metric == "success_rate"
-    rows = [_level_row("(no change)", "", found.nominal, holds=found.nominal_holds, certain=found.nominal_certain)]
+    rows = [
+        _level_row("(no change)", "", found.nominal, holds=found.nominal_holds, certain=found.nominal_certain)
+    ]
     for condition in found.conditions:
         for level in condition.levels:
-            rows.append(_level_row(condition.name, level.level, level.evaluation, holds=level.holds, certain=level.certain))
-    same = [each.name for each in found.conditions if each.levels and not _changes_episodes(each, found.nominal)]
-    notes = [f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"] if same else []
+            rows.append(
+                _level_row(
+                    condition.name, level.level, level.evaluation, holds=level.holds, certain=level.certain
+                )
+            )
+    same = [
+        each.name for each in found.conditions if each.levels and not _changes_episodes(each, found.nominal)
+    ]
+    notes = (
+        [f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"]
+        if same
+        else []
+    )
     if is_rate and found.bar < 1.0:
         from deepbots_cli.learning.statistics import episodes_above  # which imports scipy
 
         needed = episodes_above(found.bar)
         if found.nominal.episodes < needed:
             notes.append(
-                f"{found.nominal.episodes} episodes are too few to be sure of {percent(found.bar)}, even if all of them succeed;"
+                f"{found.nominal.episodes} episodes are too few to be sure of {percent(found.bar)}, even if"
+                " all of them succeed;"
                 f" write --episodes {needed} or more"
             )
     if not found.nominal_holds:
         option = "--min-success" if is_rate else "--min-return"
-        notes.append(f"the policy misses the required score even without any change; set another one with {option}")
+        notes.append(
+            f"the policy misses the required score even without any change; set another one with {option}"
+        )
     return "\n".join(
         [
             title,
-            f"required: {'success rate' if is_rate else 'mean return'} of at least {(percent if is_rate else number)(found.bar)}"
+            f"required: {'success rate' if is_rate else 'mean return'} of at least"
+            f" {(percent if is_rate else number)(found.bar)}"
             f" ({found.bar_source})",
-            row_as_lines({name: verdict for condition in found.conditions for name, verdict in condition.verdicts.items()}),
+            row_as_lines(
+                {
+                    name: verdict
+                    for condition in found.conditions
+                    for name, verdict in condition.verdicts.items()
+                }
+            ),
             "",
             table(rows),
             *_notes(notes),
@@ -384,16 +475,18 @@ def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
 def robustness_json(found: Robustness) -> dict[str, Any]:
     """The same as a dictionary, with every evaluation."""
     conditions = [
-        {"name": condition.name, "skipped": condition.skipped, "sides": [_side_json(side) for side in condition.sides]}
-        for condition in found.conditions
+        vars(condition) | {"sides": list(map(_side_json, condition.sides))} for condition in found.conditions
     ]
-    known = {name: getattr(found, name) for name in ("run", "scenario", "metric", "bar", "bar_source", "nominal_holds", "nominal_certain")}
-    return {**known, "nominal": to_json(found.nominal), "conditions": conditions}
+    certain = {"nominal_holds": found.nominal_holds, "nominal_certain": found.nominal_certain}
+    return vars(found) | certain | {"conditions": conditions}
 
 
 def _side_json(side: Side) -> dict[str, Any]:
-    known = {name: getattr(side, name) for name in ("name", "verdict", "holds_up_to", "fails_from")}
-    return {**known, "levels": [{**vars(level), "evaluation": to_json(level.evaluation)} for level in side.levels]}
+    return vars(side) | {
+        "verdict": side.verdict,
+        "holds_up_to": side.holds_up_to,
+        "fails_from": side.fails_from,
+    }
 
 
 # Recordings
@@ -401,10 +494,17 @@ def _side_json(side: Side) -> dict[str, Any]:
 
 def recorded_rows(ends: Iterable[tuple[int, WorldFrame]]) -> list[Row]:
     """A row for each episode of a recording, by its number and its last frame."""
-    found = [(number, frame, next(iter(frame.agents.values())).episode_return) for number, frame in ends]
+    rows = [(number, frame, next(iter(frame.agents.values())).episode_return) for number, frame in ends]
     return [
-        {"episode": number, "steps": frame.step, "time_s": frame.time, "ending": frame.ending, "ended_by": frame.ended_by, "return": total}
-        for number, frame, total in found
+        {
+            "episode": number,
+            "steps": frame.step,
+            "time_s": frame.time,
+            "ending": frame.ending,
+            "ended_by": frame.ended_by,
+            "return": total,
+        }
+        for number, frame, total in rows
     ]
 
 
@@ -424,14 +524,22 @@ def write_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
 
 
 def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
-    """A line for each episode: policy, what it was evaluated in, seed of the reset, outcome, reward terms as `reward.TERM`, drawn values as
-    `drawn.PLACE`."""
+    """A line for each episode: policy, what it was evaluated in, seed of the reset, outcome, reward terms as
+    `reward.TERM`, drawn values as `drawn.PLACE`."""
     rows: list[dict[str, object]] = []
     for result in results:
         for index, episode in enumerate(result.outcomes):
             row: dict[str, object] = {"run": result.run, "model": result.model, **evaluated_in(result)}
-            row |= {"episode": index, "seed": episode.seed, "return": episode.total_return, "length": episode.length}
-            row |= {"success": int(episode.is_success) if result.success_defined else "", "ended_by": episode.ended_by or ""}
+            row |= {
+                "episode": index,
+                "seed": episode.seed,
+                "return": episode.total_return,
+                "length": episode.length,
+            }
+            row |= {
+                "success": int(episode.is_success) if result.success_defined else "",
+                "ended_by": episode.ended_by or "",
+            }
             row |= {f"reward.{name}": value for name, value in episode.terms.items()}
             rows.append(row | {f"drawn.{name}": value for name, value in episode.drawn.items()})
     columns = {name: None for row in rows for name in row}
@@ -442,7 +550,8 @@ def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
 
 
 def evaluated_in(result: EvaluationResult) -> dict[str, str]:
-    """The world and the actions of an evaluation, as texts; a `scenario` of another file than that of the run has its name."""
+    """The world and the actions of an evaluation, as texts; a `scenario` of another file than that of the run
+    has its name."""
     return {
         "engine": result.engine or "",
         "scenario": result.elsewhere or result.scenario,

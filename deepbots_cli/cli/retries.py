@@ -24,17 +24,28 @@ if TYPE_CHECKING:
 
 
 def train(compiled: Compiled, retries: int, *, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Train a scenario with retries, and show what the attempts came to; `options` are those of `train_with_retries`."""
+    """Train a scenario with retries, and show what the attempts came to; `options` are those of
+    `train_with_retries`."""
     from deepbots_cli.insight.retry import train_with_retries  # which imports numpy
 
     _show(partial(train_with_retries, compiled, retries, **options), quiet=quiet, as_json=as_json)
 
 
-def resume(group: Path, retries: int | None, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+def resume(
+    group: Path,
+    retries: int | None,
+    executor: Executor,
+    *,
+    quiet: bool,
+    as_json: bool,
+    permissions: Permissions,
+) -> None:
     """Continue a group, and show what its attempts came to."""
     from deepbots_cli.insight.retry import resume_retries
 
-    begin = partial(resume_retries, group, retries=retries, executor=executor, permissions=permissions, progress=not quiet)
+    begin = partial(
+        resume_retries, group, retries=retries, executor=executor, permissions=permissions, progress=not quiet
+    )
     _show(begin, quiet=quiet, as_json=as_json)
 
 
@@ -45,57 +56,69 @@ def _show(begin: Callable[..., RetriedTraining], *, quiet: bool, as_json: bool) 
     def announce(run: Path, attempt: RetryAttempt) -> None:
         begun.append(run)
         if attempt.base and not quiet:
-            terminal.note(f"\n{run.name}: try-{attempt.base} is not solved. {attempt.text}\ntraining again with {_values(attempt)}")
+            terminal.note(
+                f"\n{run.name}: try-{attempt.base} is not solved. {attempt.text}\ntraining again with"
+                f" {_values(attempt)}"
+            )
 
     try:
         with terminal.progress(always=False) as show_episode:
-            found = begin(on_attempt=announce, on_episode=show_episode)
+            training = begin(on_attempt=announce, on_episode=show_episode)
     except KeyboardInterrupt:
         again = f"; continue with: deepbots resume {quote(str(begun[-1].parent))}" if begun else ""
         terminal.note(f"interrupted{again}")
         raise typer.Exit(INTERRUPTED) from None
-    group, best = quote(str(found.group)), found.attempts[found.best - 1]
-    lines = [f"group {found.group}\n{table(list(map(_row, found.attempts)))}", f"best: {best.path.name}, {best.verdict.text}"]
-    if found.stopped_by and not found.solved:
-        lines.append(f"no further attempt: {found.stopped_by}")
+    group, best = quote(str(training.group)), training.attempts[training.best - 1]
+    lines = [
+        f"group {training.group}\n{table(list(map(_row, training.attempts)))}",
+        f"best: {best.path.name}, {best.verdict.text}",
+    ]
+    if training.stopped_by and not training.solved:
+        lines.append(f"no further attempt: {training.stopped_by}")
     if best.attempt.settings:
         lines.append(f"write the values of {best.path.name} into your file: deepbots apply {group} FILE")
     path = quote(str(best.path))
     further = [f"deepbots {command} {path}" for command in ("view", "report", "export")]
-    if found.interrupted:
+    if training.interrupted:
         further = [f"deepbots resume {group}"]
-    elif not found.solved:
-        more = f"deepbots resume {group} --retry {len(found.attempts) + 1}"
-        first = [more if cause.settings else cause.command for cause in found.causes[:1]]
+    elif not training.solved:
+        more = f"deepbots resume {group} --retry {len(training.attempts) + 1}"
+        first = [more if cause.settings else cause.command for cause in training.causes[:1]]
         further = [*first, f"deepbots diagnose {group}", f"deepbots report {group}"]
     data = {
-        "group": found.group,
-        "attempts": [_data(each) for each in found.attempts],
-        "best": found.best,
-        "solved": found.solved,
-        "interrupted": found.interrupted,
-        "cause": found.causes[0].as_json() if found.causes else None,
+        "group": training.group,
+        "attempts": [_data(each) for each in training.attempts],
+        "best": training.best,
+        "solved": training.solved,
+        "interrupted": training.interrupted,
+        "cause": training.causes[0].as_json() if training.causes else None,
     }
-    causes = () if found.interrupted else found.causes
-    terminal.show(data, *lines, *cause_lines(causes, f" of try-{found.diagnosed}"), as_json=as_json, next_commands=further)
-    if found.interrupted:
+    causes = () if training.interrupted else training.causes
+    terminal.show(
+        data,
+        *lines,
+        *cause_lines(causes, f" of try-{training.diagnosed}"),
+        as_json=as_json,
+        next_commands=further,
+    )
+    if training.interrupted:
         raise typer.Exit(INTERRUPTED)
 
 
-def _data(found: Attempted) -> dict[str, Any]:
-    evaluation = found.verdict.evaluation
+def _data(attempted: Attempted) -> dict[str, Any]:
+    evaluation = attempted.verdict.evaluation
     scores = {name: getattr(evaluation, name, None) for name in ("mean_return", "success_rate")}
-    return {"run": found.path, **vars(found.attempt), **scores, "solved": found.verdict.solved}
+    return {"run": attempted.path, **vars(attempted.attempt), **scores, "solved": attempted.verdict.solved}
 
 
-def _row(found: Attempted) -> Row:
-    evaluation = found.verdict.evaluation
+def _row(attempted: Attempted) -> Row:
+    evaluation = attempted.verdict.evaluation
     return {
-        "run": found.path.name,
-        "changed": _values(found.attempt) or "nothing",
-        "because": found.attempt.cause,
+        "run": attempted.path.name,
+        "changed": _values(attempted.attempt) or "nothing",
+        "because": attempted.attempt.cause,
         **({} if evaluation is None else records.scores(evaluation, intervals=False)),
-        "solved": found.verdict.solved,
+        "solved": attempted.verdict.solved,
     }
 
 

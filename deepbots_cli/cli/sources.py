@@ -22,8 +22,8 @@ from deepbots_cli.rollout.source import Source, SourceKind
 
 @dataclass(frozen=True)
 class OpenedSource(WrittenScenario):
-    """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in, if any, and `model`
-    the model of it.
+    """A compiled scenario with its text after includes and settings; `run` is the run that it was trained in,
+    if any, and `model` the model of it.
 
     `learner` are the reasons for a learner that deepbots chose, which is part of the program and of the text.
     """
@@ -34,22 +34,33 @@ class OpenedSource(WrittenScenario):
     learner: Sequence[str] = ()
 
 
-def open_source(source: str, overrides: Sequence[str], permissions: Permissions, engine: str | None = None) -> OpenedSource:
-    """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of a run, a model
-    of a run, or a group.
+def open_source(
+    source: str, overrides: Sequence[str], permissions: Permissions, engine: str | None = None
+) -> OpenedSource:
+    """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of a run,
+    a model of a run, or a group.
 
     Raises:
         UsageError: There is no such file or run.
         ScenarioError: The scenario has errors.
     """
-    opened = Source.open(source, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
+    opened = Source.open(
+        source, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP
+    )
     if opened.kind is not SourceKind.SCENARIO and overrides:
         kind = "a group" if opened.kind is SourceKind.GROUP else "a run"
-        raise UsageError(f"--set works only with a scenario; {source} is {kind}, which cannot be changed after the training")
+        raise UsageError(
+            f"--set works only with a scenario; {source} is {kind}, which cannot be changed after the"
+            " training"
+        )
     if opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
         ref = ModelRef.open(opened)
-        return OpenedSource(ref.run.program, opened.document().root, ref.run, ref.name, learner=ref.run.record.learner)
-    checked = opened.checked(overrides=with_engine(overrides, engine) if opened.kind is SourceKind.SCENARIO else ())
+        return OpenedSource(
+            ref.run.program, opened.document().root, ref.run, ref.name, learner=ref.run.record.learner
+        )
+    checked = opened.checked(
+        overrides=with_engine(overrides, engine) if opened.kind is SourceKind.SCENARIO else ()
+    )
     compiled = api.compile(checked)
     with suppress(ScenarioError):  # no algorithm can act in it
         compiled = api.with_learner(compiled)
@@ -61,29 +72,36 @@ def is_robot(reference: str) -> bool:
     """Whether this is a robot file, or the name of a shipped robot and of no scenario."""
     if reference.startswith("package://") or reference.lower().endswith((".urdf", ".xacro")):
         return True
-    return shipped.robot_path(reference) is not None and shipped.scenario_path(reference) is None and not Path(reference).exists()
+    return (
+        shipped.robot_path(reference) is not None
+        and shipped.scenario_path(reference) is None
+        and not Path(reference).exists()
+    )
 
 
 def open_robot(reference: str, allowed: Sequence[str | Path] = ()) -> tuple[RobotFile, list[Finding]]:
-    """A robot file, and the warnings about it. Its meshes lie in its folder, the current one, an `allowed` one, or below them.
+    """A robot file, and the warnings about it. Its meshes lie in its folder, the current one, an `allowed`
+    one, or below them.
 
     Raises:
         UsageError: There is no such file.
         ScenarioError: It cannot be read as a robot.
     """
-    found = (
+    robot = (
         meshes.locate_mesh(reference, Path.cwd())
         if reference.startswith("package://")
         else shipped.robot_path(reference) or Path(reference)
     )
-    if isinstance(found, meshes.UnusableMesh) or not found.is_file():
+    if isinstance(robot, meshes.UnusableMesh) or not robot.is_file():
         names = shipped.robot_names()
         near = meshes.library_reference(reference) or nearest_word(reference, names)
         hint = f" (did you mean {near}?)" if near else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
-    resolve_mesh = meshes.mesh_resolver(found.absolute().parent, (Path.cwd(), *map(Path, allowed), *meshes.package_folders(reference)))
-    file = read(found, files.display_path(found.resolve()), findings, resolve_mesh=resolve_mesh)
+    resolve_mesh = meshes.mesh_resolver(
+        robot.absolute().parent, (Path.cwd(), *map(Path, allowed), *meshes.package_folders(reference))
+    )
+    file = read(robot, files.display_path(robot.resolve()), findings, resolve_mesh=resolve_mesh)
     if file is None or findings.errors:
         raise ScenarioError(list(findings))
     return file, list(findings)

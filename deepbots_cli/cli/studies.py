@@ -20,7 +20,15 @@ _MAX_SHOWN = 10
 """Trials in the table; --json has all."""
 
 
-def continue_study(study: Study, workers: int | None, address: str | None, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
+def continue_study(
+    study: Study,
+    workers: int | None,
+    address: str | None,
+    *,
+    quiet: bool,
+    as_json: bool,
+    permissions: Permissions,
+) -> None:
     """Train the trials of a study that are left, and show its table."""
     with processes.executor(workers, address, study.record.trials, quiet=quiet) as executor:
         display = StudyDisplay(study, quiet=quiet)
@@ -45,11 +53,16 @@ class StudyDisplay(StudyReporter):
             keys = ", ".join(f"{name} = {space}" for name, space in record.search.items())
             terminal.note(f"study {study.path}: {keys}")
             terminal.note(
-                f"{record.trials} trial{'s' * (record.trials > 1)} with {len(record.seeds)} seed{'s' * (len(record.seeds) > 1)} and at most"
-                f" {record.total_timesteps:,} timesteps each; {_OBJECTIVES[record.objective]}; Ctrl-C keeps everything"
+                f"{record.trials} trial{'s' * (record.trials > 1)} with {len(record.seeds)}"
+                f" seed{'s' * (len(record.seeds) > 1)} and at most"
+                f" {record.total_timesteps:,} timesteps each; {_OBJECTIVES[record.objective]}; Ctrl-C keeps"
+                " everything"
             )
             if task := [name for name in record.search if not name.startswith("train.")]:
-                terminal.note(f"note: {', '.join(task)} may change the task itself; each trial is evaluated in its own task")
+                terminal.note(
+                    f"note: {', '.join(task)} may change the task itself; each trial is evaluated in its own"
+                    " task"
+                )
 
     def note(self, text: str) -> None:
         if not self._quiet and text not in self._noted:  # all trainings may have the same
@@ -68,10 +81,15 @@ class StudyDisplay(StudyReporter):
     def _work(self) -> str:
         """How far the trials at work are."""
         if len(self._at_work) > 1:
-            return "at work: " + ", ".join(f"trial {number} ({each.fraction:.0%})" for number, each in self._at_work.items())
+            return "at work: " + ", ".join(
+                f"trial {number} ({each.fraction:.0%})" for number, each in self._at_work.items()
+            )
         ((number, each),) = self._at_work.items()
         steps = f"{each.training.steps:,} of {each.training.total_steps:,} steps"
-        return f"seed {each.seed}, {each.place} of {each.count}: {steps}  trial {number}: {_settings(self._begun[number].values)}"
+        return (
+            f"seed {each.seed}, {each.place} of {each.count}: {steps}  trial {number}:"
+            f" {_settings(self._begun[number].values)}"
+        )
 
     def stop(self) -> None:
         if self._line is not None:
@@ -101,7 +119,9 @@ def _settings(values: Mapping[str, str]) -> str:
 
 def _result(trial: StudyTrial) -> str:
     solved = [each.steps for each in trial.seeds if each.steps is not None]
-    after = f", {len(solved)} of {len(trial.seeds)} seeds solved" + (f" after {fmean(solved):,.0f} steps" if solved else "")
+    after = f", {len(solved)} of {len(trial.seeds)} seeds solved" + (
+        f" after {fmean(solved):,.0f} steps" if solved else ""
+    )
     return f"score {trial.score:.4g}{after}"
 
 
@@ -123,16 +143,24 @@ def show_study(study: Study, *, done: bool, as_json: bool) -> None:
     """The best trials, and what to do next."""
     trials = study.trials()
     ranked, path = study.ranked(trials), quote(str(study.path))
-    counts = {state: sum(trial.state == state for trial in trials) for state in ("complete", "pruned", "failed", "running")}
+    counts = {
+        state: sum(trial.state == state for trial in trials)
+        for state in ("complete", "pruned", "failed", "running")
+    }
     rows = [_row(study, trial) for trial in ranked[:_MAX_SHOWN]]
     summary = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-    lines = [f"study {study.path}: {summary or 'no trial'} of {study.record.trials} trials", *([table(rows)] if rows else [])]
+    lines = [
+        f"study {study.path}: {summary or 'no trial'} of {study.record.trials} trials",
+        *([table(rows)] if rows else []),
+    ]
     best = ranked[0] if ranked else None
     over_first = study.over_first(trials)
     if best is not None:
         lines.append(_best_text(study, ranked))
     if done and counts["running"]:
-        lines.append(f"another process still trains {counts['running']} of them; this table shows what is complete")
+        lines.append(
+            f"another process still trains {counts['running']} of them; this table shows what is complete"
+        )
     data = {
         "study": study.path,
         "objective": study.record.objective,
@@ -147,21 +175,31 @@ def show_study(study: Study, *, done: bool, as_json: bool) -> None:
     elif best is not None:
         if over_first is not None and over_first.is_clear:
             further.insert(1, f"deepbots apply {path}")
-        if len(ranked) == 1 or ranked[1].score != best.score:  # of equal scores, too few starts chose the best one
+        if (
+            len(ranked) == 1 or ranked[1].score != best.score
+        ):  # of equal scores, too few starts chose the best one
             settings = " ".join(f"--set {quote(text)}" for text in (*study.record.set, *best.assignments))
-            further.append(f"deepbots train {quote(study.record.source)} {settings} --seeds {unused_seeds(study)}")
+            further.append(
+                f"deepbots train {quote(study.record.source)} {settings} --seeds {unused_seeds(study)}"
+            )
     terminal.show(data, *lines, as_json=as_json, next_commands=further)
     if not done:
         raise typer.Exit(INTERRUPTED)
 
 
 def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
-    """The best trial, those with its score, and whether it is clearly better than the values of the scenario itself."""
+    """The best trial, those with its score, and whether it is clearly better than the values of the scenario
+    itself."""
     best, over_first = ranked[0], study.over_first(ranked)
     text = f"best: trial {best.number}, score {best.score:.4g}"
     if equals := sum(trial.score == best.score for trial in ranked) - 1:
-        measures = "the return" if study.record.objective == "mean_return" else "the success rate, then the return"
-        text += f"; {equals} other trial{'s have' if equals > 1 else ' has'} this score, and {measures} chose the best one"
+        measures = (
+            "the return" if study.record.objective == "mean_return" else "the success rate, then the return"
+        )
+        text += (
+            f"; {equals} other trial{'s have' if equals > 1 else ' has'} this score, and {measures}"
+            " chose the best one"
+        )
     if over_first is None:
         is_first = best.number == 0 and study.record.present
         return text + ("; it has the values of the scenario itself" if is_first else "")

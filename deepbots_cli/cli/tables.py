@@ -25,18 +25,22 @@ _EMPTY_VALUES: tuple[object, ...] = (None, "", [], ())
 def table(rows: Sequence[Row], indent: str = "  ") -> str:
     """Rows under the names of their keys; columns of numbers are aligned to the right.
 
-    The keys of the first row are the columns. A column that is empty in every row is left out. On a terminal that is too narrow,
-    long cells continue on further lines.
+    The keys of the first row are the columns. A column that is empty in every row is left out. On a terminal
+    that is too narrow, long cells continue on further lines.
     """
     columns = [*rows[0]] if rows else []
     names = [name for name in columns if any(row.get(name) not in _EMPTY_VALUES for row in rows)] or columns
     cells = [[cell_text(row.get(name)) for name in names] for row in rows]
     right = [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
     widths = [max(map(cell_len, column)) for column in zip(names, *cells, strict=True)]
-    least = [width if is_number else min(width, _READABLE) for width, is_number in zip(widths, right, strict=True)]
+    least = [
+        width if is_number else min(width, _READABLE) for width, is_number in zip(widths, right, strict=True)
+    ]
     grid = Table.grid(padding=(0, 2))
     for width, is_number in zip(least, right, strict=True):
-        grid.add_column(justify="right" if is_number else "left", no_wrap=is_number, overflow="fold", min_width=width)
+        grid.add_column(
+            justify="right" if is_number else "left", no_wrap=is_number, overflow="fold", min_width=width
+        )
     for line in (names, *cells):
         grid.add_row(*(Text(text) for text in line))
         if line is names:
@@ -57,10 +61,16 @@ def row_as_lines(row: Row, indent: str = "  ") -> str:
 
 
 def _lines(grid: Table, least: int, needed: int, indent: str) -> str:
-    """A grid as text, no wider than the terminal that standard output is, unless that leaves less than the `least` width."""
+    """A grid as text, no wider than the terminal that standard output is, unless that leaves less than the
+    `least` width."""
     room = terminal.width() - len(indent) if sys.stdout.isatty() else needed
     out = StringIO()
-    console = Console(file=out, width=min(needed, room) if room >= least else needed, color_system=None, legacy_windows=False)
+    console = Console(
+        file=out,
+        width=min(needed, room) if room >= least else needed,
+        color_system=None,
+        legacy_windows=False,
+    )
     console.print(grid)
     return "\n".join(f"{indent}{line}".rstrip() for line in out.getvalue().splitlines())
 

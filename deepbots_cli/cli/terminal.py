@@ -143,7 +143,8 @@ def width() -> int:
 
 
 def printable(text: str) -> str:
-    """`text`, which may quote a file, with control and invisible characters escaped, and commands to logs made inert."""
+    """`text`, which may quote a file, with control and invisible characters escaped, and commands to logs
+    made inert."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
     return escape_log_commands(text)
@@ -171,13 +172,15 @@ def json_compatible(data: object) -> object:
 # Progress on standard error: a bar on a terminal, a line for every tenth of the way elsewhere
 
 _PAUSE = 0.2
-"""Seconds between two refreshes of the bar. It has no thread of its own: `bench` measures the CPU time of the process."""
+"""Seconds between two refreshes of the bar. It has no thread of its own: `bench` measures the CPU time of the
+process."""
 _LINE_INTERVAL_S = 30.0
 """Seconds between two lines of a work that need not be followed."""
 
 
 class ProgressBar:
-    """How much of a task is done, how fast, and how long the rest will take; `unit` is what is counted, in the plural.
+    """How much of a task is done, how fast, and how long the rest will take; `unit` is what is counted, in
+    the plural.
 
     On a terminal, the bar disappears at the end. Elsewhere there is a line for every tenth.
     """
@@ -222,5 +225,9 @@ def _bar(stream: TextIO) -> Progress:
     from rich.progress import BarColumn, Progress, TextColumn
     from rich.table import Column
 
-    text = TextColumn("{task.description}", table_column=Column(no_wrap=True, overflow="ellipsis"), markup=False)
-    return Progress(BarColumn(bar_width=20), text, console=Console(file=stream), auto_refresh=False, transient=True)
+    text = TextColumn(
+        "{task.description}", table_column=Column(no_wrap=True, overflow="ellipsis"), markup=False
+    )
+    return Progress(
+        BarColumn(bar_width=20), text, console=Console(file=stream), auto_refresh=False, transient=True
+    )

@@ -9,13 +9,15 @@ from deepbots_cli.insight.speed import Speed, engine_worth_naming
 from deepbots_cli.program import Program
 
 
-def note_faster_engine(program: Program, timesteps: int | None = None, *, permissions: Permissions = Permissions()) -> None:
+def note_faster_engine(
+    program: Program, timesteps: int | None = None, *, permissions: Permissions = Permissions()
+) -> None:
     """Say in a line if another engine than the default one is faster, and makes a training at least 30 s of
     CPU time shorter.
     """
-    found = engine_worth_naming(program, timesteps, permissions=permissions)
-    if found is not None:
-        terminal.note(f"note: {found.text}")
+    faster = engine_worth_naming(program, timesteps, permissions=permissions)
+    if faster is not None:
+        terminal.note(f"note: {faster.text}")
 
 
 def speed_table(name: str, speeds: list[Speed], rounds: int) -> str:

@@ -23,8 +23,8 @@ _FRAME_RATE = 10
 def training_page(*, wanted: bool, permissions: Permissions) -> Iterator[Callable[[Path], None]]:
     """Yield a function that shows a run in the browser, where this is wanted; the page ends with the block.
 
-    It is a process of its own, so that the training does not wait for it, and has a low priority once it serves its address: on a busy
-    machine, a page that began with a low priority served none for 40 s.
+    It is a process of its own, so that the training does not wait for it, and has a low priority once it
+    serves its address: on a busy machine, a page that began with a low priority served none for 40 s.
     """
     if wanted and find_spec("viser") is None:
         raise MissingExtraError("view", "a page in the browser")
@@ -35,7 +35,9 @@ def training_page(*, wanted: bool, permissions: Permissions) -> Iterator[Callabl
             options = ["--fps", str(_FRAME_RATE), *(["--allow-code"] if permissions.code else [])]
             command = python_command("deepbots_cli", "view", *options, "--", str(run))
             nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE
-            process = subprocess.Popen(command, stdin=nowhere, stdout=pipe, text=True, env=python_environment())
+            process = subprocess.Popen(
+                command, stdin=nowhere, stdout=pipe, text=True, env=python_environment()
+            )
             started.append((process, Thread(target=_await_page, args=(process,), daemon=True)))
             started[0][1].start()
 
@@ -53,7 +55,9 @@ def _await_page(page: subprocess.Popen[str]) -> None:
     assert page.stdout is not None
     print(page.stdout.readline(), end="", file=sys.stderr, flush=True)
     if sys.platform != "win32":
-        threads = Path(f"/proc/{page.pid}/task")  # in Linux, the priority of a process is that of its first thread
+        threads = Path(
+            f"/proc/{page.pid}/task"
+        )  # in Linux, the priority of a process is that of its first thread
         with suppress(OSError):  # it has ended
             for thread in [int(each.name) for each in threads.iterdir()] if threads.is_dir() else [page.pid]:
                 os.setpriority(os.PRIO_PROCESS, thread, 15)

@@ -1,4 +1,5 @@
-"""The results of `train` and `resume`: the training as text, its evaluation, causes, and the next commands."""
+"""The results of `train` and `resume`: the training as text, its evaluation, causes, and the next
+commands."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.decline import decline_of
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import Run, RunRecord
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
 
 if TYPE_CHECKING:
@@ -46,37 +48,67 @@ def _show_training(text: str, data: object, stopped: bool, *, as_json: bool) -> 
 def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
     """The evaluation after a training; an interruption ends the command."""
     if not quiet:
-        terminal.note("evaluating on held-out episodes without exploration, so returns differ from those of the training ...")
+        terminal.note(
+            "evaluating on held-out episodes without exploration, so returns differ from those of the"
+            " training ..."
+        )
     try:
         yield
     except KeyboardInterrupt:
-        terminal.note(f"interrupted; the training is finished, evaluate it with: deepbots eval {quote(str(trained))}")
+        terminal.note(
+            f"interrupted; the training is finished, evaluate it with: deepbots eval {quote(str(trained))}"
+        )
         raise typer.Exit(INTERRUPTED) from None
 
 
-def finish_group(group: GroupTraining, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
-    """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next commands."""
-    _show_training(records.group_training_text(group), {"training": vars(group), "evaluation": None}, group.interrupted, as_json=as_json)
+def finish_group(
+    group: GroupTraining, executor: Executor, *, quiet: bool, as_json: bool, permissions: Permissions
+) -> None:
+    """Show the trainings of a group; unless it was interrupted, evaluate all of its runs and name the next
+    commands."""
+    _show_training(
+        records.group_training_text(group),
+        {"training": vars(group), "evaluation": None},
+        group.interrupted,
+        as_json=as_json,
+    )
     with _evaluating(group.group, quiet=quiet), terminal.progress("runs", always=False) as show_run:
-        evaluation = learning.evaluate_group(group.group, permissions=permissions, on_run=show_run, executor=executor)
-    for found in evaluation.evaluations:
-        records.write_evaluation(Run.open(found.run), records.evaluation_json(found))
+        evaluation = learning.evaluate_group(
+            group.group, permissions=permissions, on_run=show_run, executor=executor
+        )
+    for result in evaluation.evaluations:
+        records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
     path = quote(str(group.group))
     data: dict[str, Any] = {"training": vars(group), "evaluation": records.group_json(evaluation)}
-    verdicts = {found.run: run_verdict(found.run, RunRecord.read(found.run)).solved for found in evaluation.evaluations}
+    verdicts = {
+        result.run: run_verdict(result.run, RunRecord.read(result.run)).solved
+        for result in evaluation.evaluations
+    }
     unsolved = [
-        found for found in evaluation.evaluations if verdicts[found.run] is False or (verdicts[found.run] is None and found.success_defined)
+        result
+        for result in evaluation.evaluations
+        if verdicts[result.run] is False or (verdicts[result.run] is None and result.success_defined)
     ]
-    worst = min(unsolved, key=lambda found: (found.success_rate, found.mean_return), default=None)
+    worst = min(unsolved, key=lambda result: (result.success_rate, result.mean_return), default=None)
     causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
-    further = [f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}", f"deepbots compare {path} OTHER_GROUP"]
+    further = [
+        f"deepbots eval {path} --csv {quote(f'{group.group.name}.csv')}",
+        f"deepbots compare {path} OTHER_GROUP",
+    ]
     further.append(f"tensorboard --logdir {path}")
     found_falls = {run.name: decline_of(run, RunRecord.read(run)) for run in Group.open(group.group).runs}
     falls = {name: fall for name, fall in found_falls.items() if fall is not None}
-    data |= {"cause": causes[0].as_json() if causes else None, "declines": {name: fall.as_json() for name, fall in falls.items()}}
+    data |= {
+        "cause": causes[0].as_json() if causes else None,
+        "declines": {name: fall.as_json() for name, fall in falls.items()},
+    }
     fallen = [f"\nnote: {name}: {fall.text}" for name, fall in falls.items()]
     further = [*(cause.command for cause in causes[:1]), *further]
-    of = "" if worst is None else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
+    of = (
+        ""
+        if worst is None
+        else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
+    )
     terminal.show(
         data,
         "\n" + records.group_text(evaluation),
@@ -90,20 +122,35 @@ def finish_group(group: GroupTraining, executor: Executor, *, quiet: bool, as_js
 
 
 def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: Permissions) -> None:
-    """Show the result of the training; unless it was interrupted, evaluate the policy and name the next commands."""
-    _show_training(records.training_text(result), {"training": result, "evaluation": None}, result.stop_requested, as_json=as_json)
+    """Show the result of the training; unless it was interrupted, evaluate the policy and name the next
+    commands."""
+    _show_training(
+        records.training_text(result),
+        {"training": result, "evaluation": None},
+        result.stop_requested,
+        as_json=as_json,
+    )
     trained = Run.open(result.run)
     is_confirmed = result.confirmed_seed is not None  # by episodes that are the evaluation
-    with _evaluating(result.run, quiet=quiet or is_confirmed), terminal.progress(always=False) as show_episode:
+    with (
+        _evaluating(result.run, quiet=quiet or is_confirmed),
+        terminal.progress(always=False) as show_episode,
+    ):
         evaluation = learning.evaluate_trained(trained, permissions=permissions, on_episode=show_episode)
         cases = learning.evaluate_cases(trained, permissions=permissions, on_episode=show_episode)
-    found = records.evaluation_json(evaluation, cases)
+    evaluated = records.evaluation_json(evaluation, cases)
     if evaluation.confirmation is None or cases:
-        records.write_evaluation(trained, found)
+        records.write_evaluation(trained, evaluated)
     solved = run_verdict(trained.path, trained.record).solved
-    run, film, logs = (quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard"))
+    run, film, logs = (
+        quote(str(path)) for path in (result.run, f"{result.run.name}.mp4", result.run / "tensorboard")
+    )
     longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
-    further = [f"deepbots render {run} -o {film}", f"deepbots resume {run} {longer}", f"tensorboard --logdir {logs}"]
+    further = [
+        f"deepbots render {run} -o {film}",
+        f"deepbots resume {run} {longer}",
+        f"tensorboard --logdir {logs}",
+    ]
     if solved:
         further = [f"deepbots {command} {run}" for command in ("view", "report", "export")]
     has_goal = solved is False or trained.program.defines_success
@@ -117,16 +164,22 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         further = [*dict.fromkeys(filter(None, [*commands, *further[:1], *further[2:]]))]
     data = {
         "training": result,
-        "evaluation": found,
+        "evaluation": evaluated,
         "solved": solved,
         "decline": None if fall is None else fall.as_json(),
         "cause": causes[0].as_json() if causes else None,
     }
     text = "\n" + records.evaluation_text(evaluation, cases)
-    no_cause = ["\nno cause found; `eval --details` shows from which starts the policy fails"] if unsolved and not causes else []
+    no_cause = (
+        ["\nno cause found; `eval --details` shows from which starts the policy fails"]
+        if unsolved and not causes
+        else []
+    )
     is_explained = bool(causes) and causes[0].cause == "fell_apart"  # whose text is this sentence
     fallen = [] if fall is None or is_explained else [f"\nnote: {fall.text}"]
-    terminal.show(data, text, *fallen, *retries.cause_lines(causes), *no_cause, as_json=as_json, next_commands=further)
+    terminal.show(
+        data, text, *fallen, *retries.cause_lines(causes), *no_cause, as_json=as_json, next_commands=further
+    )
 
 
 def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:

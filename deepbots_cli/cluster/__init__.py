@@ -6,10 +6,12 @@ local_processes.py   workers as processes of this machine, with the standard lib
 worker.py            such a process
 ray_cluster.py       workers of a Ray cluster; only this module imports Ray
 shards.py            the shards of a training on workers, which are replaced when they are lost
-tasks.py             calls of a function on workers, such as trainings of a group, which are repeated when they are lost
+tasks.py             calls of a function on workers, such as trainings of a group, which are repeated when
+                     they are lost
 
-The result of a training does not depend on where its parts run: shards and trainings are functions of the scenario, the seed and their
-number. What a worker computes therefore may be lost, and is computed again elsewhere.
+The result of a training does not depend on where its parts run: shards and trainings are functions of the
+scenario, the seed and their number. What a worker computes therefore may be lost, and is computed again
+elsewhere.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ __all__ = ["Cluster"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import what spreads work when it is asked for: a worker reads its first call before it imports anything large."""
+    """Import what spreads work when it is asked for: a worker reads its first call before it imports anything
+    large."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from deepbots_cli.cluster import session

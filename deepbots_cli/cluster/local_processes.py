@@ -1,9 +1,10 @@
 """Processes of this machine, with nothing but the standard library.
 
-A worker is an interpreter of its own, which imports deepbots and nothing of the main module: it works from a script, `python -c` and a
-notebook. `concurrent.futures` and `multiprocessing.Pool` do not serve here: the first ends all calls when one process is killed, the
-second waits for its answer forever, and both import the main module. Each worker has two pipes. A thread for each reads its messages, so
-that a worker never waits for this process, and sees at once when a worker has ended.
+A worker is an interpreter of its own, which imports deepbots and nothing of the main module: it works from a
+script, `python -c` and a notebook. `concurrent.futures` and `multiprocessing.Pool` do not serve here: the
+first ends all calls when one process is killed, the second waits for its answer forever, and both import the
+main module. Each worker has two pipes. A thread for each reads its messages, so that a worker never waits for
+this process, and sees at once when a worker has ended.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ _TICK_S = 1.0
 
 
 class Owed:
-    """The answer to a call. `hear` is called with the kind and value of each message that the call sends before."""
+    """The answer to a call. `hear` is called with the kind and value of each message that the call sends
+    before."""
 
     def __init__(self, worker: Worker, hear: Callable[[str, Any], None] | None = None) -> None:
         self.worker, self.hear = worker, hear
@@ -52,7 +54,8 @@ class Worker:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 env=python_environment({"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}),
-                start_new_session=True,  # this process handles Ctrl-C, which a terminal sends to the whole group
+                # this process handles Ctrl-C, which a terminal sends to the whole group
+                start_new_session=True,
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # the same on Windows
             )
         except OSError as error:
@@ -63,7 +66,10 @@ class Worker:
 
     def _receive(self) -> None:
         try:
-            with cast(IO[bytes], self.process.stdout) as source, suppress(EOFError, OSError, pickle.UnpicklingError):
+            with (
+                cast(IO[bytes], self.process.stdout) as source,
+                suppress(EOFError, OSError, pickle.UnpicklingError),
+            ):
                 while True:
                     self._inbox.put((self, pickle.load(source)))
         finally:
@@ -82,11 +88,16 @@ class Worker:
         code = self.process.wait()
         with suppress(OSError):
             self._pipe.close()
-        return f"its process was ended by {signal.Signals(-code).name}" if code < 0 else f"its process ended with code {code}"
+        return (
+            f"its process was ended by {signal.Signals(-code).name}"
+            if code < 0
+            else f"its process ended with code {code}"
+        )
 
 
 class LocalProcesses:
-    """An `WorkerPool` with up to `workers` processes, which start when there is work and end with the block."""
+    """An `WorkerPool` with up to `workers` processes, which start when there is work and end with the
+    block."""
 
     def __init__(self, workers: int) -> None:
         self.workers = workers
@@ -145,7 +156,9 @@ class LocalProcesses:
     def calls(self, requirements: Requirements, *, can_stop: bool) -> LocalCalls:
         return LocalCalls(self)
 
-    def call(self, function: Callable[..., object], *arguments: object, hear: Callable[[str, Any], None]) -> Owed:
+    def call(
+        self, function: Callable[..., object], *arguments: object, hear: Callable[[str, Any], None]
+    ) -> Owed:
         """Call a function in a process that is idle, or in a new one; it becomes idle again."""
         return self._send(Owed(self._process(), hear), function, *arguments)
 

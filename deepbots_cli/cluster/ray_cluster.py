@@ -1,9 +1,10 @@
 """A Ray cluster that runs already. Only this module imports Ray.
 
-Calls of functions report to a board, a small actor in the node of this process, and learn from it that they should stop.
+Calls of functions report to a board, a small actor in the node of this process, and learn from it that they
+should stop.
 
-Ray prints the messages of its nodes and has no option against this, so `_quiet` replaces a private function of Ray. Its version is
-pinned for this reason, and tests look at the terminal.
+Ray prints the messages of its nodes and has no option against this, so `_quiet` replaces a private function
+of Ray. Its version is pinned for this reason, and tests look at the terminal.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ if last:
 
 
 class RayCluster:
-    """An `WorkerPool` on the Ray cluster at `HOST:PORT`, or the one of this machine (`auto`); it leaves the cluster after the block."""
+    """An `WorkerPool` on the Ray cluster at `HOST:PORT`, or the one of this machine (`auto`); it leaves the
+    cluster after the block."""
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -73,9 +75,13 @@ class RayCluster:
             with tempfile.TemporaryDirectory() as folder, _working_directory(Path(folder)), _quiet():
                 ray.init(address=self._address, **_SILENT)
         except (ConnectionError, ValueError) as error:
-            raise UsageError(f"there is no Ray cluster at {self._address}; start one with: ray start --head") from error
+            raise UsageError(
+                f"there is no Ray cluster at {self._address}; start one with: ray start --head"
+            ) from error
         except (RuntimeError, ray.exceptions.RayError) as error:
-            raise UsageError(f"the cluster at {self._address} refuses this process: {' '.join(str(error).split())}") from error
+            raise UsageError(
+                f"the cluster at {self._address} refuses this process: {' '.join(str(error).split())}"
+            ) from error
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
@@ -127,7 +133,9 @@ class RayCluster:
             raise error.cause from error
         except ray.exceptions.RayError as error:
             if isinstance(error, ray.exceptions.RayActorError) and error.actor_init_failed:
-                raise UsageError("a worker cannot import deepbots; install the same version on all nodes") from error
+                raise UsageError(
+                    "a worker cannot import deepbots; install the same version on all nodes"
+                ) from error
             raise WorkerLost(str(error).strip().partition("\n")[0]) from error
 
     def check(self) -> None:
@@ -159,7 +167,9 @@ class RayCalls:
         self._board = _make_board()
         # A call that can be stopped has a process of its own: the signal never reaches the next call.
         max_calls = 1 if can_stop else 0
-        self._perform = ray.remote(num_cpus=1, max_retries=0, max_calls=max_calls, scheduling_strategy="SPREAD")(_perform)
+        self._perform = ray.remote(
+            num_cpus=1, max_retries=0, max_calls=max_calls, scheduling_strategy="SPREAD"
+        )(_perform)
         self._left_out: set[str] = set()
         self._where: dict[str, Any] = {}
 
@@ -187,7 +197,11 @@ class RayCalls:
             return None
         if len(unfit) == len(_nodes()):
             raise UsageError(next(iter(unfit.values())))
-        notes = [f"a node that joined gets no work: {reason}" for node, reason in unfit.items() if node not in self._left_out]
+        notes = [
+            f"a node that joined gets no work: {reason}"
+            for node, reason in unfit.items()
+            if node not in self._left_out
+        ]
         self._left_out |= unfit.keys()
         self._where = {"label_selector": {"ray.io/node-id": f"!in({','.join(sorted(self._left_out))})"}}
         return notes
@@ -223,8 +237,12 @@ def _nodes() -> dict[str, str]:
     """The hosts of the nodes with a CPU for workers, by the identifier of the node."""
     import ray
 
-    found = ray.nodes()
-    return {node["NodeID"]: node["NodeManagerHostname"] for node in found if node["Alive"] and node["Resources"].get("CPU", 0) >= 1}
+    nodes = ray.nodes()
+    return {
+        node["NodeID"]: node["NodeManagerHostname"]
+        for node in nodes
+        if node["Alive"] and node["Resources"].get("CPU", 0) >= 1
+    }
 
 
 def _perform(call: Call, board: Any) -> object:
@@ -277,7 +295,8 @@ class _BoardLine:
 
 
 def _make_board() -> Any:
-    """The actor that keeps the newest report of each call. Its class goes to the worker as it is, without an import of deepbots."""
+    """The actor that keeps the newest report of each call. Its class goes to the worker as it is, without an
+    import of deepbots."""
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
@@ -296,12 +315,16 @@ def _make_board() -> Any:
             return self.stop
 
         def news(self, stop: bool) -> tuple[dict[int, object], list[tuple[int, str]], set[int]]:
-            found, self.stop = (self.reports, self.notes, self.begun), stop
+            news, self.stop = (self.reports, self.notes, self.begun), stop
             self.reports, self.notes = {}, []
-            return found
+            return news
 
     here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
-    return ray.remote(Board).options(num_cpus=0, max_restarts=-1, max_task_retries=0, scheduling_strategy=here).remote()
+    return (
+        ray.remote(Board)
+        .options(num_cpus=0, max_restarts=-1, max_task_retries=0, scheduling_strategy=here)
+        .remote()
+    )
 
 
 def _check_address(address: str) -> None:
@@ -310,20 +333,31 @@ def _check_address(address: str) -> None:
         return
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
-        raise UsageError(f"'{address}' is no address of a Ray cluster; write HOST:PORT, such as 10.0.0.5:6379, or auto")
+        raise UsageError(
+            f"'{address}' is no address of a Ray cluster; write HOST:PORT, such as 10.0.0.5:6379, or auto"
+        )
     try:
         socket.create_connection((host.strip("[]"), int(port)), _ADDRESS_TIMEOUT_S).close()
     except OSError as error:
-        raise UsageError(f"nobody answers at {address} ({error.strerror or error}); is the cluster running?") from error
+        raise UsageError(
+            f"nobody answers at {address} ({error.strerror or error}); is the cluster running?"
+        ) from error
 
 
 @contextmanager
 def _last_words() -> Iterator[Callable[[str], None]]:
     """Yield a function that sets what another process prints if this one ends within the block.
 
-    Ray ends this process without a message when its node or the head of the cluster is lost, as soon as it needs one of them.
+    Ray ends this process without a message when its node or the head of the cluster is lost, as soon as it
+    needs one of them.
     """
-    witness = subprocess.Popen(python_script(_WITNESS), stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True)
+    witness = subprocess.Popen(
+        python_script(_WITNESS),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    )
 
     def set_last_words(text: str) -> None:
         with suppress(OSError):  # the witness was killed
@@ -362,7 +396,8 @@ def _working_directory(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Within, a Ray that is joined does not print the messages of its nodes. Lost workers are reported by deepbots."""
+    """Within, a Ray that is joined does not print the messages of its nodes. Lost workers are reported by
+    deepbots."""
     from ray._private import worker
 
     before = worker.listen_error_messages

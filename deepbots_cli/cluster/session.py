@@ -25,10 +25,12 @@ MAX_WORKERS = 1024
 
 
 class Cluster:
-    """Workers for the shards of a training, and for several trainings, evaluations or tests (`map`); a context manager.
+    """Workers for the shards of a training, and for several trainings, evaluations or tests (`map`); a
+    context manager.
 
     Args:
-        workers: Use this number of processes on this machine. They start when there is work, and end with the block.
+        workers: Use this number of processes on this machine. They start when there is work, and end with the
+            block.
         address: Join the Ray cluster at `HOST:PORT`, or the one of this machine (`auto`).
     """
 
@@ -40,7 +42,9 @@ class Cluster:
         if workers is not None and not 1 <= workers <= MAX_WORKERS:
             raise UsageError(f"the number of workers must be from 1 to {MAX_WORKERS}, not {workers}")
         self.is_on_this_machine = address is None
-        self._pool: RayCluster | LocalProcesses = RayCluster(address) if address is not None else LocalProcesses(workers or 1)
+        self._pool: RayCluster | LocalProcesses = (
+            RayCluster(address) if address is not None else LocalProcesses(workers or 1)
+        )
 
     def __enter__(self) -> Self:
         self._pool.__enter__()
@@ -55,7 +59,9 @@ class Cluster:
         """The number of workers: that which was asked for, or the CPUs of the cluster."""
         return self._pool.workers
 
-    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
+    def shards(
+        self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]
+    ) -> ShardPool:
         """The shards of a training on the workers.
 
         Raises:
@@ -72,7 +78,11 @@ class Cluster:
         return pool
 
     def map(
-        self, function: Callable[[Item, Attempt], Result], items: Iterable[Item], **options: Unpack[CallOptions]
+        self,
+        function: Callable[[Item, Attempt], Result],
+        items: Iterable[Item],
+        **options: Unpack[CallOptions],
     ) -> Generator[Result | DeepbotsError | None]:
-        """Call a function with each item on the workers, as many at a time as there are workers; see `Executor.map`."""
+        """Call a function with each item on the workers, as many at a time as there are workers; see
+        `Executor.map`."""
         return Tasks(self._pool, options).run(function, items)

@@ -1,7 +1,8 @@
 """The shards of a training on workers.
 
-A worker has one or more shards. When it is lost, alone or with its node, its shards continue on another worker from the end of the last
-fragment, and repeat what was lost of the present one: the same numbers. A node that joins later gets a worker with the next fragment.
+A worker has one or more shards. When it is lost, alone or with its node, its shards continue on another
+worker from the end of the last fragment, and repeat what was lost of the present one: the same numbers. A
+node that joins later gets a worker with the next fragment.
 """
 
 from __future__ import annotations
@@ -20,18 +21,21 @@ from deepbots_cli.cluster.worker_pool import MAX_LOSSES, Requirements, WorkerLos
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.learning.run import WORKERS_FOLDER, Run
+from deepbots_cli.learning.directories import WORKERS_FOLDER
+from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout.collector import Evaluated, EvaluationOrder, Harvest, Order, RunningEpisode
 from deepbots_cli.rollout.worlds import Array
 
 _READY_TIMEOUT_S = 60.0
-"""How long shards wait for a new worker while others could take them, and then for the next attempt to start one."""
+"""How long shards wait for a new worker while others could take them, and then for the next attempt to start
+one."""
 _MAX_VAIN_STARTS = 5
 """How often in a row all new workers may end while they start, if there are no others."""
 
 
 class Beginning(NamedTuple):
-    """What a worker needs to make a shard: the numbers of its worlds, the running episode of each, and the permissions of the training."""
+    """What a worker needs to make a shard: the numbers of its worlds, the running episode of each, and the
+    permissions of the training."""
 
     worlds: Sequence[int]
     episodes: Sequence[RunningEpisode]
@@ -55,13 +59,23 @@ class ShardWorker:
         reason = requirements.unmet()
         if reason is None and Run.open(self._path).digest != digest:
             host = socket.gethostname()
-            reason = f"the worker on {host} compiles the scenario to a different program; install the same version of deepbots"
+            reason = (
+                f"the worker on {host} compiles the scenario to a different program; install the same"
+                " version of deepbots"
+            )
         return reason
 
-    def work(self, number: int, beginning: Beginning | None, order: Order | EvaluationOrder | None, memory: Mapping[str, Array]) -> Any:
+    def work(
+        self,
+        number: int,
+        beginning: Beginning | None,
+        order: Order | EvaluationOrder | None,
+        memory: Mapping[str, Array],
+    ) -> Any:
         """Make a shard if there is a `beginning`, and return the observations, or the answer to an order.
 
-        An error that ends the training is returned, since a traceback of the worker is added to one that is raised.
+        An error that ends the training is returned, since a traceback of the worker is added to one that is
+        raised.
         """
         from deepbots_cli.learning.environments import supervisor_factory
         from deepbots_cli.learning.shards import Shard
@@ -78,7 +92,9 @@ class ShardWorker:
             if order is None:
                 return seen
             shard = self._shards[number]
-            answer = shard.evaluate(order) if isinstance(order, EvaluationOrder) else shard.collect(order, memory)
+            answer = (
+                shard.evaluate(order) if isinstance(order, EvaluationOrder) else shard.collect(order, memory)
+            )
             return replace(answer, cpu_seconds=time.process_time() - began, worker=self._number)
         except DeepbotsError as error:
             return error
@@ -119,11 +135,16 @@ class RemoteShards:
         return self._work(None, [{} for _ in self._worlds], episodes)()
 
     def collect(
-        self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
+        self,
+        order: Order,
+        memories: Sequence[Mapping[str, Array]],
+        episodes: Sequence[Sequence[RunningEpisode]],
     ) -> Callable[[], list[Harvest]]:
         return self._work(order, memories, episodes)
 
-    def evaluate(self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Evaluated]:
+    def evaluate(
+        self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]
+    ) -> list[Evaluated]:
         return self._work(order, [{} for _ in self._worlds], episodes)()
 
     def close(self) -> None:
@@ -146,7 +167,9 @@ class RemoteShards:
         def ask(shard: int, *, anew: bool) -> None:
             home = self._home_of(shard)
             beginning = Beginning(self._worlds[shard], episodes[shard], self._permissions) if anew else None
-            waiting[self._pool.ask(self._workers[home], "work", shard, beginning, shared, memories[shard])] = (shard, home)
+            waiting[
+                self._pool.ask(self._workers[home], "work", shard, beginning, shared, memories[shard])
+            ] = (shard, home)
 
         new, self._new = self._new, set()
         for shard in range(len(self._worlds)):
@@ -196,7 +219,10 @@ class RemoteShards:
         load = Counter(dict.fromkeys(self._workers, 0))
         load.update(home for home in self._homes if home is not None)
         for shard, home in enumerate(self._homes):
-            busiest, idlest = max(load, key=lambda worker: load[worker]), min(load, key=lambda worker: load[worker])
+            busiest, idlest = (
+                max(load, key=lambda worker: load[worker]),
+                min(load, key=lambda worker: load[worker]),
+            )
             if home is None or (balance and home == busiest and load[busiest] > load[idlest] + 1):
                 if home is not None:
                     load[home] -= 1
@@ -235,13 +261,16 @@ class RemoteShards:
         self._vain_starts = 0 if self._workers else self._vain_starts + 1
         if self._vain_starts == _MAX_VAIN_STARTS:
             log = self._log(self._started - 1)
-            raise RunError(f"{_MAX_VAIN_STARTS} workers in a row ended while they started; {log} has the output of the last one")
+            raise RunError(
+                f"{_MAX_VAIN_STARTS} workers in a row ended while they started; {log} has the output of the"
+                " last one"
+            )
         if not self._workers:
             self._start_workers()
 
     def _begun(self, missing: int) -> dict[Any, tuple[int, Any]]:
-        """Begin to start as many of the missing workers as the cluster has room for, at least one if there is none: the calls to wait
-        for, with number and worker."""
+        """Begin to start as many of the missing workers as the cluster has room for, at least one if there is
+        none: the calls to wait for, with number and worker."""
         free = self._pool.free()
         if not self._workers and not free and not self._vain_starts:
             self._note("waiting for a free CPU in the cluster")
@@ -261,7 +290,10 @@ class RemoteShards:
     def _too_many_losses(self, shard: int, order: Order | EvaluationOrder | None, worker: int) -> RunError:
         steps = order.begun if isinstance(order, Order) else 0
         when = "in an evaluation" if isinstance(order, EvaluationOrder) else f"in the steps after {steps:,}"
-        error = RunError(f"shard {shard} ended its worker {MAX_LOSSES} times {when}; {self._log(worker)} has its last output")
+        error = RunError(
+            f"shard {shard} ended its worker {MAX_LOSSES} times {when}; {self._log(worker)} has its last"
+            " output"
+        )
         error.add_note(f"to repeat this in one process: deepbots resume {quote(str(self._run.path))}")
         return error
 

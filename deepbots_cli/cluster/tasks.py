@@ -33,7 +33,9 @@ class Tasks:
         self._again: deque[Call] = deque()
         self._outcomes: dict[int, Any] = {}
 
-    def run(self, function: Callable[[Item, Attempt], Result], items: Iterable[Item]) -> Generator[Result | DeepbotsError | None]:
+    def run(
+        self, function: Callable[[Item, Attempt], Result], items: Iterable[Item]
+    ) -> Generator[Result | DeepbotsError | None]:
         """Yield the outcomes in the order of the items."""
         waiting, following, is_stopping = self._waiting(function, items), 0, False
         try:
@@ -62,7 +64,9 @@ class Tasks:
     def _waiting(self, function: Callable[[Item, Attempt], Result], items: Iterable[Item]) -> Iterator[Call]:
         for number, item in enumerate(items):
             log = None if self._log is None else self._log(item).absolute()
-            yield Call(number, 1, pickle.dumps((function, item)), self._requirements, log, self._stop is not None)
+            yield Call(
+                number, 1, pickle.dumps((function, item)), self._requirements, log, self._stop is not None
+            )
 
     def _end(self, ready: Any, *, is_stopping: bool) -> None:
         """A call has ended, or its worker."""

@@ -1,7 +1,8 @@
 """A process that does the work of `local_processes.py`: `python -m deepbots_cli.cluster.worker`.
 
-Standard input brings calls, as pickled bytes of a function and its arguments, or None for a stop. Answers and news go to standard
-output, pickled. Code that is called sees neither. The process ends as soon as standard input does, so it does not outlive its parent.
+Standard input brings calls, as pickled bytes of a function and its arguments, or None for a stop. Answers and
+news go to standard output, pickled. Code that is called sees neither. The process ends as soon as standard
+input does, so it does not outlive its parent.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ class Parent:
             os._exit(1)
 
 
-def invoke(parent: Parent, kind: Callable[..., Any], beginning: tuple[Any, ...], method: str, *arguments: object) -> Any:
+def invoke(
+    parent: Parent, kind: Callable[..., Any], beginning: tuple[Any, ...], method: str, *arguments: object
+) -> Any:
     """Call a method of the object of this process, which the first call makes."""
     if "object" not in parent.state:
         parent.state["object"] = kind(*beginning)

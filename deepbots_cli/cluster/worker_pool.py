@@ -1,7 +1,7 @@
 """What shards and calls need from the processes that do their work.
 
-`LocalProcesses` (`local_processes.py`) starts processes on this machine, and `RayCluster` (`ray_cluster.py`) uses those of a Ray
-cluster. The module also has what a worker of either kind runs and checks.
+`LocalProcesses` (`local_processes.py`) starts processes on this machine, and `RayCluster` (`ray_cluster.py`)
+uses those of a Ray cluster. The module also has what a worker of either kind runs and checks.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, NoReturn, Protocol
 import deepbots_cli
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.executor import Attempt
-from deepbots_cli.learning.run import versions
+from deepbots_cli.learning.records import versions
 
 MAX_LOSSES = 3
 """Workers that may be lost in one fragment of a shard, or in one call."""
@@ -123,7 +123,8 @@ class Calls(Protocol):
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a worker must have: the working directory, the same files, and the same versions of deepbots and its libraries."""
+    """What a worker must have: the working directory, the same files, and the same versions of deepbots and
+    its libraries."""
 
     folder: Path
     files: Mapping[Path, str]
@@ -138,15 +139,24 @@ class Requirements:
         worker, here = f"the worker on {socket.gethostname()}", library_versions()
         for name, version in self.versions.items():
             if here.get(name) != version:
-                return f"{worker} has {name} {here.get(name, 'not installed')}, but this process has {version}"
+                return (
+                    f"{worker} has {name} {here.get(name, 'not installed')}, but this process has {version}"
+                )
         for path, digest in self.files.items():
             if _digest(path) != digest:
                 return f"{worker} does not see {path}; use a folder that all nodes share"
-        return None if self.folder.is_dir() else f"{worker} does not see {self.folder}; work in a folder that all nodes share"
+        return (
+            None
+            if self.folder.is_dir()
+            else f"{worker} does not see {self.folder}; work in a folder that all nodes share"
+        )
 
 
 def library_versions() -> dict[str, str]:
-    return {"deepbots": deepbots_cli.__version__, **{name: text for name, text in versions().items() if name in _LIBRARIES}}
+    return {
+        "deepbots": deepbots_cli.__version__,
+        **{name: text for name, text in versions().items() if name in _LIBRARIES},
+    }
 
 
 def _digest(path: Path) -> str:
@@ -184,7 +194,8 @@ class Line(Protocol):
 
 
 def perform(call: Call, line: AbstractContextManager[Line]) -> object:
-    """Make a call in a worker. The result is the error itself if it is one of deepbots, and None after a stop."""
+    """Make a call in a worker. The result is the error itself if it is one of deepbots, and None after a
+    stop."""
     reason = call.requirements.unmet()
     if reason is not None:
         return Refusal(reason)

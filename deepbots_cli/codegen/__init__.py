@@ -1,7 +1,9 @@
 """From a program to readable Python.
 
-    Program  ->  robot.py       a controller class per robot: use_message_data, create_message; its sensors and actuators
-             ->  supervisor.py  the supervisor class: what it binds, the paper's methods, hand-written policies
+    Program  ->  robot.py       a controller class per robot: use_message_data, create_message; its sensors
+                                and actuators
+             ->  supervisor.py  the supervisor class: what it binds, the paper's methods, hand-written
+             policies
                    reset.py     what an episode draws and varies, and how it begins
                    step.py      a step and its ticks, and `_observe`, which computes everything once per tick
 workspace.py   what the methods of a supervisor share; what is read from the engine
@@ -24,7 +26,14 @@ from typing import Any
 
 from deepbots_cli.codegen.robot import ControllerPrinter
 from deepbots_cli.codegen.supervisor import print_batch_supervisor, print_supervisor
-from deepbots_cli.codegen.text import COLUMN_NAMES, RUNTIME_NAMES, Constants, class_name, fill_template, wrap_line
+from deepbots_cli.codegen.text import (
+    COLUMN_NAMES,
+    RUNTIME_NAMES,
+    Constants,
+    class_name,
+    fill_template,
+    wrap_line,
+)
 from deepbots_cli.errors import BatchError
 from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.expressions.lower import BATCH, SCALAR, Target
@@ -106,8 +115,19 @@ def generate_module(scenario: Program, target: str = "scalar") -> str:
 
 
 def _classes(scenario: Program, constants: Constants, target: Target) -> list[str]:
-    lines = [line for robot in scenario.robots for line in (*ControllerPrinter(scenario, robot, constants, target).lines(), "", "")]
-    return [*lines, *(print_supervisor(scenario, constants) if target is SCALAR else print_batch_supervisor(scenario, constants))]
+    lines = [
+        line
+        for robot in scenario.robots
+        for line in (*ControllerPrinter(scenario, robot, constants, target).lines(), "", "")
+    ]
+    return [
+        *lines,
+        *(
+            print_supervisor(scenario, constants)
+            if target is SCALAR
+            else print_batch_supervisor(scenario, constants)
+        ),
+    ]
 
 
 _NUMBERS = frozenset({"pi", "tau", "e", "inf"})
@@ -115,7 +135,9 @@ _NUMBERS = frozenset({"pi", "tau", "e", "inf"})
 
 def _imports(used: set[str], on_floats: bool) -> list[str]:
     if on_floats:
-        return [f"from deepbots_cli.runtime import {', '.join(sorted(used & set(RUNTIME_NAMES), key=_as_isort))}"]
+        return [
+            f"from deepbots_cli.runtime import {', '.join(sorted(used & set(RUNTIME_NAMES), key=_as_isort))}"
+        ]
     columns = sorted(used & set(COLUMN_NAMES))
     return [
         *(["import numpy as np", ""] if "np" in used else []),
@@ -147,9 +169,17 @@ def _names(scenario: Program) -> Iterator[str]:
     """The names that the scenario defines."""
     robots = scenario.robots
     parts: list[tuple[Any, ...]] = [
-        part for robot in robots for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)
+        part
+        for robot in robots
+        for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)
     ]
-    own: list[tuple[Any, ...]] = [scenario.parameters, scenario.signals, scenario.agent.reward, scenario.endings, scenario.agent.action]
+    own: list[tuple[Any, ...]] = [
+        scenario.parameters,
+        scenario.signals,
+        scenario.agent.reward,
+        scenario.endings,
+        scenario.agent.action,
+    ]
     yield from (robot.name for robot in robots)
     own += [scenario.disturbances, scenario.agent.scripts, scenario.tests]
     yield from (entry.name for entries in (*parts, *own) for entry in entries)
@@ -157,7 +187,9 @@ def _names(scenario: Program) -> Iterator[str]:
 
 def _as_isort(name: str) -> tuple[int, str]:
     """Constants, classes, functions."""
-    return 0 if name.isupper() else 1 if name[0].isupper() else 2, name
+    if name.isupper():
+        return 0, name
+    return 1 if name[0].isupper() else 2, name
 
 
 def _without_gaps(lines: list[str]) -> list[str]:

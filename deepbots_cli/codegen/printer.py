@@ -1,7 +1,9 @@
-"""Prints the statements of one method: numbers and vectors, with the memories of stateful functions before them.
+"""Prints the statements of one method: numbers and vectors, with the memories of stateful functions before
+them.
 
-The trees of a program are scalar: a vector is one tree per component. If the trees have the same form, the vector is printed as one
-comprehension, over a column of values wherever they differ; the order of operations in each component stays the same.
+The trees of a program are scalar: a vector is one tree per component. If the trees have the same form, the
+vector is printed as one comprehension, over a column of values wherever they differ; the order of operations
+in each component stays the same.
 """
 
 from __future__ import annotations
@@ -14,7 +16,17 @@ from typing import TYPE_CHECKING, NamedTuple
 from deepbots_cli.codegen.text import LOOP_VARIABLES, quoted, tuple_code, with_comment
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
 from deepbots_cli.expressions.lower import SCALAR, Code, number_code, operation_code
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, NamedFloat, Op, Scalar, State, is_drawn
+from deepbots_cli.expressions.scalar import (
+    Const,
+    Draw,
+    EngineRead,
+    Name,
+    NamedFloat,
+    Op,
+    Scalar,
+    State,
+    is_drawn,
+)
 
 if TYPE_CHECKING:
     from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys
@@ -26,7 +38,8 @@ _VECTOR_FUNCTIONS = {
     "scalar": {"add": "total", "min": "min", "max": "max", "or": "any", "and": "all"},
     "batch": {"add": "total", "min": "minimum", "max": "maximum", "or": "any_of", "and": "all_of"},
 }
-"""By target, the function that an operation on many arguments of the same form is printed as; it takes one vector."""
+"""By target, the function that an operation on many arguments of the same form is printed as; it takes one
+vector."""
 _MIN_LOOP_ITEMS = 4
 _NEUTRAL_VALUES = {"add": 0.0, "sub": 0.0, "mul": 1.0}
 
@@ -46,12 +59,16 @@ class Column(NamedTuple):
 class Printer:
     """Lines of Python for one method body.
 
-    `settable` has the names of draws that `options` of `reset` may set, by the identity of their expressions: to compare
-    trees is to walk them. `renamed` has the code of names that mean something else in this method.
+    `settable` has the names of draws that `options` of `reset` may set, by the identity of their expressions:
+    to compare trees is to walk them. `renamed` has the code of names that mean something else in this method.
     """
 
     def __init__(
-        self, context: ClassPrinter, *, settable: Mapping[int, str] = NO_SETTABLE, renamed: Mapping[str, str] = NO_RENAMED
+        self,
+        context: ClassPrinter,
+        *,
+        settable: Mapping[int, str] = NO_SETTABLE,
+        renamed: Mapping[str, str] = NO_RENAMED,
     ) -> None:
         self.lines: list[str] = []
         self.context = context
@@ -89,7 +106,10 @@ class Printer:
         """An assignment, with the text of the scenario that it was made from."""
         made = f"{code} = "
         if self.lines and self.lines[-1].startswith(made) and code in self.context.memories:
-            self._hoisted = {state: (target if local == code else local, item) for state, (local, item) in self._hoisted.items()}
+            self._hoisted = {
+                state: (target if local == code else local, item)
+                for state, (local, item) in self._hoisted.items()
+            }
             code = self.lines.pop().removeprefix(made)
         self.lines += with_comment(f"{target} = {code}", text)
 
@@ -99,7 +119,11 @@ class Printer:
 
     def operation(self, operation: str, args: Sequence[Code]) -> Code:
         """The code of an operation on values with this code."""
-        return operation_code(operation, args, (), self.context.target) if len(args) > 1 or operation == "not" else args[0]
+        return (
+            operation_code(operation, args, (), self.context.target)
+            if len(args) > 1 or operation == "not"
+            else args[0]
+        )
 
     @property
     def on_floats(self) -> bool:
@@ -130,7 +154,9 @@ class Printer:
     def update_memories(self, trees: Sequence[Scalar]) -> None:
         """Print only what keeps the memory of stateful functions, for values that are not needed here."""
         groups: dict[tuple[str, tuple[str, str]], list[State]] = {}
-        states = (state for tree in trees for state in outer_states(tree, without=self.context.begun_by_message))
+        states = (
+            state for tree in trees for state in outer_states(tree, without=self.context.begun_by_message)
+        )
         for state in dict.fromkeys(states):  # one number may drive several joints
             groups.setdefault((state.function, state.call), []).append(state)
         for group in groups.values():
@@ -148,12 +174,20 @@ class Printer:
                 return (
                     self._pose_function_code(tree)
                     or self._reduction_code(tree)
-                    or operation_code(tree.op, [self.code(arg) for arg in tree.args], tree.args, self.context.target)
+                    or operation_code(
+                        tree.op, [self.code(arg) for arg in tree.args], tree.args, self.context.target
+                    )
                 )
             case State():
                 return Code(self._state(tree))
             case Draw():
-                return Code(self.draw(tree.distribution, quoted(tree.stream), [self.value(argument) for argument in tree.args]))
+                return Code(
+                    self.draw(
+                        tree.distribution,
+                        quoted(tree.stream),
+                        [self.value(argument) for argument in tree.args],
+                    )
+                )
             case Name(name=name) if name in self._renamed:
                 return Code(self._renamed[name])
             case Name() | EngineRead():
@@ -174,7 +208,9 @@ class Printer:
         return None
 
     def _body_frame_code(self, seen: _BodyFrameComponent) -> str:
-        return f"to_body_frame({self.context.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
+        return (
+            f"to_body_frame({self.context.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
+        )
 
     def _reduction_code(self, tree: Op) -> Code | None:
         """An operation on many arguments of the same form, as one operation on a vector."""
@@ -199,7 +235,9 @@ class Printer:
         if not trees:
             return Column("()")
         if all(isinstance(tree, Const) for tree in trees):
-            return Column(self.context.constants.vector([tree.value for tree in trees if isinstance(tree, Const)]))
+            return Column(
+                self.context.constants.vector([tree.value for tree in trees if isinstance(tree, Const)])
+            )
         if all(isinstance(tree, State) for tree in trees) and len(trees) > 2:
             return self._states([tree for tree in trees if isinstance(tree, State)])
         if all(isinstance(tree, Name) for tree in trees):
@@ -208,10 +246,14 @@ class Printer:
             code = self.context.vector([tree for tree in trees if isinstance(tree, Name)])
             return None if code is None else Column(code)
         if all(isinstance(tree, EngineRead) for tree in trees):
-            found = self.context.readers.vector([tree for tree in trees if isinstance(tree, EngineRead)], self.needs)
-            return None if found is None else Column(*found)
-        seen = [found for found in map(_body_frame_component, trees) if found is not None]
-        if [found.axis for found in seen] == [0, 1, 2] == list(range(len(trees))) and len({found[::2] for found in seen}) == 1:
+            column = self.context.readers.vector(
+                [tree for tree in trees if isinstance(tree, EngineRead)], self.needs
+            )
+            return None if column is None else Column(*column)
+        seen = [column for column in map(_body_frame_component, trees) if column is not None]
+        if [column.axis for column in seen] == [0, 1, 2] == list(range(len(trees))) and len(
+            {column[::2] for column in seen}
+        ) == 1:
             return Column(self._body_frame_code(seen[0]))
         return None
 
@@ -227,11 +269,13 @@ class Printer:
 
     def _states(self, states: Sequence[State]) -> Column | None:
         """A vector of memories; None where they differ in more than their component."""
-        found = [self._hoisted.get(state) for state in states]
-        if found[0] is not None:
-            local = found[0][0]
-            return Column(local) if found == [(local, f"[{index}]") for index in range(len(states))] else None
-        if any(found) or len({state.function for state in states}) > 1:
+        hoisted = [self._hoisted.get(state) for state in states]
+        if hoisted[0] is not None:
+            local = hoisted[0][0]
+            return (
+                Column(local) if hoisted == [(local, f"[{index}]") for index in range(len(states))] else None
+            )
+        if any(hoisted) or len({state.function for state in states}) > 1:
             return None
         if len({len(state.args) for state in states}) > 1:
             return None
@@ -248,14 +292,21 @@ class Printer:
         name = self.names.identifier(f"memory {first.slot}", first.function, owner)
         kind = FUNCTIONS[first.function].memory
         options = ", on_message=True" if first.call in self.context.begun_by_message else ""
-        kinds = f"self.memories({kind}, {len(states)}{options})" if len(states) > 1 else f"self.memory({kind}{options})"
+        kinds = (
+            f"self.memories({kind}, {len(states)}{options})"
+            if len(states) > 1
+            else f"self.memory({kind}{options})"
+        )
         self.context.memories[name] = kinds if self.on_floats else f"self.memory({quoted(name)})"
         return name
 
 
 def _alike_at_start(texts: Sequence[str]) -> int:
     """How many characters all texts begin with."""
-    return next((index for index, signs in enumerate(zip(*texts, strict=False)) if len(set(signs)) > 1), min(map(len, texts)))
+    return next(
+        (index for index, signs in enumerate(zip(*texts, strict=False)) if len(set(signs)) > 1),
+        min(map(len, texts)),
+    )
 
 
 class _DifferentShapesError(Exception):
@@ -280,7 +331,11 @@ class _Loop:
         start = _alike_at_start(texts)
         end = _alike_at_start([text[start:][::-1] for text in texts])
         start = max(texts[0].rfind(sign, 0, start) + 1 for sign in ".:#")
-        end = max(len(found[0]) for text in texts[:1] if (found := re.search(r"([.:#].*)?$", text[len(text) - end :])))
+        end = max(
+            len(match[0])
+            for text in texts[:1]
+            if (match := re.search(r"([.:#].*)?$", text[len(text) - end :]))
+        )
         parts = tuple(text[start : len(text) - end] for text in texts)
         if "{" in texts[0] or "}" in texts[0]:
             raise _DifferentShapesError
@@ -303,9 +358,16 @@ class _Loop:
             return self._printer.code(first)
         if (column := self._printer._column(trees)) is not None:
             return Code(self.variable(column))
-        if all(isinstance(tree, Name | EngineRead) or (isinstance(tree, Op) and _of_poses(tree)) for tree in trees):
+        if all(
+            isinstance(tree, Name | EngineRead) or (isinstance(tree, Op) and _of_poses(tree))
+            for tree in trees
+        ):
             return Code(self.variable(Column(self._printer.tuple(trees))))
-        if all(isinstance(tree, Draw) and tree.distribution == first.distribution for tree in trees if isinstance(first, Draw)):
+        if all(
+            isinstance(tree, Draw) and tree.distribution == first.distribution
+            for tree in trees
+            if isinstance(first, Draw)
+        ):
             draws = [tree for tree in trees if isinstance(tree, Draw)]
             if len(draws) == len(trees):
                 stream = self.string([draw.stream for draw in draws])
@@ -315,7 +377,12 @@ class _Loop:
         name = operations[0].op
         if name == "pow" and len({tree.args[1] for tree in operations}) > 1:
             raise _DifferentShapesError
-        return operation_code(name, self._bodies([tree.args for tree in operations]), operations[0].args, self._printer.context.target)
+        return operation_code(
+            name,
+            self._bodies([tree.args for tree in operations]),
+            operations[0].args,
+            self._printer.context.target,
+        )
 
     def _bodies(self, rows: Sequence[tuple[Scalar, ...]]) -> list[Code]:
         if len({len(row) for row in rows}) > 1:
@@ -324,7 +391,8 @@ class _Loop:
 
 
 def _with_same_operation(operations: Sequence[Op], trees: Sequence[Scalar]) -> Sequence[Op]:
-    """The trees as the same operation; a constant that leaves a tree as it is stands where the others have theirs.
+    """The trees as the same operation; a constant that leaves a tree as it is stands where the others have
+    theirs.
 
     Raises:
         _DifferentShapesError: They are no such.
@@ -332,14 +400,22 @@ def _with_same_operation(operations: Sequence[Op], trees: Sequence[Scalar]) -> S
     names = {tree.op for tree in operations}
     if len(operations) == len(trees) and len(names) == 1:
         return operations
-    constant = [next((at for at, arg in enumerate(tree.args) if isinstance(arg, Const)), None) for tree in operations]
-    lifting = {(tree.op, at) for tree, at in zip(operations, constant, strict=True) if at is not None and tree.op in _NEUTRAL_VALUES}
+    constant = [
+        next((at for at, arg in enumerate(tree.args) if isinstance(arg, Const)), None) for tree in operations
+    ]
+    lifting = {
+        (tree.op, at)
+        for tree, at in zip(operations, constant, strict=True)
+        if at is not None and tree.op in _NEUTRAL_VALUES
+    }
     for name, at in sorted(lifting):
         if (name, at) == ("sub", 0):
             continue
         neutral = Const(_NEUTRAL_VALUES[name])
         return [
-            tree if isinstance(tree, Op) and tree.op == name else Op(name, (neutral, tree) if at == 0 else (tree, neutral))
+            tree
+            if isinstance(tree, Op) and tree.op == name
+            else Op(name, (neutral, tree) if at == 0 else (tree, neutral))
             for tree in trees
         ]
     raise _DifferentShapesError
@@ -372,18 +448,19 @@ _ONE, _OTHER = "one", "other"
 
 def _patterns() -> dict[str, list[tuple[str, Scalar]]]:
     """The trees of functions of poses, by their outermost operation."""
-    found: dict[str, list[tuple[str, Scalar]]] = {}
+    patterns: dict[str, list[tuple[str, Scalar]]] = {}
     for function in FUNCTIONS.values():
         if function.family is Family.WORLD and function.tree is not None:
             tree = function.tree(*(_ONE, _OTHER)[: len(function.params)])
             assert isinstance(tree, Op)
-            found.setdefault(tree.op, []).append((function.name, tree))
-    return found
+            patterns.setdefault(tree.op, []).append((function.name, tree))
+    return patterns
 
 
 _PATTERNS = _patterns()
 _BODY_FRAME_PATTERNS = [
-    Op("add", tuple(Op("mul", (rotation(_ONE, row, axis), Name(f"{row}"))) for row in range(3))) for axis in range(3)
+    Op("add", tuple(Op("mul", (rotation(_ONE, row, axis), Name(f"{row}"))) for row in range(3)))
+    for axis in range(3)
 ]  # what `lower` makes of `to_body_frame`
 
 
@@ -406,7 +483,8 @@ def _body_frame_component(tree: Scalar) -> _BodyFrameComponent | None:
 
 
 def _matches(pattern: Scalar, tree: Scalar, bodies: dict[str, str], others: dict[str, Scalar]) -> bool:
-    """Whether a tree has the form of the pattern; `bodies` and `others` receive the values of its subjects and names."""
+    """Whether a tree has the form of the pattern; `bodies` and `others` receive the values of its subjects
+    and names."""
     match pattern, tree:
         case Name(name), _:
             others[name] = tree
@@ -415,7 +493,9 @@ def _matches(pattern: Scalar, tree: Scalar, bodies: dict[str, str], others: dict
             return (function, component) == (other, axis) and bodies.setdefault(key, body) == body
         case Op(name, args), Op(other, parts):
             return (
-                name == other and len(args) == len(parts) and all(_matches(a, b, bodies, others) for a, b in zip(args, parts, strict=True))
+                name == other
+                and len(args) == len(parts)
+                and all(_matches(a, b, bodies, others) for a, b in zip(args, parts, strict=True))
             )
         case _:
             return pattern == tree

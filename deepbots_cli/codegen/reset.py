@@ -1,7 +1,8 @@
-"""Prints what happens at a reset: what an episode draws and varies, and the world as it begins; language reference, "Reset".
+"""Prints what happens at a reset: what an episode draws and varies, and the world as it begins; language
+reference, "Reset".
 
-Where everything has its place, the bodies are simply put there. Where something looks for a place, where the start is required
-to be some way, or where copies come and go, `_arrange` is one attempt at it.
+Where everything has its place, the bodies are simply put there. Where something looks for a place, where the
+start is required to be some way, or where copies come and go, `_arrange` is one attempt at it.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from deepbots_cli.program.values import Expression, Noise
 
 
 def begin_method(supervisor: SupervisorPrinter) -> list[str]:
-    """Draws in order of dependency, then variations, places, joints; the actuators hold until their first commands."""
+    """Draws in order of dependency, then variations, places, joints; the actuators hold until their first
+    commands."""
     scenario, reset = supervisor.scenario, supervisor.scenario.reset
     printer = supervisor.printer()
     _print_first_draws(supervisor, printer)
@@ -45,7 +47,11 @@ def begin_method(supervisor: SupervisorPrinter) -> list[str]:
         printer.line("self.engine.reset()")
         for variation in reset.variations:
             vector = printer.vector(variation.scalars) if _is_vector(variation) else ""
-            printer.line(_setting(variation, vector, [] if vector else [printer.value(value) for value in variation.scalars]))
+            printer.line(
+                _setting(
+                    variation, vector, [] if vector else [printer.value(value) for value in variation.scalars]
+                )
+            )
         printer.lines += _releasing(scenario)
         for place in reset.placements:
             printer.line(_placing(place, printer))
@@ -54,7 +60,9 @@ def begin_method(supervisor: SupervisorPrinter) -> list[str]:
         printer.lines += _reset_paths_lines(supervisor)
     _print_first_pushes(supervisor, printer)
     printer.lines += [
-        f"self.robot_{robot.name}.hold()" for robot in scenario.robots if ActuatorBindings(scenario, robot, supervisor.constants).actuators
+        f"self.robot_{robot.name}.hold()"
+        for robot in scenario.robots
+        if ActuatorBindings(scenario, robot, supervisor.constants).actuators
     ]
     ticks = round(reset.settle / scenario.world.timestep)
     if ticks:
@@ -70,7 +78,10 @@ def needs_arrangement(scenario: Program) -> bool:
     drawn = reset.groups or reset.layouts or reset.require is not None
     pooled = any(thing.pooled for thing in scenario.world.objects)
     return (
-        bool(drawn) or pooled or scenario.world.terrain is not None or any(p.seeks_height or p.spot is not None for p in reset.placements)
+        bool(drawn)
+        or pooled
+        or scenario.world.terrain is not None
+        or any(p.seeks_height or p.spot is not None for p in reset.placements)
     )
 
 
@@ -89,13 +100,18 @@ def _arrange(supervisor: SupervisorPrinter) -> list[str]:
             printer.line(f"{'elif' if index else 'if'} layout == {quoted(layout.name)}:")
             lines = [f"    {line}" for line in lines]
         printer.lines += lines
-    printer.lines += [f"{supervisor.present_count(group.name)} = bodies.present[{quoted(group.name)}]" for group in reset.groups]
+    printer.lines += [
+        f"{supervisor.present_count(group.name)} = bodies.present[{quoted(group.name)}]"
+        for group in reset.groups
+    ]
     printer.line("self.engine.reset()")
     if any(thing.variants for thing in supervisor.scenario.world.objects):
         printer.line("bodies.choose()")
     for index, variation in enumerate(reset.variations):
         varied = _varied(supervisor, index)
-        printer.line(_setting(variation, varied, [f"{varied}[{number}]" for number in range(len(variation.scalars))]))
+        printer.line(
+            _setting(variation, varied, [f"{varied}[{number}]" for number in range(len(variation.scalars))])
+        )
     printer.lines += _releasing(supervisor.scenario)
     printer.line("bodies.put()")
     for start in reset.joint_starts:
@@ -112,7 +128,11 @@ def _arrange(supervisor: SupervisorPrinter) -> list[str]:
 
 def _releasing(scenario: Program) -> list[str]:
     """Statements after which no actuator remembers the episode before."""
-    return [f"self.robot_{robot.name}.release()" for robot in scenario.robots if ActuatorBindings(scenario, robot, Constants()).has_devices]
+    return [
+        f"self.robot_{robot.name}.release()"
+        for robot in scenario.robots
+        if ActuatorBindings(scenario, robot, Constants()).has_devices
+    ]
 
 
 def _reset_paths_lines(supervisor: SupervisorPrinter) -> list[str]:
@@ -137,10 +157,16 @@ def _print_joints(start: JointStart, printer: Printer) -> None:
     robot, (joints, positions, velocities) = quoted(start.robot), zip(*start.states, strict=True)
     if len(joints) > 2:
         moving = "" if _all_zero(velocities) else f", {printer.vector(velocities)}"
-        printer.line(f"self.set_joints({robot}, {printer.context.constants.strings(joints)}, {printer.vector(positions)}{moving})")
+        printer.line(
+            f"self.set_joints({robot}, {printer.context.constants.strings(joints)},"
+            f" {printer.vector(positions)}{moving})"
+        )
         return
     for joint, position, velocity in start.states:
-        printer.line(f"self.engine.set_joint({robot}, {quoted(joint)}, {printer.value(position)}, {printer.value(velocity)})")
+        printer.line(
+            f"self.engine.set_joint({robot}, {quoted(joint)}, {printer.value(position)},"
+            f" {printer.value(velocity)})"
+        )
 
 
 def _all_zero(values: tuple[Scalar, ...]) -> bool:
@@ -151,7 +177,8 @@ def _all_zero(values: tuple[Scalar, ...]) -> bool:
 
 
 def _place_lines(places: Sequence[Placement], supervisor: SupervisorPrinter, printer: Printer) -> list[str]:
-    """The statements of one layout: bodies with coordinates, then bodies in cells, then bodies at free positions."""
+    """The statements of one layout: bodies with coordinates, then bodies in cells, then bodies at free
+    positions."""
     groups = {group.name: group for group in supervisor.scenario.reset.groups}
     return [line for place in _ordered(places) for line in _place(place, groups.get(place.body), printer)]
 
@@ -160,12 +187,16 @@ def _ordered(places: Sequence[Placement]) -> list[Placement]:
     """Places by how they are found, then in file order; a body that stands on another comes after it."""
     ranks = {Region: 2, Top: 2, Cells: 1}
     waiting = sorted(places, key=lambda place: ranks.get(type(place.spot), 0))
-    found: list[Placement] = []
+    ordered: list[Placement] = []
     while waiting:
         bodies = {place.body for place in waiting}
-        ready = (index for index, place in enumerate(waiting) if not (isinstance(place.spot, Top) and place.spot.of in bodies))
-        found.append(waiting.pop(next(ready, 0)))
-    return found
+        ready = (
+            index
+            for index, place in enumerate(waiting)
+            if not (isinstance(place.spot, Top) and place.spot.of in bodies)
+        )
+        ordered.append(waiting.pop(next(ready, 0)))
+    return ordered
 
 
 def _place(place: Placement, group: ObjectGroup | None, printer: Printer) -> list[str]:
@@ -173,7 +204,11 @@ def _place(place: Placement, group: ObjectGroup | None, printer: Printer) -> lis
     body, pad = ("body", "    ") if group else (quoted(place.body), "")
     at_most = "" if place.at_most is None else f", {place.at_most}"
     # A call in the head of a loop could not be cut into lines.
-    head = [f"copies = bodies.copies({quoted(place.body)}, {count}{at_most})", "for body in copies:"] if group else []
+    head = (
+        [f"copies = bodies.copies({quoted(place.body)}, {count}{at_most})", "for body in copies:"]
+        if group
+        else []
+    )
     match place.spot:
         case Region() | Top() as spot:
             pose = f"lambda: ({printer.tuple(place.xyz)}, {printer.tuple(place.rpy)})"
@@ -209,7 +244,9 @@ def _options(place: Placement, printer: Printer) -> str:
 
 def _is_vector(variation: RandomizedParameter) -> bool:
     """Whether its values are set together, one for each part of an actuator or each component of a sensor."""
-    return isinstance(variation.of, OfSensor) or (isinstance(variation.of, OfActuator) and variation.what not in _OF_RESPONSE)
+    return isinstance(variation.of, OfSensor) or (
+        isinstance(variation.of, OfActuator) and variation.what not in _OF_RESPONSE
+    )
 
 
 _OF_RESPONSE = ("actuator_delay", "actuator_time_constant")
@@ -222,7 +259,11 @@ def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str])
         case OfActuator():
             name = variation.what.removeprefix("actuator_")
             drive = f"self.robot_{of.robot}.drive_{of.actuator}"
-            return f"{drive}.response.{name} = {values[0]}" if variation.what in _OF_RESPONSE else f"{drive}.{name} = {vector}"
+            return (
+                f"{drive}.response.{name} = {values[0]}"
+                if variation.what in _OF_RESPONSE
+                else f"{drive}.{name} = {vector}"
+            )
         case OfSensor():
             return f"self.vary_sensor({', '.join(map(quoted, of))}, {vector})"
         case OfWalls():
@@ -245,7 +286,11 @@ def _print_first_draws(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Parameters and values of routes, as they are at the beginning of an episode."""
     for entry in supervisor.scenario.parameters:
         _print_first_period(supervisor, printer, entry, entry.name)
-        printer.assign(supervisor.parameter(entry.name), printer.vector_or_number(entry.components, entry.scalars), entry.text)
+        printer.assign(
+            supervisor.parameter(entry.name),
+            printer.vector_or_number(entry.components, entry.scalars),
+            entry.text,
+        )
     for name, value in _settings(supervisor):
         if not isinstance(value.scalar, Const) and not _of_message(value):
             _print_first_period(supervisor, printer, value, name)
@@ -253,22 +298,39 @@ def _print_first_draws(supervisor: SupervisorPrinter, printer: Printer) -> None:
 
 
 def print_redraws(supervisor: SupervisorPrinter, printer: Printer) -> list[tuple[str, str]]:
-    """Print the values that a step draws or computes anew before it sends messages; the step is not counted yet.
+    """Print the values that a step draws or computes anew before it sends messages; the step is not counted
+    yet.
 
     Returns:
-        For each value the attribute with the time of its next draw, or "" where every step has one, and the attribute that holds it.
+        For each value the attribute with the time of its next draw, or "" where every step has one, and the
+        attribute that holds it.
     """
     changing: set[str] = set()
-    found = []
+    redrawn = []
     for entry in supervisor.scenario.parameters:
         if entry.redraw is not None or _reads(entry.scalars, changing):
             changing.add(entry.name)
-            drawn = f"{supervisor.parameter(entry.name)} = {printer.vector_or_number(entry.components, entry.scalars)}"
-            found.append((_print_when_due(supervisor, printer, entry, entry.name, drawn), supervisor.parameter(entry.name)))
+            drawn = (
+                f"{supervisor.parameter(entry.name)} ="
+                f" {printer.vector_or_number(entry.components, entry.scalars)}"
+            )
+            redrawn.append(
+                (
+                    _print_when_due(supervisor, printer, entry, entry.name, drawn),
+                    supervisor.parameter(entry.name),
+                )
+            )
     for name, value in _settings(supervisor):
         if value.period is not None if value.redraw else _reads(value.scalars, changing):
-            found.append((_print_when_due(supervisor, printer, value, name, f"self.{name} = {printer.value(value.scalar)}"), ""))
-    return found
+            redrawn.append(
+                (
+                    _print_when_due(
+                        supervisor, printer, value, name, f"self.{name} = {printer.value(value.scalar)}"
+                    ),
+                    "",
+                )
+            )
+    return redrawn
 
 
 def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None:
@@ -281,7 +343,10 @@ def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None
 def _settings(supervisor: SupervisorPrinter) -> Iterator[tuple[str, Expression]]:
     """Every value of every route, with the attribute that holds it."""
     for robot in supervisor.scenario.robots:
-        for channel, route in ((f"to_{robot.name}", robot.to_route), (f"from_{robot.name}", robot.from_route)):
+        for channel, route in (
+            (f"to_{robot.name}", robot.to_route),
+            (f"from_{robot.name}", robot.from_route),
+        ):
             yield from ((f"{channel}.{name}", value) for name, value in route.settings)
 
 
@@ -294,12 +359,16 @@ def _due(supervisor: SupervisorPrinter, name: str) -> str:
     return supervisor.attribute(supervisor.names("due", name))
 
 
-def _print_first_period(supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str) -> None:
+def _print_first_period(
+    supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str
+) -> None:
     if value.period is not None:
         printer.line(f"{_due(supervisor, name)} = {printer.value(value.period)} - {_ROUNDING!r}")
 
 
-def _print_when_due(supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str, line: str) -> str:
+def _print_when_due(
+    supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str, line: str
+) -> str:
     """The attribute with the time of the next draw, if there is one."""
     if value.period is None:
         printer.line(line)
@@ -317,12 +386,17 @@ def _reads(values: Iterable[Scalar], names: set[str]) -> bool:
 def _print_stds(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Draw the standard deviations of noise that differ between episodes."""
     scenario = supervisor.scenario
-    noisy: list[tuple[str, Noise | None]] = [(f"observation.{entry.name}", entry.noise) for entry in scenario.agent.observation]
+    noisy: list[tuple[str, Noise | None]] = [
+        (f"observation.{entry.name}", entry.noise) for entry in scenario.agent.observation
+    ]
     noisy += [(f"augment.{entry.name}", entry.noise) for entry in scenario.signals]
     noisy += [("goal.achieved", scenario.agent.goal.achieved.noise)] if scenario.agent.goal else []
     for stream, noise in noisy:
         if noise is not None and not all(isinstance(std, Const) for std in noise.std.scalars):
-            printer.assign(std_attribute(supervisor, stream), printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars))
+            printer.assign(
+                std_attribute(supervisor, stream),
+                printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars),
+            )
 
 
 def std_attribute(supervisor: SupervisorPrinter, stream: str) -> str:
@@ -337,7 +411,8 @@ def bind_pushes(supervisor: SupervisorPrinter) -> list[str]:
     """Statements that take what pushes from `engine`."""
     substep = supervisor.scenario.world.timestep / supervisor.scenario.world.substeps
     return [
-        f"self.push_{push.name} = Push(engine, ({quoted(push.body)}, {quoted(push.link) if push.link else None}), "
+        f"self.push_{push.name} = Push(engine, ({quoted(push.body)},"
+        f" {quoted(push.link) if push.link else None}), "
         f"self._draw_{push.name}, {substep!r})"
         for push in supervisor.scenario.disturbances
     ]
@@ -345,7 +420,10 @@ def bind_pushes(supervisor: SupervisorPrinter) -> list[str]:
 
 def _print_first_pushes(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Statements of a reset that say when the first push of each disturbance begins."""
-    settling = round(supervisor.scenario.reset.settle / supervisor.scenario.world.timestep) * supervisor.scenario.world.substeps
+    settling = (
+        round(supervisor.scenario.reset.settle / supervisor.scenario.world.timestep)
+        * supervisor.scenario.world.substeps
+    )
     for push in supervisor.scenario.disturbances:
         printer.line(f"self.push_{push.name}.reset({printer.value(push.begins)}, {settling})")
 
@@ -358,7 +436,8 @@ def push_methods(supervisor: SupervisorPrinter) -> list[str]:
 def _drawing(supervisor: SupervisorPrinter, push: Disturbance) -> list[str]:
     printer = supervisor.printer()
     force, torque = (printer.tuple(vector) for vector in push.wrench)
-    duration, every = printer.value(push.duration.scalar), "inf" if push.every is None else printer.value(push.every.scalar)
+    duration = printer.value(push.duration.scalar)
+    every = "inf" if push.every is None else printer.value(push.every.scalar)
     printer.line(f"return {force}, {torque}, {duration}, {every}")
     doc = '"""Force, torque and duration of a push, and the time from its beginning to that of the next."""'
     return block(f"def _draw_{push.name}(self) -> Any:", printer.method_lines([doc]))

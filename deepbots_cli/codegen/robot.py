@@ -1,4 +1,5 @@
-"""Prints one controller class per robot: `use_message_data` and `create_message`, as in the paper; its sensors and actuators."""
+"""Prints one controller class per robot: `use_message_data` and `create_message`, as in the paper; its
+sensors and actuators."""
 
 from __future__ import annotations
 
@@ -41,7 +42,9 @@ class {name}({base}):
 class ControllerPrinter(ClassPrinter):
     """Prints the controller of one robot."""
 
-    def __init__(self, scenario: Program, robot: Robot, constants: Constants, target: Target = SCALAR) -> None:
+    def __init__(
+        self, scenario: Program, robot: Robot, constants: Constants, target: Target = SCALAR
+    ) -> None:
         super().__init__(scenario, constants, target)
         self._robot = robot
         self._received = {entry.name: entry.components for entry in robot.received}
@@ -61,9 +64,18 @@ class ControllerPrinter(ClassPrinter):
         # A batch begins like its single worlds: the same names are given, and nothing is printed.
         on_floats = self.target is SCALAR
         resetting = self._reset()
-        methods = [*(resetting if on_floats else []), *self._observe(), *self._use_message_data(), *self._create_message()]
+        methods = [
+            *(resetting if on_floats else []),
+            *self._observe(),
+            *self._use_message_data(),
+            *self._create_message(),
+        ]
         writers = ActuatorBindings(self.scenario, robot, self.constants).bind_lines(on_columns=not on_floats)
-        kept = [f"emitted_{self.names(entry.name)}" for entry in robot.emitted] if self._keeps_state and not on_floats else []
+        kept = (
+            [f"emitted_{self.names(entry.name)}" for entry in robot.emitted]
+            if self._keeps_state and not on_floats
+            else []
+        )
         devices = [f"self.sense_{name} = self.device({quoted(name)})" for name in self._devices]
         return fill_template(
             _CLASS,
@@ -81,9 +93,12 @@ class ControllerPrinter(ClassPrinter):
         return any(outer_states(value) for values in self._emitted for value in values)
 
     def _reset(self) -> list[str]:
-        """Actions are zeros at a reset. What begins with another received value waits for the first message."""
+        """Actions are zeros at a reset. What begins with another received value waits for the first
+        message."""
         applied = [value for values in self._applied for value in values]
-        if not (self._keeps_state or any(outer_states(value, without=self.begun_by_message) for value in applied)):
+        if not (
+            self._keeps_state or any(outer_states(value, without=self.begun_by_message) for value in applied)
+        ):
             return []
         printer = self._printer(dict.fromkeys(self._received, "0.0"))
         printer.update_memories(applied)
@@ -94,13 +109,20 @@ class ControllerPrinter(ClassPrinter):
         """Sampling, and what advances once per timestep."""
         sampling = [f"self.sense_{name}()" for name in self._devices]
         if not self._keeps_state:
-            return block("def observe(self) -> None:", ['"""Read the sensors, once per timestep."""', *sampling]) if sampling else []
+            return (
+                block("def observe(self) -> None:", ['"""Read the sensors, once per timestep."""', *sampling])
+                if sampling
+                else []
+            )
         printer = self._printer()
         for entry, values in zip(self._robot.emitted, self._emitted, strict=True):
             printer.assign(self._stored(entry.name), printer.vector_or_number(entry.components, values))
         doc = '"""Compute the emitted values, and update memories."""'
         return [
-            *block("def observe(self) -> None:", ['"""Read the sensors and compute, once per timestep."""', *sampling, "self.compute()"]),
+            *block(
+                "def observe(self) -> None:",
+                ['"""Read the sensors and compute, once per timestep."""', *sampling, "self.compute()"],
+            ),
             *block("def compute(self) -> None:", self._finished(printer, [doc])),
         ]
 
@@ -112,7 +134,9 @@ class ControllerPrinter(ClassPrinter):
         printer.insert_readers_here()
         for entry, values in zip(self._robot.commands, self._applied, strict=True):
             printer.line(f"self.drive_{entry.name}({printer.vector(values)})")
-        doc = docstring(f"Drive the actuators by {sentence_list(list(self._received)) or 'an empty message'}.")
+        doc = docstring(
+            f"Drive the actuators by {sentence_list(list(self._received)) or 'an empty message'}."
+        )
         return block("def use_message_data(self, message: Any) -> None:", self._finished(printer, doc))
 
     def _create_message(self) -> list[str]:
@@ -121,7 +145,10 @@ class ControllerPrinter(ClassPrinter):
             values, printer = [self._stored(entry.name) for entry in entries], None
         else:
             printer = self._printer()
-            values = [printer.vector_or_number(entry.components, trees) for entry, trees in zip(entries, self._emitted, strict=True)]
+            values = [
+                printer.vector_or_number(entry.components, trees)
+                for entry, trees in zip(entries, self._emitted, strict=True)
+            ]
         listed = sentence_list([entry.name for entry in entries]) or "nothing"
         lines = self._finished(printer, []) if printer and values else []
         answer = f"return {tuple_code(values) if values else '()'}"
@@ -145,10 +172,18 @@ class ControllerPrinter(ClassPrinter):
 
     def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
         if isinstance(leaf, EngineRead):
-            return f"self.sense_{leaf.subjects[0].partition('.')[2]}.age" if leaf.function == "age" else self.readers.code(leaf, needs)
+            return (
+                f"self.sense_{leaf.subjects[0].partition('.')[2]}.age"
+                if leaf.function == "age"
+                else self.readers.code(leaf, needs)
+            )
         if leaf.name in self._received:
             components = self._received[leaf.name]
-            return f"{self.names(leaf.name)}[{components.index(leaf.component)}]" if leaf.component else self.names(leaf.name)
+            return (
+                f"{self.names(leaf.name)}[{components.index(leaf.component)}]"
+                if leaf.component
+                else self.names(leaf.name)
+            )
         components = self._devices[leaf.name].components
         return f"{self._reading(leaf.name)}[{components.index(leaf.component) if leaf.component else 0}]"
 
@@ -160,7 +195,9 @@ class ControllerPrinter(ClassPrinter):
 
     def _reading(self, sensor: str) -> str:
         self._read[sensor] = (
-            self.names.identifier(f"reading {sensor}", sensor) if sensor not in self._received else self.names(sensor, "reading")
+            self.names.identifier(f"reading {sensor}", sensor)
+            if sensor not in self._received
+            else self.names(sensor, "reading")
         )
         return self._read[sensor]
 
@@ -180,18 +217,28 @@ class ControllerPrinter(ClassPrinter):
 
 
 def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
-    """The sensors that are sampled once per timestep, by name: those that something reads, and that are no facts."""
+    """The sensors that are sampled once per timestep, by name: those that something reads, and that are no
+    facts."""
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
     computed = [value for entry in scenario.computed_expressions for value in entry.scalars]
     read = {leaf.name for value in on_board for leaf in names_in(value)}
-    asked = {node.subjects[0] for value in (*on_board, *computed) for node in walk(value) if isinstance(node, EngineRead)}
-    used = [sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked]
+    asked = {
+        node.subjects[0]
+        for value in (*on_board, *computed)
+        for node in walk(value)
+        if isinstance(node, EngineRead)
+    }
+    used = [
+        sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked
+    ]
     return {sensor.name: sensor for sensor in used if not sensor.is_direct}
 
 
 def observes_each_timestep(scenario: Program, robot: Robot) -> bool:
     """Whether anything on board happens once per timestep: a device is sampled, or a memory advances."""
-    return bool(sampled_sensors(scenario, robot)) or any(outer_states(value) for entry in robot.emitted for value in entry.scalars)
+    return bool(sampled_sensors(scenario, robot)) or any(
+        outer_states(value) for entry in robot.emitted for value in entry.scalars
+    )
 
 
 def controller_name(robot: Robot) -> str:
@@ -199,23 +246,32 @@ def controller_name(robot: Robot) -> str:
 
 
 class ActuatorBindings:
-    """The actuators of one robot that have a command: plain motors of the engine, and devices of the runtime."""
+    """The actuators of one robot that have a command: plain motors of the engine, and devices of the
+    runtime."""
 
     def __init__(self, scenario: Program, robot: Robot, constants: Constants) -> None:
         self._robot = robot
         self._constants = constants
         self._model = next(body.model for body in scenario.world.robots if body.name == robot.name)
         self._substep = scenario.world.timestep / scenario.world.substeps
-        self._varied = {(*variation.of[1:], variation.what) for variation in scenario.reset.variations if variation.of[:1] == (robot.name,)}
+        self._varied = {
+            (*variation.of[1:], variation.what)
+            for variation in scenario.reset.variations
+            if variation.of[:1] == (robot.name,)
+        }
         commanded = {entry.name for entry in robot.commands}
         self.actuators = [actuator for actuator in robot.actuators if actuator.name in commanded]
 
     def bind_lines(self, *, on_columns: bool = False) -> list[str]:
-        """Statements that take each motor from `engine`; for a batch (`on_columns`), devices from the single worlds."""
+        """Statements that take each motor from `engine`; for a batch (`on_columns`), devices from the single
+        worlds."""
         names = [f"drive_{actuator.name}" for actuator in self.actuators]
         apart = [on_columns and self._is_device(actuator) for actuator in self.actuators]
         parts = zip(names, self.actuators, apart, strict=True)
-        return [f"self.{name} = {f'self.each({quoted(name)})' if single else self._code(actuator)}" for name, actuator, single in parts]
+        return [
+            f"self.{name} = {f'self.each({quoted(name)})' if single else self._code(actuator)}"
+            for name, actuator, single in parts
+        ]
 
     @property
     def has_devices(self) -> bool:
@@ -226,18 +282,38 @@ class ActuatorBindings:
         match actuator:
             case Thrust():
                 rotors = [
-                    self._rotor(link, actuator.moment_constant * sense) for link, sense in zip(actuator.links, actuator.spin, strict=True)
+                    self._rotor(link, actuator.moment_constant * sense)
+                    for link, sense in zip(actuator.links, actuator.spin, strict=True)
                 ]
-                arguments = ["engine", robot, tuple_code(rotors), repr(self._substep), *_strength(actuator), *_late(actuator)]
+                arguments = [
+                    "engine",
+                    robot,
+                    tuple_code(rotors),
+                    repr(self._substep),
+                    *_strength(actuator),
+                    *_late(actuator),
+                ]
                 return f"Thrust({', '.join(arguments)})"
             case Cartesian():
-                arguments = ["engine", robot, quoted(actuator.link), self._constants.strings(actuator.joints), _limits(actuator)]
+                arguments = [
+                    "engine",
+                    robot,
+                    quoted(actuator.link),
+                    self._constants.strings(actuator.joints),
+                    _limits(actuator),
+                ]
                 arguments += [f"rpy={actuator.rpy!r}"] if actuator.rpy is not None else []
                 return f"Cartesian({', '.join([*arguments, *self._response_arguments(actuator)])})"
             case CustomActuator():
                 return f"self.actuator({quoted(actuator.name)})"
             case Motor() if self._is_device(actuator):
-                arguments = ["engine", quoted(actuator.kind), robot, self._constants.strings(actuator.joints), _limits(actuator)]
+                arguments = [
+                    "engine",
+                    quoted(actuator.kind),
+                    robot,
+                    self._constants.strings(actuator.joints),
+                    _limits(actuator),
+                ]
                 gains = (("stiffness", actuator.stiffness), ("damping", actuator.damping))
                 arguments += [f"{name}={gain!r}" for name, gain in gains if gain is not None]
                 return f"Motor({', '.join([*arguments, *self._response_arguments(actuator)])})"
@@ -247,15 +323,24 @@ class ActuatorBindings:
                 if actuator.kind == "position_motor":
                     gains_ = (actuator.stiffness, actuator.damping)
                     arguments += [
-                        "None" if gain is None else constants_tuple_code([repr(strength * gain)] * len(actuator.joints)) for gain in gains_
+                        "None"
+                        if gain is None
+                        else constants_tuple_code([repr(strength * gain)] * len(actuator.joints))
+                        for gain in gains_
                     ]
                 return f"engine.{actuator.kind}({', '.join(arguments)})"
 
     def _is_device(self, actuator: Actuator) -> bool:
         if not isinstance(actuator, Motor):
             return True
-        varies = any(self._varies(actuator, value) for value in ("strength", "max_torque", "stiffness", "damping"))
-        return varies or self._acts_each_substep(actuator) or (actuator.kind == "torque_motor" and actuator.response.strength != 1.0)
+        varies = any(
+            self._varies(actuator, value) for value in ("strength", "max_torque", "stiffness", "damping")
+        )
+        return (
+            varies
+            or self._acts_each_substep(actuator)
+            or (actuator.kind == "torque_motor" and actuator.response.strength != 1.0)
+        )
 
     def _acts_each_substep(self, actuator: Motor | Cartesian) -> bool:
         """Whether it follows its commands in every substep, rather than at once."""
@@ -299,7 +384,9 @@ def _rates(motor: Motor | Cartesian) -> Sequence[float | None]:
     """How fast the targets of each joint may change; empty where at once."""
     if isinstance(motor, Motor) and motor.kind == "velocity_motor" and motor.max_acceleration is not None:
         return (motor.max_acceleration,) * len(motor.joints)
-    if (isinstance(motor, Cartesian) or motor.kind == "position_motor") and any(limit is not None for limit in motor.max_velocity):
+    if (isinstance(motor, Cartesian) or motor.kind == "position_motor") and any(
+        limit is not None for limit in motor.max_velocity
+    ):
         return motor.max_velocity
     return ()
 

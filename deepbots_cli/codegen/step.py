@@ -1,8 +1,9 @@
 """Prints what a step does, and what is computed in each timestep of it.
 
-A step of the agent decodes its action, sends one message to each robot, and goes on for `action_repeat` ticks or until the episode
-ends. `_observe` computes what follows from the world and the messages, in the order of the language: signals and the goal once,
-then terminations, truncation, rewards (which see the endings), then the observation. Failure beats success; terminated beats truncated.
+A step of the agent decodes its action, sends one message to each robot, and goes on for `action_repeat` ticks
+or until the episode ends. `_observe` computes what follows from the world and the messages, in the order of
+the language: signals and the goal once, then terminations, truncation, rewards (which see the endings), then
+the observation. Failure beats success; terminated beats truncated.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ def start_method(supervisor: SupervisorPrinter) -> list[str]:
     """The method that runs right after a reset."""
     lines = ['"""Observe the first moment of an episode."""', *supervisor.readers.start_lines()]
     lines += _zeroed(_terms(supervisor))
-    lines.append(f"self._observe({', '.join(zeros(components) for _, components in supervisor.action_names_read)})")
+    lines.append(
+        f"self._observe({', '.join(zeros(components) for _, components in supervisor.action_names_read)})"
+    )
     return block("def _start(self) -> None:", [*lines, *_start_memories_of_messages(supervisor)])
 
 
@@ -48,7 +51,9 @@ def advance_methods(supervisor: SupervisorPrinter) -> list[str]:
     printer.lines += _zeroed(["self.reward", *_terms(supervisor)])
     printer.line(f"for _ in {'range' if printer.on_floats else 'self.ticks'}({repeat}):")
     printer.line(f"    {'yield from ' if supervisor.is_of_copy else ''}self._tick({', '.join(acting)})")
-    printer.lines += ["    if self.terminated or self.truncated:", "        break"] if printer.on_floats else []
+    printer.lines += (
+        ["    if self.terminated or self.truncated:", "        break"] if printer.on_floats else []
+    )
     ticking = supervisor.printer()
     ticking.add_in_place("self.timestep_count", "1")
     _print_tick(supervisor, ticking)
@@ -56,7 +61,10 @@ def advance_methods(supervisor: SupervisorPrinter) -> list[str]:
     doc = f'"""Hold an action for {repeat} timesteps; the reward is the sum over them."""'
     return [
         *block(f"def _advance(self, action: Any) -> {result}:", printer.method_lines([doc])),
-        *block(f"def _tick({arguments}) -> {result}:", ticking.method_lines(['"""Let the world go on for a timestep, and observe."""'])),
+        *block(
+            f"def _tick({arguments}) -> {result}:",
+            ticking.method_lines(['"""Let the world go on for a timestep, and observe."""']),
+        ),
     ]
 
 
@@ -67,8 +75,19 @@ def observe_method(supervisor: SupervisorPrinter) -> list[str]:
         _print_receiving(supervisor, printer, robot)
     printer.insert_readers_here()
     for entry in supervisor.scenario.signals:
-        printer.assign(supervisor.local(entry.name), printer.vector_or_number(entry.components, entry.scalars), entry.text)
-        _print_noise(supervisor, printer, supervisor.local(entry.name), entry.components, f"augment.{entry.name}", entry.noise)
+        printer.assign(
+            supervisor.local(entry.name),
+            printer.vector_or_number(entry.components, entry.scalars),
+            entry.text,
+        )
+        _print_noise(
+            supervisor,
+            printer,
+            supervisor.local(entry.name),
+            entry.components,
+            f"augment.{entry.name}",
+            entry.noise,
+        )
     _print_goal(supervisor, printer)
     _print_endings(supervisor, printer)
     _print_rewards(supervisor, printer)
@@ -81,7 +100,10 @@ def observe_method(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _parameters(supervisor: SupervisorPrinter) -> list[str]:
-    return [f"{supervisor.local(name)}: {'Any' if components else 'float'}" for name, components in supervisor.action_names_read]
+    return [
+        f"{supervisor.local(name)}: {'Any' if components else 'float'}"
+        for name, components in supervisor.action_names_read
+    ]
 
 
 def _zeroed(targets: list[str]) -> list[str]:
@@ -103,16 +125,23 @@ def _terms(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def choice_tables(supervisor: SupervisorPrinter) -> list[str]:
-    """The values that each option sets, as one dictionary per choice; and the one-hot vector of the choice where it is read."""
+    """The values that each option sets, as one dictionary per choice; and the one-hot vector of the choice
+    where it is read."""
     lines = []
     hot = ("1.0", "0.0") if supervisor.ranges else ("True", "False")
     for part in supervisor.choices:
         rows = [[repr(value) for value in option.values] for option in part.options]
         names = ", ".join(option.name for option in part.options)
-        lines.append(f"CHOICES_{part.name} = {_table([row[0] if len(row) == 1 else tuple_code(row) for row in rows])}  # {names}")
+        lines.append(
+            f"CHOICES_{part.name} = {_table([row[0] if len(row) == 1 else tuple_code(row) for row in rows])}"
+            f"  # {names}"
+        )
         if supervisor.agent_action_read:
             size = range(len(part.options))
-            lines.append(f"TAKEN_{part.name} = {_table([tuple_code([hot[index != other] for other in size]) for index in size])}")
+            lines.append(
+                f"TAKEN_{part.name} ="
+                f" {_table([tuple_code([hot[index != other] for other in size]) for index in size])}"
+            )
     return lines
 
 
@@ -130,7 +159,9 @@ def _print_acting(supervisor: SupervisorPrinter, printer: Printer) -> None:
     printer.add_in_place("self.step_count", "1")
     if supervisor.has_history:
         printer.line("self.next_frame()")
-    printer.lines += [f"{local} = {supervisor.attribute(f'last_{local}')}" for local in supervisor.sent_names()]
+    printer.lines += [
+        f"{local} = {supervisor.attribute(f'last_{local}')}" for local in supervisor.sent_names()
+    ]
     printer.insert_readers_here()
     for robot in supervisor.scenario.robots:
         channel = f"self.to_{robot.name}"
@@ -142,39 +173,50 @@ def _print_acting(supervisor: SupervisorPrinter, printer: Printer) -> None:
 
 
 def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """Statements that set the action variables from `action`, which holds `choices` and `ranges` where there are both."""
+    """Statements that set the action variables from `action`, which holds `choices` and `ranges` where there
+    are both."""
     chosen = ranged = "action"
     if supervisor.choices and supervisor.ranges:
         chosen, ranged = supervisor.names("chosen part"), supervisor.names("ranged part")
         printer.line(f'{chosen}, {ranged} = action["choices"], action["ranges"]')
-    picks = [chosen] if len(supervisor.choices) == 1 else [supervisor.names(f"{part.name} pick") for part in supervisor.choices]
+    picks = (
+        [chosen]
+        if len(supervisor.choices) == 1
+        else [supervisor.names(f"{part.name} pick") for part in supervisor.choices]
+    )
     if len(picks) > 1:
         printer.line(f"{', '.join(picks)} = {chosen}{'' if printer.on_floats else '.T'}")
     looked_up = "{}[{}]" if printer.on_floats else "pick({}, {})"
-    given = {
-        part.name: f"*{looked_up.format(f'self.TAKEN_{part.name}', pick)}" for part, pick in zip(supervisor.choices, picks, strict=True)
+    variables = {
+        part.name: f"*{looked_up.format(f'self.TAKEN_{part.name}', pick)}"
+        for part, pick in zip(supervisor.choices, picks, strict=True)
     }
     for part, pick in zip(supervisor.choices, picks, strict=True):
-        printer.line(f"{', '.join(map(supervisor.local, part.variables))} = {looked_up.format(f'self.CHOICES_{part.name}', pick)}")
+        printer.line(
+            f"{', '.join(map(supervisor.local, part.variables))} ="
+            f" {looked_up.format(f'self.CHOICES_{part.name}', pick)}"
+        )
     names = {interval.name: supervisor.local(interval.name) for interval in supervisor.ranges}
     vectors = [interval.name for interval in supervisor.ranges if interval.components]
     if len(vectors) == len(supervisor.ranges) == 1:
         (name,) = vectors
         printer.line(f"{names[name]} = self.ranges({ranged})")
-        given[name] = f"*{names[name]}"
+        variables[name] = f"*{names[name]}"
     elif vectors:
         values, place = supervisor.names("values of ranges"), 0
         printer.line(f"{values} = self.ranges({ranged})")
         for interval in supervisor.ranges:
             end = place + max(1, len(interval.components))
-            printer.line(f"{names[interval.name]} = {values}[{f'{place}:{end}' if interval.components else place}]")
-            given[interval.name] = f"*{values}[{place}:{end}]"
+            printer.line(
+                f"{names[interval.name]} = {values}[{f'{place}:{end}' if interval.components else place}]"
+            )
+            variables[interval.name] = f"*{values}[{place}:{end}]"
             place = end
     elif supervisor.ranges:
         printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranged})")
-        given |= names
+        variables |= names
     if supervisor.agent_action_read:
-        parts = [given[part.name] for part in supervisor.agent.action]
+        parts = [variables[part.name] for part in supervisor.agent.action]
         whole = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
         printer.line(f"{supervisor.local('previous_action')} = {whole}")
     for interval in supervisor.ranges:
@@ -183,8 +225,12 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
         if (half, middle) != (1.0, 0.0):
             item = "a" if interval.components else name
             code = f"{middle!r} + {half!r} * {item}" if middle else f"{half!r} * {item}"
-            said = f"{interval.low:g} .. {interval.high:g} {interval.unit if interval.unit != '1' else ''}"
-            printer.lines += with_comment(f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", said)
+            range_comment = (
+                f"{interval.low:g} .. {interval.high:g} {interval.unit if interval.unit != '1' else ''}"
+            )
+            printer.lines += with_comment(
+                f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", range_comment
+            )
 
 
 def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
@@ -196,14 +242,18 @@ def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
     supervisor.per_world["_redraw"] = drawing.method_lines(['"""Draw anew what is due in a single world."""'])
     periods = [due for due, _ in changes]
     due = periods[0] if len(periods) == 1 else f"minimum({', '.join(periods)})"
-    condition = f"{supervisor.tick} * {supervisor.scenario.world.timestep!r} >= {due}" if all(periods) else "True"
+    condition = (
+        f"{supervisor.tick} * {supervisor.scenario.world.timestep!r} >= {due}" if all(periods) else "True"
+    )
     kept = [attribute.removeprefix("self.") for change in changes for attribute in change if attribute]
     for name in kept:
         supervisor.attribute(name)
     printer.line(f"self.redraw({', '.join([condition, 'self._redraw', *map(quoted, kept)])})")
 
 
-def _print_draws_of_message(supervisor: SupervisorPrinter, printer: Printer, channel: str, route: Route) -> None:
+def _print_draws_of_message(
+    supervisor: SupervisorPrinter, printer: Printer, channel: str, route: Route
+) -> None:
     if printer.on_floats:
         print_draws_of_message(printer, channel, route)
         return
@@ -219,7 +269,8 @@ def _print_draws_of_message(supervisor: SupervisorPrinter, printer: Printer, cha
 
 
 def _delivers_in_ticks(supervisor: SupervisorPrinter, robot: Robot) -> bool:
-    """Whether a message to this robot may arrive in another timestep than the one that follows its sending."""
+    """Whether a message to this robot may arrive in another timestep than the one that follows its
+    sending."""
     late = supervisor.scenario.timing == "delayed" and supervisor.repeats_actions
     return supervisor.scenario.format != "none" and (late or not robot.to_route.perfect)
 
@@ -240,7 +291,9 @@ def _print_receiving(supervisor: SupervisorPrinter, printer: Printer, robot: Rob
     drawing = supervisor.printer()
     _print_draws_of_message(supervisor, drawing, channel, robot.from_route)
     if drawing.lines and supervisor.scenario.format != "none":
-        printer.lines += [f"if {supervisor.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
+        printer.lines += (
+            [f"if {supervisor.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
+        )
     printer.line(f"{channel}.send({controller}.create_message())")
     receive = "receive" if supervisor.scenario.is_direct(robot, "from_robot") else "newest"
     printer.line(f"{targets_code(targets)} = {channel}.{receive}()" if targets else f"{channel}.{receive}()")
@@ -255,9 +308,13 @@ def _print_tick(supervisor: SupervisorPrinter, printer: Printer) -> None:
     else:
         printer.line(f"self.physics({supervisor.scenario.world.substeps})")
     printer.lines += [
-        f"self.robot_{robot.name}.observe()" for robot in supervisor.scenario.robots if observes_each_timestep(supervisor.scenario, robot)
+        f"self.robot_{robot.name}.observe()"
+        for robot in supervisor.scenario.robots
+        if observes_each_timestep(supervisor.scenario, robot)
     ]
-    printer.line(f"self._observe({', '.join(supervisor.local(name) for name, _ in supervisor.action_names_read)})")
+    printer.line(
+        f"self._observe({', '.join(supervisor.local(name) for name, _ in supervisor.action_names_read)})"
+    )
 
 
 def _start_memories_of_messages(supervisor: SupervisorPrinter) -> list[str]:
@@ -265,8 +322,14 @@ def _start_memories_of_messages(supervisor: SupervisorPrinter) -> list[str]:
     if not any(outer_states(value) for value in supervisor.sent):
         return []
     printer = supervisor.printer()
-    used = {leaf.name for value in supervisor.sent for state in outer_states(value) for leaf in names_in(state)}
-    printer.lines += [f"{supervisor.local(name)} = {zeros(components)}" for name, components in supervisor.variables if name in used]
+    used = {
+        leaf.name for value in supervisor.sent for state in outer_states(value) for leaf in names_in(state)
+    }
+    printer.lines += [
+        f"{supervisor.local(name)} = {zeros(components)}"
+        for name, components in supervisor.variables
+        if name in used
+    ]
     printer.lines += [f"{local} = self.last_{local}" for local in supervisor.sent_names()]
     printer.insert_readers_here()
     printer.update_memories(supervisor.sent)
@@ -277,42 +340,54 @@ def _start_memories_of_messages(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _print_goal(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """Set `achieved`, `desired` and `goal_reached`: both as the policy sees them, so that a reward can be recomputed."""
+    """Set `achieved`, `desired` and `goal_reached`: both as the policy sees them, so that a reward can be
+    recomputed."""
     goal = supervisor.agent.goal
     if goal is None:
         return
     achieved, desired = supervisor.local("achieved"), supervisor.local("desired")
-    given = printer.vector(goal.achieved.scalars)
+    achieved_text = printer.vector(goal.achieved.scalars)
     if goal.achieved.noise is not None:
-        printer.assign(achieved, given if goal.components else printer.value(goal.achieved.scalar))
+        printer.assign(achieved, achieved_text if goal.components else printer.value(goal.achieved.scalar))
         _print_noise(supervisor, printer, achieved, goal.components, "goal.achieved", goal.achieved.noise)
-        given = achieved if goal.components else f"({achieved},)"
+        achieved_text = achieved if goal.components else f"({achieved},)"
     targets = (achieved, desired) if goal.components else (f"({achieved},)", f"({desired},)")
-    printer.line(f"{', '.join(targets)} = self.set_goal_observation({given}, {printer.vector(goal.targets)})")
+    printer.line(
+        f"{', '.join(targets)} = self.set_goal_observation({achieved_text}, {printer.vector(goal.targets)})"
+    )
     printer.assign(supervisor.local("goal_reached"), printer.value(goal.reached))
 
 
 def _print_noise(
-    supervisor: SupervisorPrinter, printer: Printer, local: str, components: Sequence[str], stream: str, noise: Noise | None
+    supervisor: SupervisorPrinter,
+    printer: Printer,
+    local: str,
+    components: Sequence[str],
+    stream: str,
+    noise: Noise | None,
 ) -> None:
     """Add noise to the local variable of a value; nothing where the scenario gives it none."""
     if noise is None:
         return
     # one number or one per component: constants, or what the episode drew
     fixed = all(isinstance(value, Const) for value in noise.std.scalars)
-    std = printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars) if fixed else std_attribute(supervisor, stream)
-    said = printer.names.identifier(f"noise {stream}", "noise", local)
+    std = (
+        printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars)
+        if fixed
+        else std_attribute(supervisor, stream)
+    )
+    noise_name = printer.names.identifier(f"noise {stream}", "noise", local)
     count = max(1, len(components))
     drawn = "self.streams.normals" if printer.on_floats else "self.normals"
-    printer.line(f"{said if components else f'({said},)'} = {drawn}({quoted(stream)}, {count})")
+    printer.line(f"{noise_name if components else f'({noise_name},)'} = {drawn}({quoted(stream)}, {count})")
     if not components:
-        added = f"{f'{std} * {local}' if noise.relative else std} * {said}"
+        added = f"{f'{std} * {local}' if noise.relative else std} * {noise_name}"
         printer.line(f"{local} += {added}" if printer.on_floats else f"{local} = {local} + {added}")
         return
     many = len(noise.std.scalars) > 1
     relative = " * a" if noise.relative else ""
     scale = f"c{relative}" if many else f"{std}{relative}"
-    columns = ", ".join([local, said, *([std] if many else [])])
+    columns = ", ".join([local, noise_name, *([std] if many else [])])
     printer.line(f"{local} = [a + {scale} * b for a, b{', c' if many else ''} in zip({columns})]")
 
 
@@ -323,12 +398,18 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Conditions in order of dependency; `ended_by` is the first in file order, failures before successes."""
     endings = supervisor.scenario.endings
     for ending in _after_what_they_use(endings):
-        code = printer.value(ending.scalar) if ending.foreign is None else f"{function_attribute(supervisor, 'ending', ending.name)}(self)"
+        code = (
+            printer.value(ending.scalar)
+            if ending.foreign is None
+            else f"{function_attribute(supervisor, 'ending', ending.name)}(self)"
+        )
         printer.assign(supervisor.local(ending.name), code, ending.text)
     failures = [ending for ending in endings if ending.name in supervisor.scenario.failures]
     successes = supervisor.scenario.successes
     if endings:
-        held = ", ".join(f"{quoted(ending.name)}: {supervisor.local(ending.name)}" for ending in [*failures, *successes])
+        held = ", ".join(
+            f"{quoted(ending.name)}: {supervisor.local(ending.name)}" for ending in [*failures, *successes]
+        )
         success = f", success={_success(supervisor, printer, failures, successes)}" if successes else ""
         ending_line = f"self._terminate({{{held}}}{success})"
         any_holds = " or ".join(supervisor.local(ending.name) for ending in endings)
@@ -345,7 +426,12 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
         printer.line(f"self._truncate({name}, {reached}{f', {goal}' if goal else ''})")
 
 
-def _success(supervisor: SupervisorPrinter, printer: Printer, failures: Sequence[Expression], successes: Sequence[Expression]) -> str:
+def _success(
+    supervisor: SupervisorPrinter,
+    printer: Printer,
+    failures: Sequence[Expression],
+    successes: Sequence[Expression],
+) -> str:
     """The code of whether a success holds, and no failure."""
     reached = printer.operation("or", [Code(supervisor.local(ending.name)) for ending in successes])
     refused = [printer.operation("not", [Code(supervisor.local(ending.name))]) for ending in failures]
@@ -353,14 +439,17 @@ def _success(supervisor: SupervisorPrinter, printer: Printer, failures: Sequence
 
 
 def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
-    """The number of timesteps at which an episode is cut short, and the name of that limit; a step is cut short only by an ending."""
+    """The number of timesteps at which an episode is cut short, and the name of that limit; a step is cut
+    short only by an ending."""
     limits = supervisor.scenario.truncation
     ticks = []
     if limits.max_steps is not None:
         ticks.append((limits.max_steps * supervisor.scenario.action_repeat, "max_steps"))
     if limits.max_time is not None:
         # a limit of a whole number of timesteps must not gain one by rounding
-        ticks.append((max(1, math.ceil(limits.max_time / supervisor.scenario.world.timestep - 1e-9)), "max_time"))
+        ticks.append(
+            (max(1, math.ceil(limits.max_time / supervisor.scenario.world.timestep - 1e-9)), "max_time")
+        )
     return min(ticks) if ticks else None
 
 
@@ -408,15 +497,26 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
         if supervisor.uses(flag):
             printer.line(f"{supervisor.local(flag)} = self.{flag}")
     if supervisor.uses("ended"):
-        printer.line(f"{supervisor.local('ended')} = {printer.operation('or', [Code('self.terminated'), Code('self.truncated')]).text}")
+        printer.line(
+            f"{supervisor.local('ended')} ="
+            f" {printer.operation('or', [Code('self.terminated'), Code('self.truncated')]).text}"
+        )
     for term in terms:
         printer.update_memories([term.scalar])
-    names = [supervisor.names(f"{term.name} term") if supervisor.repeats_actions else f"self.term_{term.name}" for term in terms]
+    names = [
+        supervisor.names(f"{term.name} term") if supervisor.repeats_actions else f"self.term_{term.name}"
+        for term in terms
+    ]
     lines: list[str] = []
     for name, term in zip(names, terms, strict=True):
-        code = printer.value(term.scalar) if term.foreign is None else f"{function_attribute(supervisor, 'reward term', term.name)}(self)"
+        code = (
+            printer.value(term.scalar)
+            if term.foreign is None
+            else f"{function_attribute(supervisor, 'reward term', term.name)}(self)"
+        )
         lines += with_comment(f"{name} = {code}", term.text)
-    # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the same.
+    # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the
+    # same.
     parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
     for index, part in enumerate(parts):
         last = index == len(parts) - 1 and not supervisor.repeats_actions
@@ -426,11 +526,19 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
         for name, term in zip(names, terms, strict=True):
             summing.add_in_place(f"self.term_{term.name}", name)
         summing.add_in_place("self.reward", "reward")
-    summing.lines += ["if not -1e300 < reward < 1e300:", "    self._not_finite()"] if printer.on_floats else ["self.require_finite(reward)"]
+    summing.lines += (
+        ["if not -1e300 < reward < 1e300:", "    self._not_finite()"]
+        if printer.on_floats
+        else ["self.require_finite(reward)"]
+    )
     if supervisor.uses("episode_return"):
         summing.add_in_place("self.episode_return", "reward")
     lines += summing.lines
-    printer.lines += ["if self.step_count:  # there is no reward at the reset", *indent(lines)] if printer.on_floats else lines
+    printer.lines += (
+        ["if self.step_count:  # there is no reward at the reset", *indent(lines)]
+        if printer.on_floats
+        else lines
+    )
 
 
 # Observation
@@ -445,14 +553,21 @@ def _print_observation(supervisor: SupervisorPrinter, printer: Printer) -> None:
     if seen:
         printer.line(f"self.set_observation({', '.join(seen)})")
     for pictured in supervisor.agent.images:
-        printer.line(f"self.frame_stacks[{quoted(pictured.key)}].frames[self.newest] = {printer.value(pictured.value.scalar)}")
+        printer.line(
+            f"self.frame_stacks[{quoted(pictured.key)}].frames[self.newest] ="
+            f" {printer.value(pictured.value.scalar)}"
+        )
 
 
 def _observed(supervisor: SupervisorPrinter, printer: Printer, entry: Observation) -> str:
     """The code of one or several numbers, as the policy sees them."""
     components = entry.value.components
     # the reward of this step is known here; everywhere else the name means that of the step before
-    code = "self.reward" if entry.value.scalars == (Name("previous_reward"),) else printer.vector_or_number(components, entry.value.scalars)
+    code = (
+        "self.reward"
+        if entry.value.scalars == (Name("previous_reward"),)
+        else printer.vector_or_number(components, entry.value.scalars)
+    )
     star = "*" if components else ""
     if entry.numbers[0].is_truth:
         as_it_is = components or code.replace("_", "").isalnum() or not printer.on_floats
@@ -471,14 +586,17 @@ def _observed(supervisor: SupervisorPrinter, printer: Printer, entry: Observatio
             return f"{function}({code}, {ends})"
         return f"*scale_each({code}, {ends})" if entry.clip else f"*[scale_freely(a, {ends}) for a in {code}]"
     low, high = (printer.context.constants.vector(ends) for ends in (entry.low, entry.high))
-    return f"*[{'scale' if entry.clip else 'scale_freely'}(a, b, c) for a, b, c in zip({code}, {low}, {high})]"
+    return (
+        f"*[{'scale' if entry.clip else 'scale_freely'}(a, b, c) for a, b, c in zip({code}, {low}, {high})]"
+    )
 
 
 # Masks
 
 
 def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """Print the options that the agent may choose next; at least one option of each choice must be allowed. A batch checks this itself."""
+    """Print the options that the agent may choose next; at least one option of each choice must be allowed. A
+    batch checks this itself."""
     if not supervisor.forbids_options:
         return
     repeat = supervisor.scenario.action_repeat
@@ -487,7 +605,8 @@ def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
     )
     for part in supervisor.choices:
         if any(option.forbidden is not None for option in part.options):
-            allowed, options = f"self.allowed_{part.name}", [_allowed(printer, option) for option in part.options]
+            allowed = f"self.allowed_{part.name}"
+            options = [_allowed(printer, option) for option in part.options]
             if not printer.on_floats:
                 printer.line(f"self.allow({', '.join([quoted(part.name), *options])})")
                 continue

@@ -1,11 +1,18 @@
-"""Prints the supervisor class: what it binds, the methods of resets and steps, the paper's methods and hand-written policies."""
+"""Prints the supervisor class: what it binds, the methods of resets and steps, the paper's methods and
+hand-written policies."""
 
 from __future__ import annotations
 
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.reset import begin_method, bind_pushes, needs_arrangement, push_methods
 from deepbots_cli.codegen.robot import controller_name
-from deepbots_cli.codegen.step import advance_methods, bind_foreign, choice_tables, observe_method, start_method
+from deepbots_cli.codegen.step import (
+    advance_methods,
+    bind_foreign,
+    choice_tables,
+    observe_method,
+    start_method,
+)
 from deepbots_cli.codegen.text import (
     Constants,
     block,
@@ -80,7 +87,11 @@ def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]
         name=class_name(scenario.name),
         doc=docstring(scenario.summary or scenario.name),
         tables=[*tables, ""] if tables else [],
-        state=[*([f"STATE = {quoted_tuple(tuple(supervisor.state))}"] if supervisor.state else []), f"TERMS = {quoted_tuple(terms)}", ""],
+        state=[
+            *([f"STATE = {quoted_tuple(tuple(supervisor.state))}"] if supervisor.state else []),
+            f"TERMS = {quoted_tuple(terms)}",
+            "",
+        ],
         binding=[*_bind_robots(supervisor), *supervisor.bind_lines()],
         methods=methods,
     )
@@ -90,7 +101,9 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
     """The lines of the class."""
     supervisor = SupervisorPrinter(scenario, constants)
     # What the other methods read says what a reset has to begin anew.
-    observing, acting, pushing = observe_method(supervisor), advance_methods(supervisor), push_methods(supervisor)
+    observing = observe_method(supervisor)
+    acting = advance_methods(supervisor)
+    pushing = push_methods(supervisor)
     asked = [*_allowed(supervisor), *_compute_reward(supervisor), *_between_steps(supervisor)]
     methods = [*begin_method(supervisor), *pushing, *start_method(supervisor), *acting, *observing]
     tables = choice_tables(supervisor)
@@ -108,7 +121,9 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
         summed=docstring(f"The sum of {sentence_list([term.name for term in supervisor.agent.reward])}."),
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
         terms=terms,
-        info=info + (', "action_mask": self.action_mask()' if supervisor.forbids_options else "") + ', "reward_terms": terms',
+        info=info
+        + (', "action_mask": self.action_mask()' if supervisor.forbids_options else "")
+        + ', "reward_terms": terms',
         asked=asked,
     )
 
@@ -118,8 +133,10 @@ def _bind_robots(supervisor: SupervisorPrinter) -> list[str]:
     for robot in supervisor.scenario.robots:
         lines.append(f"self.robot_{robot.name} = self.robot({quoted(robot.name)}, {controller_name(robot)})")
         for which, direction in (("to", "to_robot"), ("from", "from_robot")):
-            made = "channel" if supervisor.scenario.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
-            lines.append(f"self.{which}_{robot.name} = self.{made}({quoted(robot.name)}, {quoted(direction)})")
+            method = "channel" if supervisor.scenario.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
+            lines.append(
+                f"self.{which}_{robot.name} = self.{method}({quoted(robot.name)}, {quoted(direction)})"
+            )
     return lines
 
 
@@ -137,7 +154,9 @@ def _bind(supervisor: SupervisorPrinter) -> list[str]:
 
 def _observation_text(supervisor: SupervisorPrinter) -> str:
     histories = {entry.name: entry.history for entry in supervisor.agent.observation}
-    seen = sentence_list([name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()])
+    seen = sentence_list(
+        [name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()]
+    )
     seen += f"; {supervisor.agent.frame_stack} times in a row" if supervisor.agent.frame_stack > 1 else ""
     return seen + ("; and what is achieved and desired" if supervisor.agent.goal is not None else "")
 
@@ -146,7 +165,10 @@ def _observation(supervisor: SupervisorPrinter) -> str:
     """The code of each part of an observation, under its key where there are several."""
     agent = supervisor.agent
     parts = {"observation": "self.seen()"} if agent.numbers or not agent.images else {}
-    parts |= {pictured.key: f"self.frame_stacks[{quoted(pictured.key)}].seen(self.newest)" for pictured in agent.images}
+    parts |= {
+        pictured.key: f"self.frame_stacks[{quoted(pictured.key)}].seen(self.newest)"
+        for pictured in agent.images
+    }
     if agent.goal is not None:
         size = len(agent.goal.low)
         parts |= {"achieved_goal": f"self.goal[:{size}].copy()", "desired_goal": f"self.goal[{size}:].copy()"}
@@ -156,7 +178,11 @@ def _observation(supervisor: SupervisorPrinter) -> str:
 
 
 def _ends(scenario: Program) -> list[str]:
-    ends = [f"the task ended ({sentence_list([ending.name for ending in scenario.endings], 'or')})"] if scenario.endings else []
+    ends = (
+        [f"the task ended ({sentence_list([ending.name for ending in scenario.endings], 'or')})"]
+        if scenario.endings
+        else []
+    )
     limits = [name for name in ("max_steps", "max_time") if getattr(scenario.truncation, name) is not None]
     return [*ends, f"a limit cut the episode short ({sentence_list(limits, 'or')})"]
 
@@ -166,10 +192,14 @@ def _allowed(supervisor: SupervisorPrinter) -> list[str]:
     if not supervisor.forbids_options:
         return []
     rows = [
-        f"self.allowed_{part.name}" if any(option.forbidden for option in part.options) else tuple_code(["True"] * len(part.options))
+        f"self.allowed_{part.name}"
+        if any(option.forbidden for option in part.options)
+        else tuple_code(["True"] * len(part.options))
         for part in supervisor.choices
     ]
-    doc = docstring(f"Which options of {sentence_list([part.name for part in supervisor.choices])} may be chosen next.")
+    doc = docstring(
+        f"Which options of {sentence_list([part.name for part in supervisor.choices])} may be chosen next."
+    )
     return block("def allowed(self) -> tuple[tuple[bool, ...], ...]:", [*doc, f"return {tuple_code(rows)}"])
 
 
@@ -186,15 +216,19 @@ def _compute_reward(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _between_steps(supervisor: SupervisorPrinter) -> list[str]:
-    """Methods that read the values of the last timestep. They are called between two steps, on request only."""
+    """Methods that read the values of the last timestep. They are called between two steps, on request
+    only."""
     lines = [line for script in supervisor.agent.scripts for line in _script(supervisor, script)]
     for test in supervisor.scenario.tests:
-        asked = {"holds": (test.scalars, "Whether each condition"), "compared": (test.compared, "The compared values of the conditions")}
-        for name, (scalars, said) in asked.items():
+        asked = {
+            "holds": (test.scalars, "Whether each condition"),
+            "compared": (test.compared, "The compared values of the conditions"),
+        }
+        for name, (scalars, note) in asked.items():
             printer = _printer_after(supervisor, scalars)
             printer.line(f"return {printer.tuple(scalars) if scalars else '()'}")
             head = f"def test_{test.name}_{name}(self) -> tuple[Any, ...]:"
-            lines += block(head, printer.method_lines(docstring(f"{said} of the test {test.name}.")))
+            lines += block(head, printer.method_lines(docstring(f"{note} of the test {test.name}.")))
     return lines
 
 
@@ -217,9 +251,13 @@ def _script(supervisor: SupervisorPrinter, script: Script) -> list[str]:
             choices.append(_print_pick(supervisor, printer, part, decided))
         elif isinstance(part, ActionRange) and isinstance(decided, ScriptedRange):
             ranges += [_normalized_code(printer, part, value) for value in decided.scalars]
-    printer.line(f"return self.make_action({tuple_code(choices) if choices else '()'}, {tuple_code(ranges) if ranges else '()'})")
+    printer.line(
+        f"return self.make_action({tuple_code(choices) if choices else '()'},"
+        f" {tuple_code(ranges) if ranges else '()'})"
+    )
     return block(
-        f"def script_{script.name}(self) -> Any:", printer.method_lines(docstring(f"The next action of the script {script.name}."))
+        f"def script_{script.name}(self) -> Any:",
+        printer.method_lines(docstring(f"The next action of the script {script.name}.")),
     )
 
 

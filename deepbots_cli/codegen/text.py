@@ -1,6 +1,8 @@
-"""The text of generated code: identifiers for the names of a scenario and constants; blocks, quotes, comments, templates; long lines.
+"""The text of generated code: identifiers for the names of a scenario and constants; blocks, quotes,
+comments, templates; long lines.
 
-Identifiers are readable, unique, and never a word that is taken. Long lines are broken as a formatter would break them.
+Identifiers are readable, unique, and never a word that is taken. Long lines are broken as a formatter would
+break them.
 """
 
 from __future__ import annotations
@@ -22,14 +24,38 @@ FORMULA_NAMES = frozenset(function.name for function in FUNCTIONS.values() if fu
     function.helper for function in (*OPERATORS.values(), *FUNCTIONS.values()) if function.helper
 )
 RUNTIME_NAMES = (
-    *("Arrangement", "Cartesian", "Follower", "Motor", "Push", "RobotController", "Supervisor", "Thrust", "Ways"),
+    *(
+        "Arrangement",
+        "Cartesian",
+        "Follower",
+        "Motor",
+        "Push",
+        "RobotController",
+        "Supervisor",
+        "Thrust",
+        "Ways",
+    ),
     *(function.memory for function in FUNCTIONS.values() if function.memory),
     *sorted(FORMULA_NAMES),
     *("clip", "foreign", "to_body_frame", "quaternion", "scale", "scale_each", "scale_freely", "total"),
 )
 """What a printed module may import from `deepbots_cli.runtime`."""
 COLUMN_NAMES = (
-    *("all_of", "any_of", "atan2", "cos", "exp", "hypot", "log", "maximum", "minimum", "pick", "pow", "scale", "scale_each"),
+    *(
+        "all_of",
+        "any_of",
+        "atan2",
+        "cos",
+        "exp",
+        "hypot",
+        "log",
+        "maximum",
+        "minimum",
+        "pick",
+        "pow",
+        "scale",
+        "scale_each",
+    ),
     *("scale_freely", "sin", "tan", "to_body_frame", "total"),
     *sorted(FORMULA_NAMES),
 )
@@ -40,7 +66,19 @@ LOOP_VARIABLES = "abcdefgh"
 
 _RESERVED_NAMES = frozenset(
     {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
-    | {"self", "engine", "action", "message", "reward", "terminated", "truncated", "ended", "Any", "Iterator", "previous_reward"}
+    | {
+        "self",
+        "engine",
+        "action",
+        "message",
+        "reward",
+        "terminated",
+        "truncated",
+        "ended",
+        "Any",
+        "Iterator",
+        "previous_reward",
+    }
     | {*RUNTIME_NAMES, *LOOP_VARIABLES, "copysign", "ranges"}
     | {"bodies", "body", "layout", "spot", "spots"}
 )
@@ -105,14 +143,16 @@ class Constants:
     def strings(self, items: tuple[str, ...]) -> str:
         """The code of a tuple of names: a constant where it is known and not short."""
         code = tuple_code([quoted(item) for item in items])
-        return self._defined(self._known[items], code, "") if items in self._known and len(items) > 2 else code
+        return (
+            self._defined(self._known[items], code, "") if items in self._known and len(items) > 2 else code
+        )
 
     def _defined(self, wanted: str, code: str, text: str) -> str:
         if (wanted, code) not in self._names:
             upper = re.sub(r"\W", "_", wanted).upper()
             name = _unused(f"_{upper}" if upper[0].isdigit() else upper, set(self._lines))
-            said = comment(text) if text and comment(text).isprintable() and len(text) < 60 else ""
-            self._lines[name] = f"{name} = {code}" + (f"  {said}" if said and said[2:] != code else "")
+            note = comment(text) if text and comment(text).isprintable() and len(text) < 60 else ""
+            self._lines[name] = f"{name} = {code}" + (f"  {note}" if note and note[2:] != code else "")
             self._names[wanted, code] = name
         return self._names[wanted, code]
 
@@ -150,14 +190,15 @@ def targets_code(names: Sequence[str]) -> str:
 def quoted(text: str) -> str:
     """A string literal in double quotes and ASCII.
 
-    The escapes of JSON are a subset of Python's, but for what lies beyond 16 bits: there JSON writes two halves, which Python
-    does not join.
+    The escapes of JSON are a subset of Python's, but for what lies beyond 16 bits: there JSON writes two
+    halves, which Python does not join.
     """
     return json.dumps(text, ensure_ascii=False).encode("ascii", "backslashreplace").decode()
 
 
 def docstring(text: str) -> list[str]:
-    """A string in triple quotes, over as many lines as it needs; the escapes leave no quote and no backslash of its own."""
+    """A string in triple quotes, over as many lines as it needs; the escapes leave no quote and no backslash
+    of its own."""
     lines = textwrap.wrap(quoted(text)[1:-1], 100, break_long_words=False, break_on_hyphens=False) or [""]
     return [f'"""{lines[0]}"""'] if len(lines) == 1 else [f'"""{lines[0]}', *lines[1:], '"""']
 
@@ -172,13 +213,14 @@ def sentence_list(words: Sequence[str], last: str = "and") -> str:
 
 
 def fill_template(template: str, **gaps: str | Sequence[str]) -> list[str]:
-    """The lines of a template; `{name}` alone on a line is replaced by lines, which take its indent, and vanishes for none."""
+    """The lines of a template; `{name}` alone on a line is replaced by lines, which take its indent, and
+    vanishes for none."""
     lines: list[str] = []
     for line in template.strip("\n").split("\n"):
         alone = re.fullmatch(r"( *)\{(\w+)\}", line)
-        given = gaps[alone[2]] if alone else None
-        if alone and given is not None and not isinstance(given, str):
-            lines += [f"{alone[1]}{inner}" if inner else "" for inner in given]
+        filling = gaps[alone[2]] if alone else None
+        if alone and filling is not None and not isinstance(filling, str):
+            lines += [f"{alone[1]}{inner}" if inner else "" for inner in filling]
         else:
             lines.append(line.format(**gaps))
     return lines
@@ -191,12 +233,12 @@ def comment(text: str) -> str:
 
 def with_comment(line: str, text: str) -> list[str]:
     """A statement of a method with a text of the scenario beside it, or above it where it is long."""
-    said = comment(text)
-    if not said[2:] or not said.isprintable() or line.partition(" = ")[2] == said[2:]:
+    note = comment(text)
+    if not note[2:] or not note.isprintable() or line.partition(" = ")[2] == note[2:]:
         return [line]
-    if _DEPTH + len(line) + 2 + len(said) <= WIDTH:
-        return [f"{line}  {said}"]
-    return [said, line] if _DEPTH + len(said) <= WIDTH else [line]
+    if _DEPTH + len(line) + 2 + len(note) <= WIDTH:
+        return [f"{line}  {note}"]
+    return [note, line] if _DEPTH + len(note) <= WIDTH else [line]
 
 
 def constants_tuple_code(items: Sequence[str]) -> str:
@@ -215,11 +257,20 @@ def constants_tuple_code(items: Sequence[str]) -> str:
 # Long lines
 
 # From loose to tight; a line is broken at all operators of the first group that it has.
-_OPERATORS = ((" if ", " else "), (" or ",), (" and ",), (" < ", " <= ", " > ", " >= ", " == ", " != "), (" + ", " - "), (" * ", " / "))
+_OPERATORS = (
+    (" if ", " else "),
+    (" or ",),
+    (" and ",),
+    (" < ", " <= ", " > ", " >= ", " == ", " != "),
+    (" + ", " - "),
+    (" * ", " / "),
+)
 _BRACKET_OR_QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"|[][(){}]', re.DOTALL)
 _DEEPER = dict.fromkeys("([{", 1) | dict.fromkeys(")]}", -1)
 # Of a statement, or of the piece of a line that was broken before: the operator in front, the comma behind.
-_STATEMENT = re.compile(r"(?P<head>(?:(?:if|elif|else|return|or|and|[-+*/]) )?)(?P<body>.*?)(?P<tail>[:,]?)", re.DOTALL)
+_STATEMENT = re.compile(
+    r"(?P<head>(?:(?:if|elif|else|return|or|and|[-+*/]) )?)(?P<body>.*?)(?P<tail>[:,]?)", re.DOTALL
+)
 
 
 def wrap_line(line: str) -> list[str]:
@@ -237,25 +288,39 @@ def wrap_line(line: str) -> list[str]:
     if equals and ", " in code[: equals[0]] and equals[0] > WIDTH // 2:
         return [f"{pad}(", *_one_each(pad, _split(code[: equals[0]], ", ")), f"{pad}){code[equals[0] :]}"]
     added = list(_places(code, " += "))
-    start = equals[-1] + 3 if equals else added[-1] + 4 if added else 0
+    if equals:
+        start = equals[-1] + 3
+    elif added:
+        start = added[-1] + 4
+    else:
+        start = 0
     statement = _STATEMENT.fullmatch(code[start:])
     if statement is None or code.startswith("def "):
         return _at_brackets(pad, code)
-    head, body, tail = f"{pad}{code[:start]}{statement['head']}(", statement["body"], f"{pad}){statement['tail']}"
+    head = f"{pad}{code[:start]}{statement['head']}("
+    body = statement["body"]
+    tail = f"{pad}){statement['tail']}"
     if code.startswith("for ") and " = " not in code and list(_places(code, " in ")):
         return _at_brackets(pad, code)
     if list(_places(body, ", ")):
         return [head, *_one_each(pad, _split(body, ", ")), tail]
-    operators = next((group for group in _OPERATORS if any(list(_places(body, sign)) for sign in group)), None)
+    operators = next(
+        (group for group in _OPERATORS if any(list(_places(body, sign)) for sign in group)), None
+    )
     if operators is None:
         return _at_brackets(pad, code)
     if len(pad) + 4 + len(body) <= WIDTH:
         return [head, f"{pad}    {body}", tail]
-    return [head, *(piece for part in _broken(body, operators) for piece in wrap_line(f"{pad}    {part}")), tail]
+    return [
+        head,
+        *(piece for part in _broken(body, operators) for piece in wrap_line(f"{pad}    {part}")),
+        tail,
+    ]
 
 
 def _at_brackets(pad: str, code: str) -> list[str]:
-    """Broken inside the last brackets that stand in no others; for a definition, those around its arguments."""
+    """Broken inside the last brackets that stand in no others; for a definition, those around its
+    arguments."""
     groups = list(_groups(code))
     if not groups:
         return [pad + code]
@@ -266,7 +331,11 @@ def _at_brackets(pad: str, code: str) -> list[str]:
     if whole and (is_call or not list(_places(inner, ", "))):
         return [head, f"{pad}    {inner}", tail]
     if list(_places(inner, " for ")):
-        return [head, *(piece for part in _broken(inner, (" for ",)) for piece in wrap_line(f"{pad}    {part}")), tail]
+        return [
+            head,
+            *(piece for part in _broken(inner, (" for ",)) for piece in wrap_line(f"{pad}    {part}")),
+            tail,
+        ]
     items = _split(inner.removesuffix(","), ", ")
     if len(items) == 1 and not inner.endswith(","):  # a comma would make a tuple of a mere group
         return [head, *wrap_line(f"{pad}    {inner}"), tail]
@@ -289,27 +358,32 @@ def _split(code: str, sign: str) -> list[str]:
 
 def _places(code: str, sign: str) -> Iterator[int]:
     """The offsets of `sign` outside of brackets and quotes."""
-    return (found.start() for found in re.finditer(re.escape(sign), _outside(code))) if sign in code else iter(())
+    return (
+        (match.start() for match in re.finditer(re.escape(sign), _outside(code)))
+        if sign in code
+        else iter(())
+    )
 
 
 @lru_cache(maxsize=16)
 def _outside(code: str) -> str:
-    """The code with a zero for each character in brackets or quotes: a line is searched for about ten signs."""
+    """The code with a zero for each character in brackets or quotes: a line is searched for about ten
+    signs."""
     pieces, depth, end = [], 0, 0
-    for found in _BRACKET_OR_QUOTED.finditer(code):
-        between = code[end : found.start()]
-        pieces += [between if depth == 0 else "\0" * len(between), "\0" * len(found[0])]
-        depth, end = depth + _DEEPER.get(found[0], 0), found.end()
+    for match in _BRACKET_OR_QUOTED.finditer(code):
+        between = code[end : match.start()]
+        pieces += [between if depth == 0 else "\0" * len(between), "\0" * len(match[0])]
+        depth, end = depth + _DEEPER.get(match[0], 0), match.end()
     return "".join([*pieces, "" if depth else code[end:]])
 
 
 def _groups(code: str) -> Iterator[tuple[int, int]]:
     """The offsets at which outermost brackets open and close."""
     start = depth = 0
-    for found in _BRACKET_OR_QUOTED.finditer(code):
-        deeper = _DEEPER.get(found[0], 0)
+    for match in _BRACKET_OR_QUOTED.finditer(code):
+        deeper = _DEEPER.get(match[0], 0)
         if depth == 0 and deeper > 0:
-            start = found.start()
+            start = match.start()
         elif depth == 1 and deeper < 0:
-            yield start, found.start()
+            yield start, match.start()
         depth += deeper

@@ -1,7 +1,8 @@
-"""What the parts of a printed class share: its scenario, the names in its code, and what it reads from the engine.
+"""What the parts of a printed class share: its scenario, the names in its code, and what it reads from the
+engine.
 
-Every `EngineRead` leaf becomes an item of what one bound reader returned. A reader is bound when printed code first asks for it, and is
-called once in each method that needs it, however many numbers are taken from it.
+Every `EngineRead` leaf becomes an item of what one bound reader returned. A reader is bound when printed code
+first asks for it, and is called once in each method that needs it, however many numbers are taken from it.
 """
 
 from __future__ import annotations
@@ -58,15 +59,19 @@ _SCALAR_READERS = {
     "reachable": "self.ways.reachable({0}, {1})",
     "visible": "self.robot_{robot}.sees({sensor}, {body})",
 }
-"""Facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the world."""
+"""Facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the
+world."""
 _READER_ORDER = (*_KINDS, *_SCALAR_READERS, "line")
 
 
 class Readers:
     """The readers of one class; one reader covers all joints of a robot."""
 
-    def __init__(self, names: Names, constants: Constants, roots: Mapping[str, str], *, on_columns: bool = False) -> None:
-        """`roots` has the full name of the root link of each robot, whose readers are named after the robot alone.
+    def __init__(
+        self, names: Names, constants: Constants, roots: Mapping[str, str], *, on_columns: bool = False
+    ) -> None:
+        """`roots` has the full name of the root link of each robot, whose readers are named after the robot
+        alone.
 
         For a batch (`on_columns`), what no engine gives as columns is read from the single worlds.
         """
@@ -105,7 +110,11 @@ class Readers:
         if what in _POSES:
             parts = "".join(leaf.component or "" for leaf in leaves)
             whole = len(set(subjects)) == 1 and parts == _XYZ[: 4 if what == "orientation" else 3]
-            return (f"{self._need(_POSES[what], leaves[0].subjects[:1], needs)}[{_RESULT_INDEX[what]}]", "") if whole else None
+            return (
+                (f"{self._need(_POSES[what], leaves[0].subjects[:1], needs)}[{_RESULT_INDEX[what]}]", "")
+                if whole
+                else None
+            )
         if what in ("joint_position", "joint_velocity", "joint_torque"):
             robot, names = subjects[0][0].partition(".")[0], [one.partition(".")[2] for (one,) in subjects]
             if any(one.partition(".")[0] != robot for (one,) in subjects) or len(names) < 2:
@@ -122,7 +131,11 @@ class Readers:
 
     def _joint(self, leaf: EngineRead, needs: ReaderKeys) -> tuple[str, int]:
         single, (robot, _, name) = _of_joints(leaf, ()), leaf.subjects[0].partition(".")
-        vectors = (key for key, names in self._joints.items() if name in names and (key.kind, key.parts[0]) == (single.kind, robot))
+        vectors = (
+            key
+            for key, names in self._joints.items()
+            if name in names and (key.kind, key.parts[0]) == (single.kind, robot)
+        )
         key = next(vectors, single)
         joints = self._joints.setdefault(key, [])
         joints += [] if name in joints else [name]
@@ -146,12 +159,18 @@ class Readers:
             local = self._local(key)
             place = f"{self._local(ReaderKey('pose', key.parts[:1]))}[0]" if key.kind == "line" else ""
             many = key.kind == "contacts"
-            lines.append(f"{local} = [a() for a in self.read_{local}]" if many else f"{local} = self.read_{local}({place})")
+            lines.append(
+                f"{local} = [a() for a in self.read_{local}]"
+                if many
+                else f"{local} = self.read_{local}({place})"
+            )
         return lines
 
     def start_lines(self) -> list[str]:
         """Statements that begin an episode."""
-        return [f"self.read_{self._local(key)}.reset()" for key in self._sorted(self._bound) if key.kind == "line"]
+        return [
+            f"self.read_{self._local(key)}.reset()" for key in self._sorted(self._bound) if key.kind == "line"
+        ]
 
     @property
     def needs_paths(self) -> bool:
@@ -159,7 +178,9 @@ class Readers:
         return any(key.kind in ("path_distance", "path_bearing", "reachable") for key in self._bound)
 
     def _sorted(self, keys: ReaderKeys) -> list[ReaderKey]:
-        return sorted(keys, key=lambda key: _READER_ORDER.index("contact" if key.kind == "contacts" else key.kind))
+        return sorted(
+            keys, key=lambda key: _READER_ORDER.index("contact" if key.kind == "contacts" else key.kind)
+        )
 
     def _local(self, key: ReaderKey) -> str:
         parts = key.parts[: {"contacts": 2, "joints": 1, "torques": 1}.get(key.kind)]
@@ -173,9 +194,16 @@ class Readers:
         match kind:
             case "joints" | "torques":
                 method = "joint_states" if kind == "joints" else "joint_torques"
-                return f"engine.{method}({quoted(parts[0])}, {self._constants.strings(tuple(self._joints[key]))})"
+                return (
+                    f"engine.{method}({quoted(parts[0])},"
+                    f" {self._constants.strings(tuple(self._joints[key]))})"
+                )
             case "pose" | "velocity":
-                return f"engine.{kind}({quoted(body)}, {quoted(link)})" if link else f"engine.{kind}({quoted(body)})"
+                return (
+                    f"engine.{kind}({quoted(body)}, {quoted(link)})"
+                    if link
+                    else f"engine.{kind}({quoted(body)})"
+                )
             case "line":
                 return f"Follower(self.scenario.world.line({quoted(parts[1])}))"
             case "contacts":
@@ -228,8 +256,13 @@ class ClassPrinter(ABC):
         """The code of a vector that consists of these components; None where they are of no one vector."""
 
     def bind_lines(self, *others: str) -> list[str]:
-        """Statements that bind readers, the `others`, and statements that make the memories of stateful functions."""
-        return [*self.readers.bind_lines(), *others, *(f"self.{name} = {code}" for name, code in self.memories.items())]
+        """Statements that bind readers, the `others`, and statements that make the memories of stateful
+        functions."""
+        return [
+            *self.readers.bind_lines(),
+            *others,
+            *(f"self.{name} = {code}" for name, code in self.memories.items()),
+        ]
 
 
 _GOAL = ("achieved", "desired", "goal_reached")
@@ -238,8 +271,9 @@ _GOAL = ("achieved", "desired", "goal_reached")
 class SupervisorPrinter(ClassPrinter):
     """One per printed supervisor.
 
-    `evaluated` are the expressions of every timestep; `sent` are those of messages to robots, with values of the
-    timestep before; `scripted` are those of hand-written policies and of tests, which are called between two steps.
+    `evaluated` are the expressions of every timestep; `sent` are those of messages to robots, with values of
+    the timestep before; `scripted` are those of hand-written policies and of tests, which are called between
+    two steps.
     """
 
     def __init__(self, scenario: Program, constants: Constants, target: Target = SCALAR) -> None:
@@ -251,10 +285,13 @@ class SupervisorPrinter(ClassPrinter):
         """The attributes that hold drawn values and values of the timestep before, in order of first use."""
         self.repeats_actions = scenario.action_repeat > 1
         """Whether a step of the agent has several timesteps, which are then a method of their own."""
-        self.has_history = self.agent.frame_stack > 1 or any(entry.history > 1 for entry in self.agent.observation)
+        self.has_history = self.agent.frame_stack > 1 or any(
+            entry.history > 1 for entry in self.agent.observation
+        )
         """Whether the policy sees more than the numbers of the last step."""
         self.is_of_copy = self.agent.copies is not None and target is SCALAR
-        """Whether this is the supervisor of one copy among several, whose world goes on for all of them at once; not in a batch."""
+        """Whether this is the supervisor of one copy among several, whose world goes on for all of them at
+        once; not in a batch."""
         self.tick = "self.timestep_count" if self.repeats_actions else "self.step_count"
         """Code that counts the timesteps of the episode."""
         self.choices = self.agent.choices
@@ -263,20 +300,42 @@ class SupervisorPrinter(ClassPrinter):
         evaluated += [ending.scalar for ending in scenario.endings]
         evaluated += [term.scalar for term in self.agent.reward]
         evaluated += [value for entry in self.agent.observation for value in entry.value.scalars]
-        conditions = [option.forbidden.scalar for part in self.choices for option in part.options if option.forbidden is not None]
+        conditions = [
+            option.forbidden.scalar
+            for part in self.choices
+            for option in part.options
+            if option.forbidden is not None
+        ]
         goal = self.agent.goal
         evaluated += [*conditions, *((*goal.achieved.scalars, *goal.targets) if goal is not None else ())]
         self.scripted = [value for script in self.agent.scripts for value in script.scalars]
         self.scripted += [value for test in scenario.tests for value in (*test.scalars, *test.compared)]
-        self.sent = [value for robot in scenario.robots for entry in robot.received for value in entry.scalars]
+        self.sent = [
+            value for robot in scenario.robots for entry in robot.received for value in entry.scalars
+        ]
         self.forbids_options = bool(conditions)
         """Whether an option of a choice may ever be forbidden."""
-        self.settable = {id(value): full for entry in scenario.settable_draws for full, value in entry.numbers if is_drawn(value)}
-        self._used = {leaf.name for expression in (*evaluated, *self.scripted) for leaf in names_in(expression)}
-        self._ages = {f"{robot.name}.{sensor}": f"{robot.name}.{field}" for robot in scenario.robots for sensor, field in robot.ages}
+        self.settable = {
+            id(value): full
+            for entry in scenario.settable_draws
+            for full, value in entry.numbers
+            if is_drawn(value)
+        }
+        self._used = {
+            leaf.name for expression in (*evaluated, *self.scripted) for leaf in names_in(expression)
+        }
+        self._ages = {
+            f"{robot.name}.{sensor}": f"{robot.name}.{field}"
+            for robot in scenario.robots
+            for sensor, field in robot.ages
+        }
         self._parameters = {entry.name: entry.components for entry in scenario.parameters}
         self._components = {entry.name: entry.components for entry in scenario.signals}
-        self._components |= {f"{robot.name}.{entry.name}": entry.components for robot in scenario.robots for entry in robot.emitted}
+        self._components |= {
+            f"{robot.name}.{entry.name}": entry.components
+            for robot in scenario.robots
+            for entry in robot.emitted
+        }
         self._components |= {part.name: part.components for part in self.ranges}
         self._components["previous_action"] = action_names(self.agent.action)
         if goal is not None:
@@ -290,13 +349,16 @@ class SupervisorPrinter(ClassPrinter):
 
     @property
     def action_names_read(self) -> list[tuple[str, Sequence[str]]]:
-        """The action values that expressions of a timestep read, with their components: variables, and the action as the agent gave it."""
+        """The action values that expressions of a timestep read, with their components: variables, and the
+        action as the agent gave it."""
         return [*(v for v in self.variables if self.uses(v[0])), *self.agent_action_read]
 
     @property
     def agent_action_read(self) -> list[tuple[str, Sequence[str]]]:
         """The action as the agent gave it, if an expression of every timestep reads it."""
-        return [("previous_action", self._components["previous_action"])] if self.uses("previous_action") else []
+        return (
+            [("previous_action", self._components["previous_action"])] if self.uses("previous_action") else []
+        )
 
     def uses(self, name: str) -> bool:
         """Whether an expression of every timestep, or a script after it, reads the named value."""
@@ -320,23 +382,32 @@ class SupervisorPrinter(ClassPrinter):
         return f"self.{name}"
 
     def sent_names(self) -> list[str]:
-        """Locals of one timestep that the messages of the next one contain: signals, and fields that robots sent."""
+        """Locals of one timestep that the messages of the next one contain: signals, and fields that robots
+        sent."""
         named = self.names_read(self.sent)
         return [self.local(name) for name in self._results() if name in named]
 
     def stored_names(self) -> list[str]:
-        """Names of the values that a timestep stores: those in messages, in `stored_signals` and in scripts, with parts of the action."""
-        sent, read = (
-            self.names_read(self.sent),
-            {*self.names_read(self.scripted), *self.scenario.stored_signals} if self.target is SCALAR else set(),
+        """Names of the values that a timestep stores: those in messages, in `stored_signals` and in scripts,
+        with parts of the action."""
+        sent = self.names_read(self.sent)
+        read = (
+            {*self.names_read(self.scripted), *self.scenario.stored_signals}
+            if self.target is SCALAR
+            else set()
         )
         acted = [name for name, _ in (*self.variables, *self.agent_action_read) if name in read]
-        ended = [name for name in (*(ending.name for ending in self.scenario.endings), *_GOAL) if name in read]
+        ended = [
+            name for name in (*(ending.name for ending in self.scenario.endings), *_GOAL) if name in read
+        ]
         return [*(name for name in self._results() if name in sent or name in read), *acted, *ended]
 
     def storing_statements(self) -> list[str]:
-        """Statements that store the values of this timestep that the next message to a robot, or a script, uses."""
-        return [f"{self.attribute(f'last_{local}')} = {local}" for local in map(self.local, self.stored_names())]
+        """Statements that store the values of this timestep that the next message to a robot, or a script,
+        uses."""
+        return [
+            f"{self.attribute(f'last_{local}')} = {local}" for local in map(self.local, self.stored_names())
+        ]
 
     def _results(self) -> list[str]:
         """The results of a timestep: signals, and the fields that robots sent."""
@@ -346,8 +417,12 @@ class SupervisorPrinter(ClassPrinter):
     def names_read(self, expressions: Iterable[Scalar]) -> set[str]:
         """The names that expressions read, with the fields that carry the ages of readings."""
         nodes = [node for value in expressions for node in walk(value)]
-        asked = {node.subjects[0] for node in nodes if isinstance(node, EngineRead) and node.function == "age"}
-        return {node.name for node in nodes if isinstance(node, Name)} | {self._ages[subject] for subject in asked if subject in self._ages}
+        asked = {
+            node.subjects[0] for node in nodes if isinstance(node, EngineRead) and node.function == "age"
+        }
+        return {node.name for node in nodes if isinstance(node, Name)} | {
+            self._ages[subject] for subject in asked if subject in self._ages
+        }
 
     def of_one_world(self) -> SupervisorPrinter:
         """The printer of code that runs in one world."""
@@ -365,7 +440,11 @@ class SupervisorPrinter(ClassPrinter):
             if leaf.function == "present":
                 group, _, count = leaf.subjects[0].partition("#")
                 return f"({self.present_count(group)} >= {count})"
-            return self._channel_value(leaf) if leaf.function in CHANNEL_VALUES else self.readers.code(leaf, needs)
+            return (
+                self._channel_value(leaf)
+                if leaf.function in CHANNEL_VALUES
+                else self.readers.code(leaf, needs)
+            )
         match leaf.name:
             case "time":
                 return f"({self.tick} * {self.scenario.world.timestep!r})"
@@ -387,10 +466,14 @@ class SupervisorPrinter(ClassPrinter):
         return self.parameter(name) if name in self._parameters else self.local(name)
 
     def _channel_value(self, leaf: EngineRead) -> str:
-        """Values of the channel of a robot: the age of the message that the supervisor uses, and whether it arrived in this timestep."""
+        """Values of the channel of a robot: the age of the message that the supervisor uses, and whether it
+        arrived in this timestep."""
         name = leaf.subjects[0]
         if leaf.function == "age" and name in self._ages:
-            return f"({self._channel_value(EngineRead('age', (name.partition('.')[0],)))} + {self.local(self._ages[name])})"
+            return (
+                f"({self._channel_value(EngineRead('age', (name.partition('.')[0],)))} +"
+                f" {self.local(self._ages[name])})"
+            )
         robot = next(robot for robot in self.scenario.robots if robot.name == name.partition(".")[0])
         if self.scenario.format != "none" and not robot.from_route.perfect:
             return f"self.from_{robot.name}.{leaf.function}"
@@ -400,19 +483,30 @@ class SupervisorPrinter(ClassPrinter):
         return f"({self.scenario.world.timestep!r} if {self.tick} else 0.0)" if late else "0.0"
 
 
-def whole_vector(leaves: Sequence[Name], components: Mapping[str, Sequence[str]], code: Callable[[str], str]) -> str | None:
-    """The code of a vector that is read as a whole, or of a slice of it; None for components that are no row of one vector."""
+def whole_vector(
+    leaves: Sequence[Name], components: Mapping[str, Sequence[str]], code: Callable[[str], str]
+) -> str | None:
+    """The code of a vector that is read as a whole, or of a slice of it; None for components that are no row
+    of one vector."""
     first = leaves[0]
-    known = list(components.get(first.name, ()))
-    if first.component is None or any(leaf.name != first.name for leaf in leaves) or first.component not in known:
+    names = list(components.get(first.name, ()))
+    if (
+        first.component is None
+        or any(leaf.name != first.name for leaf in leaves)
+        or first.component not in names
+    ):
         return None
-    start = known.index(first.component)
-    if [leaf.component for leaf in leaves] != known[start : start + len(leaves)]:
+    start = names.index(first.component)
+    if [leaf.component for leaf in leaves] != names[start : start + len(leaves)]:
         return None
     whole = code(first.name)
-    return whole if len(leaves) == len(known) else f"{whole}[{start}:{start + len(leaves)}]"
+    return whole if len(leaves) == len(names) else f"{whole}[{start}:{start + len(leaves)}]"
 
 
 def zeros(components: Sequence[str]) -> str:
     """The code of 0, once for each component."""
-    return ("(0.0,)" if len(components) == 1 else f"(0.0,) * {len(components)}") if components else "0.0"
+    if components:
+        if len(components) == 1:
+            return "(0.0,)"
+        return f"(0.0,) * {len(components)}"
+    return "0.0"

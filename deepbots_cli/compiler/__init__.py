@@ -3,15 +3,18 @@
     nodes ─▶ Scenario (models) ─▶ names ─▶ typed expressions ─▶ Program
 
 values.py       texts to typed trees, findings at their places
-namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its place;
+namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its
+                place;
                 fields of the scenario, resolved by their annotations; values that every episode draws anew
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
-robots.py       robot files and their changes, patterns and groups, what joints measure, limits of the robot file
+robots.py       robot files and their changes, patterns and groups, what joints measure, limits of the robot
+                file
 controllers.py  actuators and their limits, poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
 places.py       placements, layouts, maps, and whether there is room
-episodes.py     what an episode draws: parameters, channels, disturbances; how it begins; signals, reward, endings, limits
+episodes.py     what an episode draws: parameters, channels, disturbances; how it begins; signals, reward,
+                endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
 search.py       the search of `tune`
@@ -70,9 +73,10 @@ _SPELLING_CODES = frozenset({"DB003", "DB004"})  # warnings about how a value is
 class CheckedScenario:
     """A document that was checked; `program` is None where findings at error level left nothing to compile.
 
-    `variants` are the same for the scenario under the settings of each case and stage. `tests` are those of the file, each compiled
-    under its own case or stage. `search` is the search space of each key under `tune`. `learner` are the reasons for the learner that
-    deepbots chose where the scenario names no algorithm; the document has it under `train`.
+    `variants` are the same for the scenario under the settings of each case and stage. `tests` are those of
+    the file, each compiled under its own case or stage. `search` is the search space of each key under
+    `tune`. `learner` are the reasons for the learner that deepbots chose where the scenario names no
+    algorithm; the document has it under `train`.
     """
 
     document: Document
@@ -90,11 +94,14 @@ class CheckedScenario:
     def inputs(self) -> Inputs:
         """Every file that was read."""
         files = self.namespace.files if self.namespace else {}
-        return Inputs(self.document, self.robots or {}, files, tuple(variant.inputs for variant in self.variants))
+        return Inputs(
+            self.document, self.robots or {}, files, tuple(variant.inputs for variant in self.variants)
+        )
 
     def release_names(self) -> None:
-        """Forget what names mean, once all is known that was asked. Names and their definitions hold each other, and would be left to
-        Python's search for garbage, which took a fifth of the time of linting a folder.
+        """Forget what names mean, once all is known that was asked. Names and their definitions hold each
+        other, and would be left to Python's search for garbage, which took a fifth of the time of linting a
+        folder.
         """
         for checked in (self, *self.variants):
             if checked.namespace is not None:
@@ -115,38 +122,63 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
             checked = replace(_check(document), learner=learner)
         if checked.program is not None and checked.spec is not None and checked.spec.tune is not None:
             search = compile_search(document, checked.program, checked.findings, _check)
-            checked = replace(checked, search=search, program=None if checked.findings.errors else checked.program)
-        if checked.program is None or checked.spec is None or not (checked.spec.evaluation.cases or checked.spec.curriculum):
+            checked = replace(
+                checked, search=search, program=None if checked.findings.errors else checked.program
+            )
+        if (
+            checked.program is None
+            or checked.spec is None
+            or not (checked.spec.evaluation.cases or checked.spec.curriculum)
+        ):
             return checked
-        sent = frozenset(f"{robot.name}.{field.name}" for robot in checked.program.robots for field in robot.emit)
+        sent = frozenset(
+            f"{robot.name}.{field.name}" for robot in checked.program.robots for field in robot.emit
+        )
         check_variant = partial(_check, sent=sent)
-        variants, program = compile_variants(checked.document, checked.spec, checked.program, checked.findings, check_variant)
+        variants, program = compile_variants(
+            checked.document, checked.spec, checked.program, checked.findings, check_variant
+        )
         own = {test.name: test.expected for variant in variants for test in variant.tests}
         tests = tuple(replace(test, expected=own.get(test.name, test.expected)) for test in checked.tests)
-        return replace(checked, program=None if checked.findings.errors else program, variants=variants, tests=tests)
+        return replace(
+            checked, program=None if checked.findings.errors else program, variants=variants, tests=tests
+        )
     except TooManyFindings as too_many:
         document.findings.report_limit(too_many)
         return CheckedScenario(document, document.findings)
 
 
 def _check(document: Document, sent: frozenset[str] = frozenset()) -> CheckedScenario:
-    """As `check`, without cases and stages. Robots send the fields `sent`, whether the supervisor uses them or not."""
+    """As `check`, without cases and stages. Robots send the fields `sent`, whether the supervisor uses them
+    or not."""
     findings = document.findings
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
         return CheckedScenario(document, findings)
-    invalid = invalid_names(document.root, spec.pruned, (found.span for found in findings.errors))
+    invalid = invalid_names(document.root, spec.pruned, (finding.span for finding in findings.errors))
     namespace = Namespace(
-        ValueReader(document.root, findings, {path: kind for path, kind, _ in visit_values(spec)}, invalid), document, spec, sent
+        ValueReader(document.root, findings, {path: kind for path, kind, _ in visit_values(spec)}, invalid),
+        document,
+        spec,
+        sent,
     )
     program = _program(namespace)
     tests = scenario_tests(namespace, program)
     robots = {name: robot for name, robot in namespace.robots.items() if robot is not None}
-    return CheckedScenario(document, _joined(findings), spec, None if findings.errors else program, robots, namespace, tests=tests)
+    return CheckedScenario(
+        document,
+        _joined(findings),
+        spec,
+        None if findings.errors else program,
+        robots,
+        namespace,
+        tests=tests,
+    )
 
 
 def _program(namespace: Namespace) -> Program:
-    """Define all names, then ask for everything once: names are typed as they are needed, whatever their order in the file."""
+    """Define all names, then ask for everything once: names are typed as they are needed, whatever their
+    order in the file."""
     spec = namespace.scenario
     parameters = Parameters(namespace)
     define_bodies(namespace)
@@ -179,7 +211,12 @@ def _program(namespace: Namespace) -> Program:
         frame_stack=spec.agent.frame_stack,
         copies=each,
         scripts=scripts(namespace, action),
-        training=training(namespace, action, each, limits.max_episode_steps(timestep * action_repeat) if limits != Truncation() else None),
+        training=training(
+            namespace,
+            action,
+            each,
+            limits.max_episode_steps(timestep * action_repeat) if limits != Truncation() else None,
+        ),
     )
     ordered = signals.ordered()  # as the observation, the reward and the goal have asked for them
     program = Program(
@@ -192,7 +229,13 @@ def _program(namespace: Namespace) -> Program:
         timing=spec.messages.timing,
         parameters=parameters.drawn(),
         signals=ordered,
-        agents={agent.name: replace(agent, robots=tuple(commanded(robots, action, ordered)), action=actions.with_conditions(action))},
+        agents={
+            agent.name: replace(
+                agent,
+                robots=tuple(commanded(robots, action, ordered)),
+                action=actions.with_conditions(action),
+            )
+        },
         endings=signals.endings(),
         truncation=limits,
         reset=replace(
@@ -208,24 +251,33 @@ def _program(namespace: Namespace) -> Program:
         engine=spec.world.engine,
         supplied_by=tuple(spec.deploy.supplied_by.items()) if spec.deploy else (),
     )
-    sending = tuple(replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True))
+    sending = tuple(
+        replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True)
+    )
     return with_reading_ages(replace(program, robots=sending, ros=topics(namespace, program)))
 
 
 def _joined(findings: Findings) -> Findings:
-    """A warning about a value that is in error anyway, or about how such a value is spelled, becomes a note of the error."""
+    """A warning about a value that is in error anyway, or about how such a value is spelled, becomes a note
+    of the error."""
     errors = findings.errors
     kept: list[Finding] = []
     absorbed: dict[int, list[Finding]] = {}
-    for found in findings:
-        error = next((error for error in errors if _absorbs(error, found)), None) if found.severity == "warning" else None
-        (kept if error is None else absorbed.setdefault(id(error), [])).append(found)
+    for finding in findings:
+        error = (
+            next((error for error in errors if _absorbs(error, finding)), None)
+            if finding.severity == "warning"
+            else None
+        )
+        (kept if error is None else absorbed.setdefault(id(error), [])).append(finding)
     joined = Findings()
-    for found in kept:
-        warnings = absorbed.get(id(found), [])
+    for finding in kept:
+        warnings = absorbed.get(id(finding), [])
         fixes = [fix for warning in warnings if warning.code == "DB004" and (fix := number_fix(warning.span))]
-        notes = (*found.notes, *(warning.headline for warning in warnings))
-        joined.append(replace(found, notes=notes, fix=found.fix or next(iter(fixes), None)) if warnings else found)
+        notes = (*finding.notes, *(warning.headline for warning in warnings))
+        joined.append(
+            replace(finding, notes=notes, fix=finding.fix or next(iter(fixes), None)) if warnings else finding
+        )
     return joined
 
 

@@ -1,4 +1,5 @@
-"""The controller of a robot: its actuators and their limits, poses, commands, and the messages that it sends and receives."""
+"""The controller of a robot: its actuators and their limits, poses, commands, and the messages that it sends
+and receives."""
 
 from __future__ import annotations
 
@@ -8,7 +9,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, Unpack
 
-from deepbots_cli.compiler.namespace import Default, FieldContext, Namespace, NamespaceReader, Origin, RobotScope, SupervisorScope
+from deepbots_cli.compiler.namespace import (
+    Default,
+    FieldContext,
+    Namespace,
+    NamespaceReader,
+    Origin,
+    RobotScope,
+    SupervisorScope,
+)
 from deepbots_cli.compiler.robots import (
     ResolvedRobot,
     effort_dimension,
@@ -25,9 +34,30 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, TIME, Dimension
 from deepbots_cli.expressions.intervals import Interval, single
-from deepbots_cli.expressions.types import Components, Context, Invocation, Known, Reference, Symbol, Type, referenced_names, walk
+from deepbots_cli.expressions.types import (
+    Components,
+    Context,
+    Invocation,
+    Known,
+    Reference,
+    Symbol,
+    Type,
+    referenced_names,
+    walk,
+)
 from deepbots_cli.program.resets import OfActuator
-from deepbots_cli.program.robots import Actuator, Cartesian, Command, CustomActuator, MessageField, Motor, Response, Robot, Route, Thrust
+from deepbots_cli.program.robots import (
+    Actuator,
+    Cartesian,
+    Command,
+    CustomActuator,
+    MessageField,
+    Motor,
+    Response,
+    Robot,
+    Route,
+    Thrust,
+)
 from deepbots_cli.program.task import ActionPart, ActionRange
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Joint
@@ -54,9 +84,13 @@ def driven_parts(robot: ResolvedRobot, spec: specs.Actuator) -> Components | Non
     """The components of a command to the actuator, without findings; None where there are none."""
     if spec.components:
         return spec.components
-    key, known = ("link", robot.link_names) if isinstance(spec, specs.Thrust) else ("joint", robot.drivable_joints)
-    found, _ = expand_patterns(known, getattr(spec, f"{key}s") or getattr(spec, key, None) or (), robot.groups)
-    return found or None
+    key, names = (
+        ("link", robot.link_names) if isinstance(spec, specs.Thrust) else ("joint", robot.drivable_joints)
+    )
+    parts, _ = expand_patterns(
+        names, getattr(spec, f"{key}s") or getattr(spec, key, None) or (), robot.groups
+    )
+    return parts or None
 
 
 class Actuators(NamespaceReader):
@@ -96,27 +130,59 @@ class Actuators(NamespaceReader):
             case specs.VelocityMotor():
                 acceleration = self._namespace.fixed(spec, "max_acceleration", dimension=dimension / TIME)
                 motor = Motor(
-                    name, spec.type, names, max_torque, max_velocity, max_acceleration=acceleration, response=self._response(spec, names)
+                    name,
+                    spec.type,
+                    names,
+                    max_torque,
+                    max_velocity,
+                    max_acceleration=acceleration,
+                    response=self._response(spec, names),
                 )
             case specs.PositionMotor():
                 effort = effort_dimension(joints[0])
-                stiffness = self._scalar_or_randomized(spec, "stiffness", None, dimension=effort / dimension, per_component=names)
-                damping = self._scalar_or_randomized(spec, "damping", None, dimension=effort * TIME / dimension, per_component=names)
+                stiffness = self._scalar_or_randomized(
+                    spec, "stiffness", None, dimension=effort / dimension, per_component=names
+                )
+                damping = self._scalar_or_randomized(
+                    spec, "damping", None, dimension=effort * TIME / dimension, per_component=names
+                )
                 if spec.damping is not None and spec.stiffness is None:
-                    help = "add `stiffness`, or remove `damping` to use the built-in position control of the engine"
-                    self._values.add_at_key("DB102", (*spec.path, "damping"), "`damping` needs `stiffness`", help)
-                motor = Motor(name, spec.type, names, max_torque, max_velocity, stiffness, damping, response=self._response(spec, names))
+                    help = (
+                        "add `stiffness`, or remove `damping` to use the built-in position control of the"
+                        " engine"
+                    )
+                    self._values.add_at_key(
+                        "DB102", (*spec.path, "damping"), "`damping` needs `stiffness`", help
+                    )
+                motor = Motor(
+                    name,
+                    spec.type,
+                    names,
+                    max_torque,
+                    max_velocity,
+                    stiffness,
+                    damping,
+                    response=self._response(spec, names),
+                )
             case specs.TorqueMotor():
-                motor = Motor(name, spec.type, names, max_torque, max_velocity, response=self._response(spec, names))
+                motor = Motor(
+                    name, spec.type, names, max_torque, max_velocity, response=self._response(spec, names)
+                )
             case _:
                 slides = joint_dimension(joints[0]) == LENGTH
-                own = self._namespace.parameters(spec, kind_parameters(type(spec), specs.JointActuator), dimension, slides=slides)
+                own = self._namespace.parameters(
+                    spec, kind_parameters(type(spec), specs.JointActuator), dimension, slides=slides
+                )
                 if own is None:
                     return None
                 low, high = (end if math.isfinite(end) else None for end in spec.interval)
                 response = self._response(spec, names)
-                motor = CustomActuator(name, spec.type, names, max_torque, max_velocity, spec.drive, own, low, high, response)
-        return ResolvedActuator(motor, dimension, names if len(names) > 1 or spec.joints is not None else None)
+                motor = CustomActuator(
+                    name, spec.type, names, max_torque, max_velocity, spec.drive, own, low, high, response
+                )
+        return ResolvedActuator(
+            motor, dimension, names if len(names) > 1 or spec.joints is not None else None
+        )
 
     def _cartesian(self, name: str, spec: specs.Cartesian) -> ResolvedActuator | None:
         joints = self._robot.joints_of(spec, self._values)
@@ -127,13 +193,16 @@ class Actuators(NamespaceReader):
         model = self._robot.model
         idle = [joint.name for joint in joints if not joint_moves_link(model, joint, spec.link)]
         if idle:
-            headline, help = f"the joint `{idle[0]}` does not move `{spec.link}`", "name the joints between the base and the link"
+            headline = f"the joint `{idle[0]}` does not move `{spec.link}`"
+            help = "name the joints between the base and the link"
             self._values.add("DB203", (*spec.path, "joints"), headline, help)
             return None
         names = tuple(joint.name for joint in joints)
         limits = self._max_torque(spec, joints), self._max_velocity(spec, joints)
         return ResolvedActuator(
-            Cartesian(name, spec.link, names, rpy, *limits, self._response(spec, names)), spec.dimension, spec.components
+            Cartesian(name, spec.link, names, rpy, *limits, self._response(spec, names)),
+            spec.dimension,
+            spec.components,
         )
 
     def _gripper(self, name: str, spec: specs.Gripper) -> ResolvedActuator | None:
@@ -156,8 +225,11 @@ class Actuators(NamespaceReader):
         for joint in joints:
             reach = joint_interval(joint)
             if not reach.low <= position <= reach.high:
-                text, help = self._values.field(spec, key), f"write a value within the limits of `{joint.name}`"
-                warn_beyond_limits(self._values, text, joint_dimension(joint), reach, "a position of", single(position), help)
+                text = self._values.field(spec, key)
+                help = f"write a value within the limits of `{joint.name}`"
+                warn_beyond_limits(
+                    self._values, text, joint_dimension(joint), reach, "a position of", single(position), help
+                )
                 return
 
     def _thrust(self, name: str, spec: specs.Thrust) -> ResolvedActuator | None:
@@ -169,25 +241,31 @@ class Actuators(NamespaceReader):
         if not links or ends is None or spin is None:
             return None
         thrust = Thrust(name, links, ends.low[0], ends.high[0], moment_constant, spin, response)
-        return ResolvedActuator(thrust, spec.dimension, links if len(links) > 1 or spec.links is not None else None)
+        return ResolvedActuator(
+            thrust, spec.dimension, links if len(links) > 1 or spec.links is not None else None
+        )
 
     def _spin(self, spec: specs.Thrust, links: tuple[str, ...]) -> tuple[float, ...] | None:
         """The sense of each link, from one number for all or from patterns; None after a finding."""
         if not isinstance(spec.spin, dict):
-            found = self._namespace.fixed(spec, "spin") if "spin" in spec.model_fields_set else 1.0
-            return None if found is None else (found,) * len(links)
+            spin = self._namespace.fixed(spec, "spin") if "spin" in spec.model_fields_set else 1.0
+            return None if spin is None else (spin,) * len(links)
         senses: dict[str, float | None] = {}
         unknown = False
         for pattern in spec.spin:
             members, missing = expand_patterns(links, pattern, self._robot.groups)
             unknown = unknown or bool(missing)
             if missing and links:
-                report_unmatched(self._values, self._values.key_span((*spec.path, "spin", pattern)), pattern, "link", links)
+                report_unmatched(
+                    self._values, self._values.key_span((*spec.path, "spin", pattern)), pattern, "link", links
+                )
             senses |= dict.fromkeys(members, self._namespace.fixed(spec, "spin", pattern))
         open_ = [link for link in links if link not in senses]
         if open_ and not unknown:
             help = f"write 1 or -1 for each link, as in `{open_[0]}: 1`"
-            self._values.add_at_key("DB102", (*spec.path, "spin"), f"`spin` has no value for `{open_[0]}`", help)
+            self._values.add_at_key(
+                "DB102", (*spec.path, "spin"), f"`spin` has no value for `{open_[0]}`", help
+            )
         found_all = [sense for link in links if (sense := senses.get(link)) is not None]
         return tuple(found_all) if len(found_all) == len(links) else None
 
@@ -196,49 +274,72 @@ class Actuators(NamespaceReader):
     def _response(self, spec: specs.Actuator, parts: tuple[str, ...]) -> Response:
         """Strength is drawn for each of the parts, delay and time constant for all of them together."""
         strength = self._scalar_or_randomized(spec, "strength", 1.0, per_component=parts)
-        return Response(strength, self._scalar_or_randomized(spec, "delay", 0.0), self._scalar_or_randomized(spec, "time_constant", 0.0))
+        return Response(
+            strength,
+            self._scalar_or_randomized(spec, "delay", 0.0),
+            self._scalar_or_randomized(spec, "time_constant", 0.0),
+        )
 
     def _max_torque(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
-        """The largest torque or force of each joint: the tighter of the scenario's and that of the robot file."""
-        own, known, effort = tuple(joint.limit.effort for joint in joints), len(self._namespace.variations), effort_dimension(joints[0])
-        found = self._scalar_or_randomized(spec, "max_torque", None, dimension=effort, per_component=tuple(joint.name for joint in joints))
-        if found is None:
+        """The largest torque or force of each joint: the tighter of the scenario's and that of the robot
+        file."""
+        own = tuple(joint.limit.effort for joint in joints)
+        variations = len(self._namespace.variations)
+        effort = effort_dimension(joints[0])
+        max_torque = self._scalar_or_randomized(
+            spec, "max_torque", None, dimension=effort, per_component=tuple(joint.name for joint in joints)
+        )
+        if max_torque is None:
             return own
-        drawn = self._namespace.variations[known:]
-        self._compare(spec, "max_torque", drawn[0].value.typed.type.interval.high if drawn else found, effort, own)
-        self._namespace.variations[known:] = [replace(varied, max=own) for varied in drawn]
-        return _tighter(own, found)
+        drawn = self._namespace.variations[variations:]
+        self._compare(
+            spec, "max_torque", drawn[0].value.typed.type.interval.high if drawn else max_torque, effort, own
+        )
+        self._namespace.variations[variations:] = [replace(varied, max=own) for varied in drawn]
+        return _tighter(own, max_torque)
 
     def _max_velocity(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
-        """The largest velocity of each joint, which is not drawn: the tighter limit of scenario and robot file."""
+        """The largest velocity of each joint, which is not drawn: the tighter limit of scenario and robot
+        file."""
         own = tuple(joint.limit.velocity for joint in joints)
         if getattr(spec, "max_velocity", None) is None:
             # A spring pulls as it is said to, and its torque is what bounds it.
-            return (None,) * len(joints) if isinstance(spec, specs.PositionMotor) and spec.stiffness is not None else own
+            return (
+                (None,) * len(joints)
+                if isinstance(spec, specs.PositionMotor) and spec.stiffness is not None
+                else own
+            )
         rate = joint_dimension(joints[0]) / TIME
-        found = self._namespace.fixed(spec, "max_velocity", dimension=rate)
-        if found is None:
+        max_velocity = self._namespace.fixed(spec, "max_velocity", dimension=rate)
+        if max_velocity is None:
             return own
-        self._compare(spec, "max_velocity", found, rate, own)
-        return _tighter(own, found)
+        self._compare(spec, "max_velocity", max_velocity, rate, own)
+        return _tighter(own, max_velocity)
 
-    def _scalar_or_randomized(self, spec: specs.Actuator, key: str, default: Default, **context: Unpack[FieldContext]) -> float | Default:
+    def _scalar_or_randomized(
+        self, spec: specs.Actuator, key: str, default: Default, **context: Unpack[FieldContext]
+    ) -> float | Default:
         """A value that an episode may draw."""
         of = OfActuator(self._robot.name, str(spec.path[-1]))
         return self._namespace.scalar_or_randomized(spec, key, f"actuator_{key}", of, default, **context)  # type: ignore[arg-type]
 
-    def _compare(self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits) -> None:
+    def _compare(
+        self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits
+    ) -> None:
         """DB304 for a limit that the robot file undercuts for every joint."""
-        known = [each for each in own if each is not None]
-        if len(known) == len(own) and limit > max(known) * (1 + 1e-9):
-            text, allowed = self._values.field(spec, key), Interval(-math.inf, max(known))
+        limits = [each for each in own if each is not None]
+        if len(limits) == len(own) and limit > max(limits) * (1 + 1e-9):
+            text, allowed = self._values.field(spec, key), Interval(-math.inf, max(limits))
             joints = f"robots.{self._robot.name}.joints"
-            help = f"deepbots uses the smaller limit: lower this value or, if the motor is stronger, write its `{key}` under `{joints}`"
+            help = (
+                "deepbots uses the smaller limit: lower this value or, if the motor is stronger, write"
+                f" its `{key}` under `{joints}`"
+            )
             warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 
-def _tighter(own: Limits, found: float) -> Limits:
-    return tuple(found if limit is None else min(found, limit) for limit in own)
+def _tighter(own: Limits, written: float) -> Limits:
+    return tuple(written if limit is None else min(written, limit) for limit in own)
 
 
 def poses(robot: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
@@ -253,9 +354,13 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
     for pattern in robot.spec.poses[name]:
         joints, missing = expand_patterns(moving, pattern, robot.groups)
         if missing:
-            robot.report_missing_joint(values, values.key_span((*robot.spec.path, "poses", name, pattern)), pattern, moving)
+            robot.report_missing_joint(
+                values, values.key_span((*robot.spec.path, "poses", name, pattern)), pattern, moving
+            )
         dimension = joint_dimension(robot.model.joint(joints[0])) if joints else None
-        position = namespace.fixed(robot.spec, "poses", name, pattern, dimension=dimension) if joints else None
+        position = (
+            namespace.fixed(robot.spec, "poses", name, pattern, dimension=dimension) if joints else None
+        )
         sound = sound and position is not None
         positions |= dict.fromkeys(joints, position or 0.0)
     dimensions = {joint_dimension(robot.model.joint(joint)) for joint in positions}
@@ -268,13 +373,14 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
         )
     if not sound or len(dimensions) != 1:
         return Symbol(name, None)
-    known = tuple(positions.values())
-    return Symbol(name, Type(dimensions.pop(), tuple(positions)).with_intervals(map(single, known)), known)
+    names = tuple(positions.values())
+    return Symbol(name, Type(dimensions.pop(), tuple(positions)).with_intervals(map(single, names)), names)
 
 
 @dataclass(eq=False)
 class RobotBuilder:
-    """Builds the `Robot` of a program: defines its names, types what it emits, receives and applies, and `finish` returns it."""
+    """Builds the `Robot` of a program: defines its names, types what it emits, receives and applies, and
+    `finish` returns it."""
 
     robot: ResolvedRobot
     namespace: Namespace
@@ -325,9 +431,14 @@ class RobotBuilder:
             self.namespace.define(f"{self.robot.name}.{name}", Origin.FIELD, place, make)
 
     def sent(self) -> tuple[Expression, ...]:
-        """The values that it sends; without an `emit`, the sensors that the supervisor uses: ask once everything is typed."""
+        """The values that it sends; without an `emit`, the sensors that the supervisor uses: ask once
+        everything is typed."""
         is_listed = self.robot.spec.emit is not None
-        return tuple(field for name, field in self.fields.items() if is_listed or self.namespace.is_sent(f"{self.robot.name}.{name}"))
+        return tuple(
+            field
+            for name, field in self.fields.items()
+            if is_listed or self.namespace.is_sent(f"{self.robot.name}.{name}")
+        )
 
     def _sensor_field(self, name: str, place: NodePath) -> Symbol:
         """The field of a sensor that no `emit` lists."""
@@ -335,7 +446,9 @@ class RobotBuilder:
         if sensor.type is None:
             return Symbol(full, None)
         typed = Reference(sensor.type, 0, len(name), sensor)
-        self.fields[name] = Expression(name, self.values.key_span(place), name, typed, f"{self.robot.name}.emit.{name}")
+        self.fields[name] = Expression(
+            name, self.values.key_span(place), name, typed, f"{self.robot.name}.emit.{name}"
+        )
         return Symbol(full, sensor.type._replace(known=Known.STEP))
 
     def _field(self, name: str, place: NodePath) -> Symbol:
@@ -348,7 +461,9 @@ class RobotBuilder:
             if meant := nearest_word(name, sensors):
                 self.values.mark_invalid(f"{self.robot.name}.{meant}")
             return Symbol(full, None)
-        typed = self.values.expression(text, RobotScope(self.namespace, Context.EMIT, self.robot.name, self.own))
+        typed = self.values.expression(
+            text, RobotScope(self.namespace, Context.EMIT, self.robot.name, self.own)
+        )
         if typed is None:
             return Symbol(full, None)
         self.fields[name] = Expression(name, text.span, text.text, typed, f"{self.robot.name}.emit.{name}")
@@ -359,40 +474,52 @@ class RobotBuilder:
     def _receive(self) -> dict[str, Symbol]:
         """Action variables, and what `receive` adds to them."""
         spec = self.robot.spec
-        symbols = {name: self.namespace.resolve(name) or Symbol(name, None) for name in self.namespace.names_of(Origin.ACTION)}
-        for name, given in (spec.receive or {}).items():
+        symbols = {
+            name: self.namespace.resolve(name) or Symbol(name, None)
+            for name in self.namespace.names_of(Origin.ACTION)
+        }
+        for name, value in (spec.receive or {}).items():
             place = (*self.path, "receive", name)
-            text = self.values.text(place, given)
+            text = self.values.text(place, value)
             typed = self.values.expression(text, SupervisorScope(self.namespace, Context.RECEIVE))
             symbols[name] = Symbol(name, None)
             if typed is not None:
-                self.received[name] = Expression(name, text.span, text.text, typed, f"{self.robot.name}.receive.{name}")
+                self.received[name] = Expression(
+                    name, text.span, text.text, typed, f"{self.robot.name}.receive.{name}"
+                )
                 symbols[name] = Symbol(name, typed.type._replace(known=Known.STEP))
         return symbols
 
     def finish(self, timestep: float, action: Sequence[ActionPart], routes: tuple[Route, Route]) -> Robot:
-        """Type everything that is left; the world's timestep is `timestep` s, `routes` are those to and from robots.
+        """Type everything that is left; the world's timestep is `timestep` s, `routes` are those to and from
+        robots.
 
         What the robot sends is added later (`sent`).
         """
         received = self._receive()
         scope = RobotScope(self.namespace, Context.APPLY, self.robot.name, {**self.own, **received})
         actuators = Actuators(self.robot, self.namespace)
-        driven = {name: found for name in self.robot.spec.actuators if (found := actuators.read(name)) is not None}
+        driven = {
+            name: actuator
+            for name in self.robot.spec.actuators
+            if (actuator := actuators.read(name)) is not None
+        }
         commands = []
-        for name, given in self.robot.spec.apply.items():
+        for name, written in self.robot.spec.apply.items():
             place = (*self.path, "apply", name)
             if name not in self.robot.spec.actuators:
-                self.values.report_unknown(self.values.key_span(place), "actuator", name, list(self.robot.spec.actuators))
+                self.values.report_unknown(
+                    self.values.key_span(place), "actuator", name, list(self.robot.spec.actuators)
+                )
                 continue
-            command = self._command(name, given, place, driven.get(name), scope)
+            command = self._command(name, written, place, driven.get(name), scope)
             if command:
                 commands.append(command)
         name, (to_robot, from_robot) = self.robot.name, routes
         robot = Robot(
             name,
             self.sensing.compiled(timestep),
-            tuple(found.actuator for found in driven.values()),
+            tuple(actuator.actuator for actuator in driven.values()),
             tuple(self.received.values()),
             (),
             tuple(commands),
@@ -405,21 +532,30 @@ class RobotBuilder:
         return robot
 
     def _report_lost_starts(self, robot: Robot) -> None:
-        """A finding for each memory whose start is received, where zeros replace a first message that is lost."""
+        """A finding for each memory whose start is received, where zeros replace a first message that is
+        lost."""
         for command in robot.commands:
             for node in walk(command.target.typed):
                 if not isinstance(node, Invocation) or node.function in _BEGIN_AT_ZERO:
                     continue
                 if (command.target.owner, f"{node.occurrence}") in robot.begun_by_message:
-                    report = self.values.report(self.values.text((*self.path, "apply", command.name), command.target.text))
-                    headline = (
-                        f"the start of `{node.function}` is a received value; with `on_loss: zero`, it is 0 if the first message is lost"
+                    report = self.values.report(
+                        self.values.text((*self.path, "apply", command.name), command.target.text)
                     )
-                    help = "write `on_loss: hold` or `skip` under `messages.to_robot`: the robot applies nothing until a message arrives"
+                    headline = (
+                        f"the start of `{node.function}` is a received value; with `on_loss: zero`,"
+                        " it is 0 if the first message is lost"
+                    )
+                    help = (
+                        "write `on_loss: hold` or `skip` under `messages.to_robot`: the robot applies"
+                        " nothing until a message arrives"
+                    )
                     report("DB407", node.start, node.end, headline, help)
 
-    def _command(self, name: str, given: object, place: NodePath, driven: ResolvedActuator | None, scope: RobotScope) -> Command | None:
-        text = self.values.text(place, given)
+    def _command(
+        self, name: str, command: object, place: NodePath, driven: ResolvedActuator | None, scope: RobotScope
+    ) -> Command | None:
+        text = self.values.text(place, command)
         if driven is None:
             self.values.expression(text, scope, boolean=False)
             return None
@@ -427,29 +563,49 @@ class RobotBuilder:
         spec = self.robot.spec.actuators[name]
         own = f"{{type: {spec.type}, {'link' if isinstance(spec, specs.Thrust) else 'joint'}: {parts[0]}}}"
         help = (
-            "write one number, which drives all of them; to control each of them separately, define one actuator for each: "
+            "write one number, which drives all of them; to control each of them separately, define one"
+            " actuator for each: "
             f"`{parts[0]}: {own}`"
         )
-        typed = self.values.quantity(text, f"the target of `{name}`", scope, driven.dimension, driven.components, Known.STEP, help)
+        typed = self.values.quantity(
+            text, f"the target of `{name}`", scope, driven.dimension, driven.components, Known.STEP, help
+        )
         if typed is None:
             return None
-        return Command(driven.actuator, Expression(name, text.span, text.text, typed, f"{self.robot.name}.apply.{name}"), driven.opening)
+        return Command(
+            driven.actuator,
+            Expression(name, text.span, text.text, typed, f"{self.robot.name}.apply.{name}"),
+            driven.opening,
+        )
 
 
-def commanded(robots: Iterable[Robot], action: Sequence[ActionPart], signals: Iterable[Expression]) -> Iterator[str]:
-    """The names of the robots whose messages depend on the action; the `signals` stand after those that they are made of."""
+def commanded(
+    robots: Iterable[Robot], action: Sequence[ActionPart], signals: Iterable[Expression]
+) -> Iterator[str]:
+    """The names of the robots whose messages depend on the action; the `signals` stand after those that they
+    are made of."""
     moved = {name for part in action for name in part.variables}
     for signal in signals:
         if moved.intersection(referenced_names(signal.typed)):
             moved.add(signal.name)
     for robot in robots:
-        if robot.variables or any(moved.intersection(referenced_names(value.typed)) for value in robot.receive):
+        if robot.variables or any(
+            moved.intersection(referenced_names(value.typed)) for value in robot.receive
+        ):
             yield robot.name
 
 
-def _used_variables(action: Sequence[ActionPart], commands: Iterable[Command], received: Container[str]) -> Iterator[MessageField]:
-    """The action variables that commands use, in the order of the action; `received` names of the robot hide them."""
-    used = {node.symbol.name for command in commands for node in walk(command.target.typed) if isinstance(node, Reference)}
+def _used_variables(
+    action: Sequence[ActionPart], commands: Iterable[Command], received: Container[str]
+) -> Iterator[MessageField]:
+    """The action variables that commands use, in the order of the action; `received` names of the robot hide
+    them."""
+    used = {
+        node.symbol.name
+        for command in commands
+        for node in walk(command.target.typed)
+        if isinstance(node, Reference)
+    }
     for part in action:
         if isinstance(part, ActionRange):
             fields = [MessageField(part.name, part.unit, part.components)]

@@ -1,4 +1,5 @@
-"""An episode: what it draws (parameters, channels, disturbances), how it begins, its signals, reward and endings, its limits."""
+"""An episode: what it draws (parameters, channels, disturbances), how it begins, its signals, reward and
+endings, its limits."""
 
 from __future__ import annotations
 
@@ -6,7 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin, ParameterScope, SupervisorScope
+from deepbots_cli.compiler.namespace import (
+    Namespace,
+    NamespaceReader,
+    Origin,
+    ParameterScope,
+    SupervisorScope,
+)
 from deepbots_cli.compiler.places import Layouts, PlacementChecker, Places
 from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, report_follower, warn_beyond_limits
 from deepbots_cli.compiler.values import SourceText, ValueReader
@@ -78,22 +85,31 @@ def route(direction: Direction, namespace: Namespace) -> Route:
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:
         help = "choose a format, such as `struct`: with `none`, the supervisor controls the robot directly"
-        values.add_at_key("DB407", spec.path, f"`{direction}` needs messages, but `messages.format` is `none`", help)
+        values.add_at_key(
+            "DB407", spec.path, f"`{direction}` needs messages, but `messages.format` is `none`", help
+        )
         return Route()
     latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
     burst = namespace.fixed(spec, "burst", scope=namespace.scope(Context.FIELD))
     if burst is not None and loss is not None:
         highest = loss.typed.type.interval.high
-        # Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at most.
+        # Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at
+        # most.
         if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
             least = f"{highest / (1.0 - highest):.3g}"
-            headline = f"with a loss of {100.0 * highest:g} %, `burst` must be at least {least} messages, but it is {burst:g}"
-            values.add("DB105", values.field(spec, "burst").span, headline, f"write a `burst` of at least {least}")
+            headline = (
+                f"with a loss of {100.0 * highest:g} %, `burst` must be at least {least} messages,"
+                f" but it is {burst:g}"
+            )
+            values.add(
+                "DB105", values.field(spec, "burst").span, headline, f"write a `burst` of at least {least}"
+            )
     return Route(latency, loss, burst, range_, spec.order, spec.on_loss)
 
 
 def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | None:
-    """A setting of a route, where the file gives it. One that may be new in every step may say how often its draws are repeated."""
+    """A setting of a route, where the file gives it. One that may be new in every step may say how often its
+    draws are repeated."""
     if name not in spec.model_fields_set or getattr(spec, name) is None:
         return None
     values, text, what = namespace.values, namespace.values.field(spec, name), f"`{name}`"
@@ -109,12 +125,19 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
     return Expression(name, text.span, text.text, typed, name, redraw=redraw)
 
 
-def is_repeated_as_a_whole(typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader) -> bool:
+def is_repeated_as_a_whole(
+    typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader
+) -> bool:
     """Whether a value that changes within an episode says how often its own draws are repeated."""
     if redraw is not None or typed.type.known is not Known.STEP or not contains_draw(typed):
         return redraw is None or redraw.period is None or _is_positive(redraw.period, text, values)
     help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
-    values.add("DB407", text.span, "a single random draw cannot be combined with a value that changes within the episode", help)
+    values.add(
+        "DB407",
+        text.span,
+        "a single random draw cannot be combined with a value that changes within the episode",
+        help,
+    )
     return False
 
 
@@ -124,7 +147,9 @@ def _is_positive(period: Typed, text: SourceText, values: ValueReader) -> bool:
     low, high = period.type.interval.low, period.type.interval.high
     if low >= 0.0 and high > 0.0:
         return True
-    values.report(text)("DB105", period.start, period.end, f"the period can be {low:g} s", "keep it above 0 s")
+    values.report(text)(
+        "DB105", period.start, period.end, f"the period can be {low:g} s", "keep it above 0 s"
+    )
     return False
 
 
@@ -133,21 +158,29 @@ _PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 
 def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
     """The entries of `disturbances`, in the order of the file."""
-    found = [_disturbance(name, spec, namespace) for name, spec in namespace.scenario.disturbances.items()]
-    return tuple(push for push in found if push is not None)
+    compiled = [_disturbance(name, spec, namespace) for name, spec in namespace.scenario.disturbances.items()]
+    return tuple(push for push in compiled if push is not None)
 
 
 def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Disturbance | None:
     pushed = _pushed(spec, namespace)
     keys = ("force", "torque", "at", "every", "duration")
-    force, torque, first, every, duration = found = [namespace.expression(spec, key, known=Known.STEP) for key in keys]
+    force, torque, first, every, duration = expressions = [
+        namespace.expression(spec, key, known=Known.STEP) for key in keys
+    ]
     if every is not None and duration is not None:
         longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
         if longest > soonest * (1 + 1e-9):
             headline = f"a push can last {longest:g} s, but the next one can begin after {soonest:g} s"
             namespace.values.add("DB105", duration.span, headline, "make `duration` shorter than `every`")
-    is_broken = any(value is None and getattr(spec, key) is not None for key, value in zip(keys, found, strict=True))
-    return None if pushed is None or duration is None or is_broken else Disturbance(name, *pushed, force, torque, first, every, duration)
+    is_broken = any(
+        value is None and getattr(spec, key) is not None for key, value in zip(keys, expressions, strict=True)
+    )
+    return (
+        None
+        if pushed is None or duration is None or is_broken
+        else Disturbance(name, *pushed, force, torque, first, every, duration)
+    )
 
 
 def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | None] | None:
@@ -157,13 +190,20 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
     subject = namespace.subject(called, frozenset({Kind.LINK}))
     if subject is None:
         links = [f"{robot.name}.{link}" for robot in namespace.resolved_robots for link in robot.link_names]
-        values.report_unknown(span, "robot, link or object", called, [*namespace.names_of(Origin.ROBOT, Origin.OBJECT), *links])
+        values.report_unknown(
+            span, "robot, link or object", called, [*namespace.names_of(Origin.ROBOT, Origin.OBJECT), *links]
+        )
         return None
     if subject.kind is Kind.BROKEN:
         return None
     body, _, link = called.partition(".")
     if subject.kind not in _PUSHABLE_KINDS:
-        values.add("DB203", span, f"`{called}` is {subject.kind.description}", "write the name of a robot, a link or an object")
+        values.add(
+            "DB203",
+            span,
+            f"`{called}` is {subject.kind.description}",
+            "write the name of a robot, a link or an object",
+        )
         return None
     if _is_fixed(body, link, namespace):
         values.add("DB203", span, f"`{called}` does not move", "push a body that is not fixed")
@@ -186,79 +226,125 @@ _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 
 
 def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
-    """The entries of `reset.joints`: joints and groups of joints of robots; `poses` are those of each robot."""
-    starts = [_joint_start(key, namespace.scenario.reset, namespace, poses) for key in namespace.scenario.reset.joints]
+    """The entries of `reset.joints`: joints and groups of joints of robots; `poses` are those of each
+    robot."""
+    starts = [
+        _joint_start(key, namespace.scenario.reset, namespace, poses)
+        for key in namespace.scenario.reset.joints
+    ]
     return tuple(start for start in starts if start is not None)
 
 
-def _pose_help(robot: ResolvedRobot, given: str, poses: Mapping[str, Symbol]) -> str | None:
+def _pose_help(robot: ResolvedRobot, pose_name: str, poses: Mapping[str, Symbol]) -> str | None:
     """How to start a robot in one of its poses: by the group of the joints of the pose."""
-    pose = poses.get(given)
+    pose = poses.get(pose_name)
     if pose is None or pose.type is None or not pose.type.components:
         return None
     joints = pose.type.components
-    group = next((name for name, (kind, members) in robot.groups.items() if kind is Kind.JOINTS and members == joints), None)
-    define = "" if group else f"define `groups: {{posed: [{', '.join(joints)}]}}` under `robots.{robot.name}`, and "
-    return f"a pose sets the group of its joints: {define}write `{robot.name}.{group or 'posed'}: {given}`"
+    group = next(
+        (name for name, (kind, members) in robot.groups.items() if kind is Kind.JOINTS and members == joints),
+        None,
+    )
+    define = (
+        ""
+        if group
+        else f"define `groups: {{posed: [{', '.join(joints)}]}}` under `robots.{robot.name}`, and "
+    )
+    return (
+        f"a pose sets the group of its joints: {define}write `{robot.name}.{group or 'posed'}: {pose_name}`"
+    )
 
 
-def _joint_start(key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
+def _joint_start(
+    key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]
+) -> JointStart | None:
     robot_name, dot, part = key.partition(".")
     robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "joints", key))
     if robot is None:
         parts = [
             f"{robot.name}.{part}"
             for robot in namespace.resolved_robots
-            for part in (*(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS), *robot.drivable_joints)
+            for part in (
+                *(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS),
+                *robot.drivable_joints,
+            )
         ]
         if any(whole.partition(".")[2] == key for whole in parts):
             namespace.values.report_unknown(text.span, "joint", key, parts)
         elif robot_name not in namespace.robots:
-            namespace.values.report_unknown(text.part(0, len(robot_name)), "robot", robot_name, namespace.names_of(Origin.ROBOT))
+            namespace.values.report_unknown(
+                text.part(0, len(robot_name)), "robot", robot_name, namespace.names_of(Origin.ROBOT)
+            )
         return None
     if not part:
-        movable = [*(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS), *robot.drivable_joints]
-        help = choices_help(key, [f"{key}.{name}" for name in movable]) if movable else "no joint of this robot can move"
+        movable = [
+            *(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS),
+            *robot.drivable_joints,
+        ]
+        help = (
+            choices_help(key, [f"{key}.{name}" for name in movable])
+            if movable
+            else "no joint of this robot can move"
+        )
         help = _pose_help(robot, str(spec.joints[key]), poses.get(key, {})) or help
-        namespace.values.add("DB203", text.span, f"expected a joint or a group of joints, found the robot `{key}`", help)
+        namespace.values.add(
+            "DB203", text.span, f"expected a joint or a group of joints, found the robot `{key}`", help
+        )
         return None
     subject = robot.subject(part, _JOINTS)
     if subject is None or subject.kind not in _JOINTS:
-        robot.report_missing_joint(namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.drivable_joints)
+        robot.report_missing_joint(
+            namespace.values, text.part(len(robot_name + dot), len(key)), part, robot.drivable_joints
+        )
         return None
     drivable = {f"{robot_name}.{joint}" for joint in robot.drivable_joints}
-    if f"{robot_name}.{part}" not in drivable and drivable.isdisjoint(subject.members):  # nothing but followers
+    if f"{robot_name}.{part}" not in drivable and drivable.isdisjoint(
+        subject.members
+    ):  # nothing but followers
         follower = (subject.members or (key,))[0].partition(".")[2]
         report_follower(namespace.values, text.part(len(robot_name + dot), len(key)), follower, robot.model)
         return None
     if subject.members:
-        kept = [(member, limits) for member, limits in zip(subject.members, subject.intervals, strict=True) if member in drivable]
+        kept = [
+            (member, limits)
+            for member, limits in zip(subject.members, subject.intervals, strict=True)
+            if member in drivable
+        ]
         members, intervals = zip(*kept, strict=True)
         subject = subject._replace(members=members, intervals=intervals, interval=hull(intervals))
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
-    scope, given = namespace.scope(Context.RESET, poses.get(robot_name)), spec.joints[key]
+    scope, start = namespace.scope(Context.RESET, poses.get(robot_name)), spec.joints[key]
     angle, read = joint_dimension(robot.model.joint(joints[0])), namespace.values.field
-    if not isinstance(given, JointState):
+    if not isinstance(start, JointState):
         position = _start_value(read(spec, "joints", key), key, angle, subject, scope, joints)
         return JointStart(robot_name, joints, position, None) if position else None
-    position = _start_value(read(given, "position"), key, angle, subject, scope, joints)
-    velocity = _start_value(read(given, "velocity"), key, angle / TIME, subject, scope, joints)
+    position = _start_value(read(start, "position"), key, angle, subject, scope, joints)
+    velocity = _start_value(read(start, "velocity"), key, angle / TIME, subject, scope, joints)
     return JointStart(robot_name, joints, position, velocity) if position and velocity else None
 
 
 def _start_value(
-    text: SourceText, key: str, dimension: Dimension, subject: Subject, scope: ParameterScope, joints: Components
+    text: SourceText,
+    key: str,
+    dimension: Dimension,
+    subject: Subject,
+    scope: ParameterScope,
+    joints: Components,
 ) -> Expression | None:
     """A draw that is written once is drawn anew for each joint of a group."""
     namespace, values = scope.namespace, scope.namespace.values
-    typed = namespace.typed(text, "the start of a joint", dimension=dimension, components=subject.components, scope=scope)
+    typed = namespace.typed(
+        text, "the start of a joint", dimension=dimension, components=subject.components, scope=scope
+    )
     if typed is None:
         return None
     allowed = subject.intervals or (subject.interval,)
     reached = typed.type.intervals or (typed.type.interval,) * len(allowed)
     for reach, limits in zip(reached, allowed, strict=True):
         if dimension == subject.dimension and reach.is_finite and not reach.is_within(limits):
-            help = "set a position within the limits; otherwise the physics engine pushes the joint back at once"
+            help = (
+                "set a position within the limits; otherwise the physics engine pushes the joint back at once"
+            )
             warn_beyond_limits(values, text, dimension, limits, "an initial position of", reach, help)
             break
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
@@ -266,38 +352,54 @@ def _start_value(
 
 # Before the first step nothing has touched or acted, and no picture was taken.
 _HELP_BEFORE_FIRST_STEP = {
-    **dict.fromkeys(("contact", "collided"), "contacts are not known before the first step; use `clearance(...) > 1 cm`"),
+    **dict.fromkeys(
+        ("contact", "collided"), "contacts are not known before the first step; use `clearance(...) > 1 cm`"
+    ),
     "joint_torque": "remove it: no motor has exerted a torque before the first step",
-    "visible": "no picture exists when the start is drawn; use the position of the body, as in `abs(bearing(...)) < 30 deg`",
+    "visible": "no picture exists when the start is drawn; use the position of the body, as in"
+    " `abs(bearing(...)) < 30 deg`",
 }
 
 
 def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
     """How bodies are arranged, and the walls that only maps put up.
 
-    Bodies stand in the order of the file; one that a layout does not place stands at its own `pose`, and of a group no
-    copy is there.
+    Bodies stand in the order of the file; one that a layout does not place stands at its own `pose`, and of a
+    group no copy is there.
     """
     spec = namespace.scenario
     room = PlacementChecker(namespace, world)
     places = Places(namespace, world, room)
     layouts = Layouts(namespace, places, world)
     common = places.placements(spec.reset.place, ("reset", "place"))
-    found = layouts.weighted_layouts()
-    placed = {placement.body for layout in found for placement in layout.placements} | {placement.body for placement in common}
-    common += [places.at_own_pose(body) for body in (*spec.objects, *spec.robots) if body not in placed and body not in namespace.groups]
-    completed = tuple(replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace))) for layout in found)
+    weighted = layouts.weighted_layouts()
+    placed = {placement.body for layout in weighted for placement in layout.placements} | {
+        placement.body for placement in common
+    }
+    common += [
+        places.at_own_pose(body)
+        for body in (*spec.objects, *spec.robots)
+        if body not in placed and body not in namespace.groups
+    ]
+    completed = tuple(
+        replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace)))
+        for layout in weighted
+    )
     _require_places(namespace)
     room.check_surroundings(common, completed)
     require = _requirement(namespace)
-    return Reset(tuple(common), layouts=completed, require=require, attempts=spec.reset.attempts), tuple(layouts.walls)
+    return Reset(tuple(common), layouts=completed, require=require, attempts=spec.reset.attempts), tuple(
+        layouts.walls
+    )
 
 
 def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Namespace) -> list[Placement]:
     """Bodies at home that other layouts place."""
     here = {placement.body for placement in layout.placements}
-    known = {*namespace.names_of(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
-    return [places.at_own_pose(body) for body in namespace.definitions if body in placed - here and body in known]
+    bodies = {*namespace.names_of(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
+    return [
+        places.at_own_pose(body) for body in namespace.definitions if body in placed - here and body in bodies
+    ]
 
 
 def _require_places(namespace: Namespace) -> None:
@@ -305,12 +407,22 @@ def _require_places(namespace: Namespace) -> None:
     layouts = namespace.scenario.reset.layouts.values()
     mentioned = {
         *namespace.scenario.reset.place,
-        *(name for layout in layouts for name in (layout if isinstance(layout, dict) else layout.legend.values())),
+        *(
+            name
+            for layout in layouts
+            for name in (layout if isinstance(layout, dict) else layout.legend.values())
+        ),
     }
     for name, group in namespace.groups.items():
-        if name not in mentioned and namespace.origin(name) is Origin.OBJECT and not namespace.values.is_invalid(name):
+        if (
+            name not in mentioned
+            and namespace.origin(name) is Origin.OBJECT
+            and not namespace.values.is_invalid(name)
+        ):
             help = f"write where they start, as in `{name}: {{region: arena}}`"
-            namespace.values.add("DB102", group.count.span, f"`reset.place` does not place the copies of `{name}`", help)
+            namespace.values.add(
+                "DB102", group.count.span, f"`reset.place` does not place the copies of `{name}`", help
+            )
 
 
 def _requirement(namespace: Namespace) -> Expression | None:
@@ -325,10 +437,18 @@ def _requirement(namespace: Namespace) -> Expression | None:
     for call in walk(typed):
         if isinstance(call, Invocation) and call.function in _HELP_BEFORE_FIRST_STEP:
             span = text.part(call.start, call.start + len(call.function))
-            values.add("DB407", span, f"`{call.function}` cannot be used in `reset.require`", _HELP_BEFORE_FIRST_STEP[call.function])
+            values.add(
+                "DB407",
+                span,
+                f"`{call.function}` cannot be used in `reset.require`",
+                _HELP_BEFORE_FIRST_STEP[call.function],
+            )
     if constant_values(typed) == (False,):
         values.add(
-            "DB105", text.span, "this requirement is always false", "write a condition on positions or distances that some starts meet"
+            "DB105",
+            text.span,
+            "this requirement is always false",
+            "write a condition on positions or distances that some starts meet",
         )
     return text.expression(typed)
 
@@ -337,11 +457,16 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
     """Seconds, in whole timesteps of `timestep` s."""
     values, settle = namespace.values, namespace.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
-    if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid("world.timestep"):
+    if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid(
+        "world.timestep"
+    ):
         headline = f"the settling time of {settle:g} s is not a multiple of the timestep of {timestep:g} s"
         values.add("DB308", span, headline, "write a multiple of the timestep")
     if settle / timestep * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
-        headline = f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps in every reset"
+        headline = (
+            f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps"
+            " in every reset"
+        )
         values.add("DB105", span, headline, "write a shorter time; a few seconds are usual")
     return settle
 
@@ -354,14 +479,22 @@ def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: 
     values, text = namespace.values, namespace.values.field(given, "python")
     if namespace.document.permissions.code:
         headline = f"`{name}` runs Python code: {given.python}"
-        values.add("DB410", text.span, headline, "write it as an expression, if the language has its functions")
+        values.add(
+            "DB410", text.span, headline, "write it as an expression, if the language has its functions"
+        )
     else:
         help = "write an expression, or allow it with --allow-code if you trust the package"
         values.add("DB409", text.span, f"`{name}` would run Python code: {given.python}", help)
     module, _, function = given.python.partition(":")
-    kind = Type(boolean=boolean, interval=TRUTH if boolean else Interval(float("-inf"), float("inf")), known=Known.STEP)
+    kind = Type(
+        boolean=boolean,
+        interval=TRUTH if boolean else Interval(float("-inf"), float("inf")),
+        known=Known.STEP,
+    )
     nothing = Constant(kind, 0, len(text.text), (False if boolean else 0.0,))
-    return Expression(name, text.span, text.text, nothing, ".".join(map(str, given.path)), foreign=Foreign(module, function))
+    return Expression(
+        name, text.span, text.text, nothing, ".".join(map(str, given.path)), foreign=Foreign(module, function)
+    )
 
 
 _MAX_SHOWN_CHARACTERS = 60
@@ -378,19 +511,29 @@ class Signals(NamespaceReader):
         spec = self._spec
         self.valued: dict[str, Expression] = {}
         if isinstance(spec.augment, dict):
-            for name, given in spec.augment.items():
-                if given == name and self._is_defined_elsewhere(name):
-                    help = f"to send an existing value, name it in a list: `augment: [{name}, ...]`; an entry of a mapping needs a new name"
-                    self._values.add("DB202", self._values.key_span(("augment", name)), f"`{name}` under `augment` exists already", help)
+            for name, value in spec.augment.items():
+                if value == name and self._is_defined_elsewhere(name):
+                    help = (
+                        f"to send an existing value, name it in a list: `augment: [{name}, ...]`; an"
+                        " entry of a mapping needs a new name"
+                    )
+                    self._values.add(
+                        "DB202",
+                        self._values.key_span(("augment", name)),
+                        f"`{name}` under `augment` exists already",
+                        help,
+                    )
                     continue
-                self._define(name, given, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
-        for name, given in spec.signals.items():
-            self._define(name, given, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
+                self._define(name, value, Origin.AUGMENT, ("augment", name), Context.SIGNAL)
+        for name, value in spec.signals.items():
+            self._define(name, value, Origin.SIGNAL, ("signals", name), Context.SIGNAL)
         if not isinstance(spec.augment, dict):
             self._check_augmented(spec.augment)
         outcomes = {"success": spec.termination.success, "failure": spec.termination.failure}
         if len(spec.termination.success) + len(spec.termination.failure) > MAX_ENDINGS:
-            self._values.add_at_key("DB005", ("termination",), f"more than {MAX_ENDINGS} endings", "join conditions with `or`")
+            self._values.add_at_key(
+                "DB005", ("termination",), f"more than {MAX_ENDINGS} endings", "join conditions with `or`"
+            )
             for name in (*spec.termination.success, *spec.termination.failure):
                 self._values.mark_invalid(name)
             outcomes = {}
@@ -407,32 +550,45 @@ class Signals(NamespaceReader):
         for index, name in enumerate(names):
             self._namespace.mark_used(name)
             if self._namespace.origin(name) not in kinds:
-                known = self._namespace.names_of(*kinds)
-                self._values.report_unknown(self._values.span(("augment", index)), "parameter or signal", name, known)
+                measured = self._namespace.names_of(*kinds)
+                self._values.report_unknown(
+                    self._values.span(("augment", index)), "parameter or signal", name, measured
+                )
 
-    def _define(self, name: str, given: object, origin: Origin, place: NodePath, context: Context) -> None:
-        self._namespace.define(name, origin, place, partial(self._typed, name, given, place, context))
+    def _define(self, name: str, value: object, origin: Origin, place: NodePath, context: Context) -> None:
+        self._namespace.define(name, origin, place, partial(self._typed, name, value, place, context))
 
-    def _typed(self, name: str, given: object, place: NodePath, context: Context) -> Symbol:
-        if isinstance(given, PythonTerm):
-            self.valued[name] = python_term(name, given, self._namespace, boolean=True)
+    def _typed(self, name: str, value: object, place: NodePath, context: Context) -> Symbol:
+        if isinstance(value, PythonTerm):
+            self.valued[name] = python_term(name, value, self._namespace, boolean=True)
             return Symbol(name, self.valued[name].typed.type)
-        text = self._values.field(given, "value") if isinstance(given, Measured) else self._values.text(place, given)
+        text = (
+            self._values.field(value, "value")
+            if isinstance(value, Measured)
+            else self._values.text(place, value)
+        )
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
         if typed is not None and context is Context.ENDING:
             typed = expect_value(typed, self._values.report(text), "an ending", boolean=True)
         if typed is None:
             return Symbol(name, None)
-        added = self._namespace.noise(given, typed) if isinstance(given, Measured) else None
+        added = self._namespace.noise(value, typed) if isinstance(value, Measured) else None
         self.valued[name] = text.expression(typed, name, noise=added)
-        return Symbol(name, typed.type._replace(interval=EVERYTHING, intervals=(), known=Known.STEP) if added else typed.type)
+        return Symbol(
+            name,
+            typed.type._replace(interval=EVERYTHING, intervals=(), known=Known.STEP) if added else typed.type,
+        )
 
     def ordered(self) -> tuple[Expression, ...]:
         """Augmentation and signals, each after those that it is made of."""
         for name in self._namespace.names_of(Origin.AUGMENT, Origin.SIGNAL):
             self._namespace.resolve(name)
         wanted = (Origin.AUGMENT, Origin.SIGNAL)
-        return tuple(self.valued[name] for name in self._namespace.order if name in self.valued and self._namespace.origin(name) in wanted)
+        return tuple(
+            self.valued[name]
+            for name in self._namespace.order
+            if name in self.valued and self._namespace.origin(name) in wanted
+        )
 
     def endings(self) -> tuple[Expression, ...]:
         """The endings, successes first, each kind in file order."""
@@ -445,9 +601,9 @@ class Signals(NamespaceReader):
 def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
     """The summands of the reward: single plain numbers."""
     terms = []
-    for name, given in namespace.scenario.reward.items():
-        if isinstance(given, PythonTerm):
-            terms.append(python_term(name, given, namespace, boolean=False))
+    for name, term in namespace.scenario.reward.items():
+        if isinstance(term, PythonTerm):
+            terms.append(python_term(name, term, namespace, boolean=False))
             continue
         text = namespace.values.field(namespace.scenario, "reward", name)
         typed = _reward_value(text, namespace)
@@ -460,7 +616,10 @@ def _reward_value(text: SourceText, namespace: Namespace) -> Typed | None:
     report = namespace.values.report(text)
     typed = namespace.values.expression(text, SupervisorScope(namespace, Context.REWARD))
     if typed is not None and typed.type.boolean:
-        help = f"write the reward for it, as in `1 when {text.text if len(text.text) <= _MAX_SHOWN_CHARACTERS else '...'}`"
+        help = (
+            "write the reward for it, as in `1 when"
+            f" {text.text if len(text.text) <= _MAX_SHOWN_CHARACTERS else '...'}`"
+        )
         worth = "expected a number, found a truth value"
         report("DB403", 0, len(text.text), worth, help, Replacement(f"1 when {text.text}", safe=False))
         return None
@@ -474,14 +633,17 @@ def truncation(namespace: Namespace) -> Truncation:
         if not values.is_invalid("truncation"):
             key = "termination" if "termination" in namespace.scenario.model_fields_set else "reward"
             help = "add `truncation: {max_steps: 1000}`, or a `max_time`"
-            values.add_at_key("DB803", (key,), "the scenario has no time limit, so an episode could last forever", help)
+            values.add_at_key(
+                "DB803", (key,), "the scenario has no time limit, so an episode could last forever", help
+            )
         return Truncation()
     steps = namespace.fixed(limits, "max_steps")
     return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))
 
 
 def success_help(limits: Truncation, timestep: float, instead: str, has_failures: bool) -> str:
-    """How to define a success of episodes of at most `limits` and a control step of `timestep` s, or to write `instead`."""
+    """How to define a success of episodes of at most `limits` and a control step of `timestep` s, or to write
+    `instead`."""
     seconds = limits.max_time or (limits.max_steps or 0) * timestep
     if has_failures and seconds:
         lasting = f"success: {{lasted: time > {0.95 * seconds:.3g} s}}"
@@ -492,7 +654,8 @@ def success_help(limits: Truncation, timestep: float, instead: str, has_failures
 
 
 def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved | None:
-    """When the training has solved the task, whose episodes end at `limits` and whose control step takes `timestep` s."""
+    """When the training has solved the task, whose episodes end at `limits` and whose control step takes
+    `timestep` s."""
     spec = namespace.scenario
     values = namespace.values
     if spec.solved is None:
@@ -500,7 +663,11 @@ def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved 
     metric, threshold, episodes = read_until(spec.solved) or ("", 0.0, None)
     if metric == "mean_return":
         return Solved(episodes or 0, mean_return=threshold)
-    if not (spec.termination.success or spec.goal or any(map(values.is_invalid, ("success", "termination", "goal")))):
+    if not (
+        spec.termination.success
+        or spec.goal
+        or any(map(values.is_invalid, ("success", "termination", "goal")))
+    ):
         instead = f"solved: mean_return >= 100 over {episodes} episodes"
         help = success_help(limits, timestep, instead, bool(spec.termination.failure))
         values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, help)
@@ -508,16 +675,26 @@ def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved 
 
 
 def with_reading_ages(program: Program) -> Program:
-    """The program with a further field in the messages of robots for each sensor whose age the supervisor asks for.
+    """The program with a further field in the messages of robots for each sensor whose age the supervisor
+    asks for.
 
     A sensor that is read when the message is written, as perfect ones are, is as old as the message.
     """
     if all(sensor.is_direct for robot in program.robots for sensor in robot.sensors):
         return program
     timed = (value for value in program.computed_expressions if "age" in value.text)
-    calls = (node for value in timed for node in walk(value.typed) if isinstance(node, Invocation) and node.function == "age")
+    calls = (
+        node
+        for value in timed
+        for node in walk(value.typed)
+        if isinstance(node, Invocation) and node.function == "age"
+    )
     asked = dict.fromkeys(call.subjects[0].name for call in calls)
-    return replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots)) if asked else program
+    return (
+        replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots))
+        if asked
+        else program
+    )
 
 
 def _with_ages(robot: Robot, asked: dict[str, None]) -> Robot:

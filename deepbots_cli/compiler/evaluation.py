@@ -1,7 +1,8 @@
-"""How a policy is trained, evaluated and tested: the training section, cases, stages of the curriculum, tests of the scenario.
+"""How a policy is trained, evaluated and tested: the training section, cases, stages of the curriculum, tests
+of the scenario.
 
-Each case and stage is the same file with its `set` made, as `--set` would make it, and checked as a whole. A policy has to fit
-all of them, so what it sees, does and sends must be the same.
+Each case and stage is the same file with its `set` made, as `--set` would make it, and checked as a whole. A
+policy has to fit all of them, so what it sees, does and sends must be the same.
 """
 
 from __future__ import annotations
@@ -19,7 +20,14 @@ from deepbots_cli.diagnostics import Findings, Label, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Document, Entry, MappingNode
 from deepbots_cli.document.load import apply_setting
-from deepbots_cli.document.nodes import NodePath, ScalarNode, count_and_depth, entries_at, follow_dotted, without_paths
+from deepbots_cli.document.nodes import (
+    NodePath,
+    ScalarNode,
+    count_and_depth,
+    entries_at,
+    follow_dotted,
+    without_paths,
+)
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import Constant, Context, Operation, Typed, walk
@@ -60,15 +68,20 @@ if TYPE_CHECKING:
     from deepbots_cli.compiler import CheckedScenario
 
 _MAX_LEARNING_RATE = 0.05
-"""Largest usual learning rate. The highest default is 3e-3, and Adam moves every weight by about the rate in each update."""
+"""Largest usual learning rate. The highest default is 3e-3, and Adam moves every weight by about the rate in
+each update."""
 
 Action = tuple[Choices | ActionRange, ...]
 
 
-def training(namespace: Namespace, action: Action, copies: RobotCopies | None, longest_episode: int | None) -> Training | None:
-    """The training section; no episode has more than `longest_episode` steps. None where it names no algorithm.
+def training(
+    namespace: Namespace, action: Action, copies: RobotCopies | None, longest_episode: int | None
+) -> Training | None:
+    """The training section; no episode has more than `longest_episode` steps. None where it names no
+    algorithm.
 
-    An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or before an episode can have ended.
+    An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or
+    before an episode can have ended.
     """
     spec, values = namespace.scenario, namespace.values
     if spec.train is None or isinstance(spec.train, Auto):
@@ -76,23 +89,35 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
     _check_algorithm(spec.train, action, namespace)
     own = spec.train.hyperparameters
     hyperparameters = []
-    for name, given in own.items():
-        if name != "replay" and (isinstance(given, (bool, int, float, str)) or given is None):
-            ramp = read_schedule(given) if isinstance(given, str) else None
-            hyperparameters.append(Hyperparameter(name, Schedule(*ramp) if ramp else given))
-            if name == "learning_rate" and isinstance(rate := max(ramp) if ramp else given, int | float) and rate > _MAX_LEARNING_RATE:
+    for name, value in own.items():
+        if name != "replay" and (isinstance(value, (bool, int, float, str)) or value is None):
+            ramp = read_schedule(value) if isinstance(value, str) else None
+            hyperparameters.append(Hyperparameter(name, Schedule(*ramp) if ramp else value))
+            if (
+                name == "learning_rate"
+                and isinstance(rate := max(ramp) if ramp else value, int | float)
+                and rate > _MAX_LEARNING_RATE
+            ):
                 headline = f"a learning rate of {rate:g} is unusually high"
-                values.add("DB505", ("train", name), headline, "write a rate from 1e-5 to 1e-2, such as `3e-4`")
+                values.add(
+                    "DB505", ("train", name), headline, "write a rate from 1e-5 to 1e-2, such as `3e-4`"
+                )
     replay = _hindsight(own.get("replay"), namespace)
     starts = own.get("learning_starts")
     if replay is not None and starts is not None and longest_episode is not None:
         longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
             headline = (
-                f"learning begins after {starts:,} steps, but the first episode may not be complete by then, and hindsight replay samples "
+                f"learning begins after {starts:,} steps, but the first episode may not be complete by then,"
+                " and hindsight replay samples "
                 "goals from complete episodes"
             )
-            values.add("DB105", ("train", "learning_starts"), headline, f"set `learning_starts` to at least {longest:_}")
+            values.add(
+                "DB105",
+                ("train", "learning_starts"),
+                headline,
+                f"set `learning_starts` to at least {longest:_}",
+            )
     if spec.train.shards > spec.train.environments:
         headline = f"`shards` is {spec.train.shards}, but `environments` is only {spec.train.environments}"
         values.add("DB105", ("train", "shards"), headline, "use at most one shard for each environment")
@@ -125,11 +150,11 @@ def training(namespace: Namespace, action: Action, copies: RobotCopies | None, l
 
 def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None:
     assert namespace.scenario.train is not None
-    given, values = namespace.scenario.train.teacher, namespace.values
-    if given is None:
+    teacher, values = namespace.scenario.train.teacher, namespace.values
+    if teacher is None:
         return None
-    spec = given if isinstance(given, TeacherSpec) else TeacherSpec(script=str(given))
-    path = ("train", "teacher") if isinstance(given, str) else ("train", "teacher", "script")
+    spec = teacher if isinstance(teacher, TeacherSpec) else TeacherSpec(script=str(teacher))
+    path = ("train", "teacher") if isinstance(teacher, str) else ("train", "teacher", "script")
     if spec.script not in namespace.scenario.scripts and not values.is_invalid("scripts"):
         near = nearest_word(spec.script, namespace.scenario.scripts)
         help = f"did you mean `{near}`?" if near else "name a script from `scripts`"
@@ -139,38 +164,45 @@ def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None
     return Teacher(spec.script, float(spec.share))
 
 
-def _action_noise(given: ActionNoiseSpec | None) -> ActionNoise | None:
-    if given is None:
+def _action_noise(noise: ActionNoiseSpec | None) -> ActionNoise | None:
+    if noise is None:
         return None
-    start, end = read_schedule(given.sigma) or (0.0, 0.0)  # the schema has read it before
-    return ActionNoise(given.type, Schedule(start, end), given.theta)
+    start, end = read_schedule(noise.sigma) or (0.0, 0.0)  # the schema has read it before
+    return ActionNoise(noise.type, Schedule(start, end), noise.theta)
 
 
-def _hindsight(given: HindsightSpec | str | None, namespace: Namespace) -> Hindsight | None:
-    if given is None or given == "uniform":
+def _hindsight(hindsight: HindsightSpec | str | None, namespace: Namespace) -> Hindsight | None:
+    if hindsight is None or hindsight == "uniform":
         return None
     values = namespace.values
     if namespace.scenario.goal is None and not values.is_invalid("goal"):
         help = "add a `goal` with `achieved` and `desired`, or remove `replay`"
         values.add("DB102", ("train", "replay"), "hindsight replay without a `goal`", help)
-    return Hindsight(given.n_sampled_goal, given.goal_selection_strategy) if isinstance(given, HindsightSpec) else Hindsight()
+    return (
+        Hindsight(hindsight.n_sampled_goal, hindsight.goal_selection_strategy)
+        if isinstance(hindsight, HindsightSpec)
+        else Hindsight()
+    )
 
 
 def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) -> None:
     algorithm, acts_by = train.algorithm, train.acts_by
     intervals = [part for part in action if isinstance(part, ActionRange)]
     if acts_by == {"choice"} and (intervals or len(action) > 1):
-        headline, help = f"{algorithm} supports only a single discrete action", "use PPO, or define one action with `choices`"
+        headline = f"{algorithm} supports only a single discrete action"
+        help = "use PPO, or define one action with `choices`"
     elif "ranges" not in acts_by and intervals:
-        headline, help = f"`{algorithm}` supports only discrete actions", "use PPO, or define one action with `choices`"
+        headline = f"`{algorithm}` supports only discrete actions"
+        help = "use PPO, or define one action with `choices`"
     elif acts_by == {"ranges"} and len(intervals) < len(action):
-        headline, help = f"{algorithm} supports only continuous actions", _for_choices(train, action, namespace)
+        headline = f"{algorithm} supports only continuous actions"
+        help = _for_choices(train, action, namespace)
     elif intervals and len(intervals) < len(action):
-        headline, help = (
-            "no algorithm supports choices and ranges in the same agent",
-            "define every action with `choices`, or every action as a range",
-        )
-    elif not train.uses_masks and any(isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()):
+        headline = "no algorithm supports choices and ranges in the same agent"
+        help = "define every action with `choices`, or every action as a range"
+    elif not train.uses_masks and any(
+        isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
+    ):
         headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or remove `forbid`"
     else:
         return
@@ -180,20 +212,41 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
 def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> str:
     """What to write for an algorithm of ranges where an action has choices: another algorithm, or ranges."""
     written, also = entries_at(namespace.values.root, "train"), ""
-    foreign = [key for key in written if key not in type(train).model_fields and key in ALGORITHMS["PPO"].model_fields]
+    foreign = [
+        key
+        for key in written
+        if key not in type(train).model_fields and key in ALGORITHMS["PPO"].model_fields
+    ]
     if foreign:
         also = f", which uses {listed(foreign)}"
     drive = next(part.name for part in action if not isinstance(part, ActionRange))
-    return f"to keep the choices, write `algorithm: PPO`{also}; to keep {train.algorithm}, make every action a range: `{drive}: -1 .. 1`"
+    return (
+        f"to keep the choices, write `algorithm: PPO`{also}; to keep {train.algorithm}, make every action"
+        f" a range: `{drive}: -1 .. 1`"
+    )
 
 
 MAX_VARIANTS = 64
 """Cases and stages of one scenario; each is compiled."""
 MAX_VALUES = 40_000
-"""Of all of them together. The largest scenario that comes with deepbots has 500, of which all 64 would take 32 000."""
+"""Of all of them together. The largest scenario that comes with deepbots has 500, of which all 64 would take
+32 000."""
 
 _FIXED_SECTIONS = frozenset(
-    ("deepbots", "name", "summary", "agent", "action", "observation", "goal", "curriculum", "evaluation", "solved", "train", "tune")
+    (
+        "deepbots",
+        "name",
+        "summary",
+        "agent",
+        "action",
+        "observation",
+        "goal",
+        "curriculum",
+        "evaluation",
+        "solved",
+        "train",
+        "tune",
+    )
 )
 _VARIANT_SECTIONS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
 
@@ -204,7 +257,8 @@ VariantKind = Literal["case", "stage"]
 def compile_variants(
     document: Document, spec: Scenario, program: Program, findings: Findings, check: Check
 ) -> tuple[tuple[CheckedScenario, ...], Program]:
-    """Check every case and stage of a scenario that is sound itself: what came of each, and the task with those that are sound too."""
+    """Check every case and stage of a scenario that is sound itself: what came of each, and the task with
+    those that are sound too."""
     if document.root is None:
         return (), program
     values = ValueReader(document.root, findings, {})
@@ -222,20 +276,35 @@ def compile_variants(
         return (), program
     compiler.check_order(spec)
     cases = [
-        (name, case.episodes or spec.evaluation.episodes, compiler.program("case", name, ("evaluation", "cases", name)))
+        (
+            name,
+            case.episodes or spec.evaluation.episodes,
+            compiler.program("case", name, ("evaluation", "cases", name)),
+        )
         for name, case in spec.evaluation.cases.items()
     ]
-    stages = [(stage, compiler.program("stage", stage.name, ("curriculum", index))) for index, stage in enumerate(spec.curriculum)]
+    stages = [
+        (stage, compiler.program("stage", stage.name, ("curriculum", index)))
+        for index, stage in enumerate(spec.curriculum)
+    ]
     return tuple(compiler.checked), replace(
         program,
-        cases=tuple(EvaluationCase(name, episodes, made) for name, episodes, made in cases if made is not None),
-        curriculum=tuple(CurriculumStage(stage.name, _criterion(stage.until), made) for stage, made in stages if made is not None),
+        cases=tuple(
+            EvaluationCase(name, episodes, variant)
+            for name, episodes, variant in cases
+            if variant is not None
+        ),
+        curriculum=tuple(
+            CurriculumStage(stage.name, _criterion(stage.until), variant)
+            for stage, variant in stages
+            if variant is not None
+        ),
     )
 
 
 def _criterion(text: str | None) -> Criterion | None:
-    found = read_until(text)
-    return Criterion(*found) if found else None  # type: ignore[arg-type]  # the pattern allows the metrics only
+    criterion = read_until(text)
+    return Criterion(*criterion) if criterion else None  # type: ignore[arg-type]  # the pattern allows the metrics only
 
 
 class _VariantCompiler:
@@ -246,7 +315,7 @@ class _VariantCompiler:
         self._document = document
         self._values = values
         self._base = program
-        self._known = {found.sort_key for found in values.findings}
+        self._known = {finding.sort_key for finding in values.findings}
         self._check = check
 
     def check_order(self, spec: Scenario) -> None:
@@ -257,17 +326,26 @@ class _VariantCompiler:
             here: NodePath = (*path, "name")
             if stage.name in first:
                 also = (Label(values.span(first[stage.name]), "first defined here"),)
-                values.add("DB202", here, f"`{stage.name}` is already a stage", "choose another name", labels=also)
+                values.add(
+                    "DB202", here, f"`{stage.name}` is already a stage", "choose another name", labels=also
+                )
             first.setdefault(stage.name, here)
             last = index == len(spec.curriculum) - 1
-            found = read_until(stage.until)
-            if found and found[0] == "success_rate" and not (spec.termination.success or spec.goal):
-                until = f"until: mean_return >= 100 over {found[2]} episodes"
-                help = success_help(self._base.truncation, self._base.world.timestep, until, bool(spec.termination.failure))
+            criterion = read_until(stage.until)
+            if criterion and criterion[0] == "success_rate" and not (spec.termination.success or spec.goal):
+                until = f"until: mean_return >= 100 over {criterion[2]} episodes"
+                help = success_help(
+                    self._base.truncation, self._base.world.timestep, until, bool(spec.termination.failure)
+                )
                 values.add_at_key("DB407", (*path, "until"), NO_SUCCESS_DEFINED, help)
             if stage.until is None and not last:
                 help = "add `until: success_rate >= 0.7 over 40 episodes`"
-                values.add("DB102", here, f"the stage `{stage.name}` never ends, so the next stage never begins", help)
+                values.add(
+                    "DB102",
+                    here,
+                    f"the stage `{stage.name}` never ends, so the next stage never begins",
+                    help,
+                )
             elif stage.until is not None and last:
                 help = "remove it; `solved` determines when the training ends"
                 values.add_at_key("DB407", (*path, "until"), "the last stage has an `until`", help)
@@ -285,29 +363,52 @@ class _VariantCompiler:
         checked = self._check(replace(self._document, root=root, findings=findings))
         self.checked.append(checked)
         here = self._values.key_span(path) if word == "case" else self._values.span((*path, "name"))
-        written = [Span(entry.key.span.source, entry.key.span.start, entry.value.span.end) for entry in entries]
-        for found in checked.findings:
-            if found.sort_key not in self._known:
-                inside = any(span.source is found.span.source and span.start <= found.span.start <= span.end for span in written)
-                also = found.labels if inside else (*found.labels, Label(here, f"with the settings of this {word}"))
-                self._values.findings.append(replace(found, labels=also))
-        return checked.program if checked.program is not None and self._admits_same_policy(checked.program, word, name, here) else None
+        written = [
+            Span(entry.key.span.source, entry.key.span.start, entry.value.span.end) for entry in entries
+        ]
+        for finding in checked.findings:
+            if finding.sort_key not in self._known:
+                inside = any(
+                    span.source is finding.span.source and span.start <= finding.span.start <= span.end
+                    for span in written
+                )
+                also = (
+                    finding.labels
+                    if inside
+                    else (*finding.labels, Label(here, f"with the settings of this {word}"))
+                )
+                self._values.findings.append(replace(finding, labels=also))
+        return (
+            checked.program
+            if checked.program is not None and self._admits_same_policy(checked.program, word, name, here)
+            else None
+        )
 
     def _tests(self, word: VariantKind, name: str) -> Iterator[NodePath]:
-        """The paths that a variant leaves out of `tests`: all other tests, and the keys that name the variant."""
+        """The paths that a variant leaves out of `tests`: all other tests, and the keys that name the
+        variant."""
         tests = self._values.root.get("tests")
         for test, entry in tests.entries.items() if isinstance(tests, MappingNode) else ():
             named = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
-            yield ("tests", test, word) if isinstance(named, ScalarNode) and named.text == name else ("tests", test)
+            yield (
+                ("tests", test, word)
+                if isinstance(named, ScalarNode) and named.text == name
+                else ("tests", test)
+            )
 
     def _is_fixed(self, entry: Entry, word: VariantKind) -> bool:
         """Whether a setting speaks of what a policy is made for, after a finding that says so."""
         steps, _, rest = follow_dotted(self._values.root, entry.key.text.strip())
         head = str(steps[0]) if steps else rest.split(".")[0]
         parameters = self._values.root.get("parameters")
-        if head not in _FIXED_SECTIONS or (isinstance(parameters, MappingNode) and entry.key.text in parameters.entries):
+        if head not in _FIXED_SECTIONS or (
+            isinstance(parameters, MappingNode) and entry.key.text in parameters.entries
+        ):
             return False
-        help = f"remove this change; a {word} can change the world, the reset, the reward, the endings and the parameters"
+        help = (
+            f"remove this change; a {word} can change the world, the reset, the reward, the endings and"
+            " the parameters"
+        )
         self._values.add("DB407", entry.key.span, f"a {word} cannot change `{head}`", help)
         return True
 
@@ -315,9 +416,15 @@ class _VariantCompiler:
         """Whether a policy for the scenario itself can act in this one, else after a finding."""
         lines = identity.differences(self._base, program, words=("in the scenario", f"in this {word}"))
         if word == "stage" and program.world.timestep != self._base.world.timestep:
-            lines.append(f"timestep: in the scenario {self._base.world.timestep:g} s, in this {word} {program.world.timestep:g} s")
+            lines.append(
+                f"timestep: in the scenario {self._base.world.timestep:g} s, in this {word}"
+                f" {program.world.timestep:g} s"
+            )
         if program.engine != self._base.engine:
-            help = "remove the change; to evaluate a policy in both engines, use `deepbots eval RUN --engine mujoco,pybullet`"
+            help = (
+                "remove the change; to evaluate a policy in both engines, use `deepbots eval RUN --engine"
+                " mujoco,pybullet`"
+            )
             self._values.add("DB407", here, f"the {word} `{name}` cannot change `world.engine`", help)
             return False
         if lines:
@@ -328,8 +435,17 @@ class _VariantCompiler:
             for robot, base in zip(program.robots, self._base.robots, strict=True):
                 if len(robot.emit) > len(base.emit):  # without an `emit`, as otherwise they would be equal
                     listed = ", ".join(field.name for field in robot.emit)
-                    help = f"`{robot.name}` sends only what the scenario itself uses; let it always send all: `emit: [{listed}]`"
-            self._values.add("DB613", here, f"the {word} `{name}` changes the interface of the policy", help, notes=tuple(lines[:5]))
+                    help = (
+                        f"`{robot.name}` sends only what the scenario itself uses; let it always send"
+                        f" all: `emit: [{listed}]`"
+                    )
+            self._values.add(
+                "DB613",
+                here,
+                f"the {word} `{name}` changes the interface of the policy",
+                help,
+                notes=tuple(lines[:5]),
+            )
         return not lines
 
 
@@ -348,13 +464,15 @@ _MAX_SHOWN_VALUES = 4
 
 def scenario_tests(namespace: Namespace, program: Program) -> tuple[ScenarioTest, ...]:
     """The tests without findings, compiled in the namespace of `program`."""
-    given, values = namespace.scenario.tests, namespace.values
-    if len(given) > MAX_TESTS:
-        values.add_at_key("DB005", ("tests",), f"more than {MAX_TESTS} tests", "join tests, or write another file")
+    written, values = namespace.scenario.tests, namespace.values
+    if len(written) > MAX_TESTS:
+        values.add_at_key(
+            "DB005", ("tests",), f"more than {MAX_TESTS} tests", "join tests, or write another file"
+        )
         return ()
     reader = _Reader(namespace, program)
-    found = [reader.test(name, spec) for name, spec in given.items()]
-    return tuple(test for test in found if test is not None)
+    tests = [reader.test(name, spec) for name, spec in written.items()]
+    return tuple(test for test in tests if test is not None)
 
 
 class _Reader(NamespaceReader):
@@ -366,43 +484,53 @@ class _Reader(NamespaceReader):
 
     def test(self, name: str, spec: TestSpec) -> ScenarioTest | None:
         """The test; None after an error."""
-        known = len(self._values.findings.errors)
+        errors_before = len(self._values.findings.errors)
         driver = self._actions(spec) if spec.actions is not None else self._driver(spec)
         cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.curriculum]
-        for word, section, given, others in (("case", "cases", spec.case, list(cases)), ("stage", "curriculum", spec.stage, stages)):
-            if given is not None and given not in others and not self._values.is_invalid(section):
-                self._values.report_unknown(self._values.field(spec, word).span, word, given, others)
+        for word, section, chosen, others in (
+            ("case", "cases", spec.case, list(cases)),
+            ("stage", "curriculum", spec.stage, stages),
+        ):
+            if chosen is not None and chosen not in others and not self._values.is_invalid(section):
+                self._values.report_unknown(self._values.field(spec, word).span, word, chosen, others)
         expected = tuple(self._expected(spec.expect))
         steps = self._steps(spec, driver)
-        if len(self._values.findings.errors) > known or driver is None:
+        if len(self._values.findings.errors) > errors_before or driver is None:
             return None
         place = self._values.key_span(("tests", name))
-        return ScenarioTest(name, place, driver, spec.episodes, spec.seed, steps, expected, spec.case, spec.stage)
+        return ScenarioTest(
+            name, place, driver, spec.episodes, spec.seed, steps, expected, spec.case, spec.stage
+        )
 
     # Who acts, for how long
 
     def _driver(self, spec: TestSpec) -> str | None:
-        name, known = spec.driver or "", [*self._spec.scripts, *PLAIN_DRIVERS]
-        if name not in known and not (self._values.is_invalid("scripts") or self._values.is_invalid(name)):
-            self._values.report_unknown(self._values.field(spec, "driver").span, "script", name, known)
+        name, drivers = spec.driver or "", [*self._spec.scripts, *PLAIN_DRIVERS]
+        if name not in drivers and not (self._values.is_invalid("scripts") or self._values.is_invalid(name)):
+            self._values.report_unknown(self._values.field(spec, "driver").span, "script", name, drivers)
         return name
 
     def _actions(self, spec: TestSpec) -> tuple[FixedAction, ...] | None:
-        found = [self._action((*spec.path, "actions", index), given) for index, given in enumerate(spec.actions or ())]
-        made = tuple(action for action in found if action is not None)
-        return made if len(made) == len(found) else None
+        read = [
+            self._action((*spec.path, "actions", index), written)
+            for index, written in enumerate(spec.actions or ())
+        ]
+        actions = tuple(action for action in read if action is not None)
+        return actions if len(actions) == len(read) else None
 
-    def _action(self, place: NodePath, given: object) -> FixedAction | None:
+    def _action(self, place: NodePath, written: object) -> FixedAction | None:
         names = list(self._spec.action)
-        if not isinstance(given, dict):
+        if not isinstance(written, dict):
             if len(names) > 1:
                 help = f"write `{{{': ..., '.join(names)}: ...}}`"
                 self._values.add("DB103", place, f"one value for an action of {len(names)} parts", help)
                 return None
-            given = dict.fromkeys(names, given)
-        return self._fixed(place, self._decisions.read(place, given, "the action"))
+            written = dict.fromkeys(names, written)
+        return self._fixed(place, self._decisions.read(place, written, "the action"))
 
-    def _fixed(self, place: NodePath, decided: tuple[ScriptedChoice | ScriptedRange, ...] | None) -> FixedAction | None:
+    def _fixed(
+        self, place: NodePath, decided: tuple[ScriptedChoice | ScriptedRange, ...] | None
+    ) -> FixedAction | None:
         choices: list[int] = []
         ranges: list[float] = []
         words: list[str] = []
@@ -411,10 +539,16 @@ class _Reader(NamespaceReader):
                 choices.append([option.name for option in part.options].index(decision.otherwise))
                 words.append(decision.otherwise)
             elif isinstance(part, ActionRange) and isinstance(decision, ScriptedRange):
-                numbers = [number for value in decision.values for number in constant_values(value.typed) or (math.nan,)]
+                numbers = [
+                    number
+                    for value in decision.values
+                    for number in constant_values(value.typed) or (math.nan,)
+                ]
                 if not all(map(math.isfinite, numbers)):
                     help = "write fixed values, or use a script from `scripts`"
-                    self._values.add("DB407", place, f"the value of `{part.name}` must be the same in every episode", help)
+                    self._values.add(
+                        "DB407", place, f"the value of `{part.name}` must be the same in every episode", help
+                    )
                     return None
                 middle, half = (part.high + part.low) / 2, (part.high - part.low) / 2
                 shares = [min(max((number - middle) / half, -1.0), 1.0) for number in numbers]
@@ -424,14 +558,21 @@ class _Reader(NamespaceReader):
         return None if decided is None else FixedAction(tuple(choices), tuple(ranges), ":".join(words))
 
     def _steps(self, spec: TestSpec, driver: str | tuple[FixedAction, ...] | None) -> int:
-        """The largest number of steps of an episode; a finding if all episodes of the test may take too many."""
+        """The largest number of steps of an episode; a finding if all episodes of the test may take too
+        many."""
         period = self._program.period
         own = Truncation(spec.max_steps, self._namespace.fixed(spec, "max_time")).max_episode_steps(period)
-        steps = min(own, self._program.truncation.max_episode_steps(period), len(driver) if isinstance(driver, tuple) else own)
+        steps = min(
+            own,
+            self._program.truncation.max_episode_steps(period),
+            len(driver) if isinstance(driver, tuple) else own,
+        )
         total = steps * self._program.action_repeat * spec.episodes
         if total > MAX_STEPS and self._program.truncation != Truncation():
             help = "lower `episodes`, `max_steps` or `max_time`"
-            self._values.add_at_key("DB105", spec.path, f"the test takes {total:_} timesteps; the limit is {MAX_STEPS:_}", help)
+            self._values.add_at_key(
+                "DB105", spec.path, f"the test takes {total:_} timesteps; the limit is {MAX_STEPS:_}", help
+            )
         return steps
 
     # What is expected
@@ -443,67 +584,94 @@ class _Reader(NamespaceReader):
             if getattr(spec, key) is not None:
                 text = self._values.field(spec, key)
                 bounds = self._bounds(spec, key)
-                if not endings.get(key, True) and not any(map(self._values.is_invalid, ("success", "failure", "termination", "goal"))):
+                if not endings.get(key, True) and not any(
+                    map(self._values.is_invalid, ("success", "failure", "termination", "goal"))
+                ):
                     headline = (
                         NO_SUCCESS_DEFINED
                         if key == "success_rate"
                         else "a failure rate needs a failure, but the scenario does not define one"
                     )
-                    help = f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect something else, such as `ends_by`"
+                    help = (
+                        f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect"
+                        " something else, such as `ends_by`"
+                    )
                     self._values.add("DB407", text.span, headline, help)
                 if bounds is not None:
                     yield ExpectedResult(key, text.span, text.text, *bounds)
         if spec.ends_by is not None:
             yield from self._ends_by(spec)
         for key in _CONDITIONS:
-            given = getattr(spec, key)
-            for index in range(len(given)) if isinstance(given, tuple) else (None,) if given is not None else ():
-                yield from self._condition(key, (*spec.path, key) if index is None else (*spec.path, key, index))
+            written = getattr(spec, key)
+            for index in (
+                range(len(written)) if isinstance(written, tuple) else (None,) if written is not None else ()
+            ):
+                yield from self._condition(
+                    key, (*spec.path, key) if index is None else (*spec.path, key, index)
+                )
 
     def _bounds(self, spec: Expectation, key: str) -> tuple[float, float] | None:
         """The smallest and the largest expected value; None after a finding."""
         text, scope = self._values.field(spec, key), self._namespace.scope(Context.FIXED)
         report, called = self._values.report(text), f"`{key}`"
         if ".." in text.text:
-            found = self._values.range(text, scope)
-            ends = found and expect_range(found, report, called, dimension=NUMBER)
+            interval = self._values.range(text, scope)
+            ends = interval and expect_range(interval, report, called, dimension=NUMBER)
             trees = [ends.low, ends.high] if ends else []
         else:
             typed = self._values.quantity(text, called, scope, NUMBER)
             trees = [typed] if typed else []
         numbers = [self._values.fixed(tree, text, called) for tree in trees]
-        known = [float(number[0]) for number in numbers if number is not None]
-        if not known or len(known) < len(trees):
+        bounds = [float(number[0]) for number in numbers if number is not None]
+        if not bounds or len(bounds) < len(trees):
             return None
-        low, high = (*known, math.inf)[:2]
+        low, high = (*bounds, math.inf)[:2]
         if key != "mean_return" and not (0 <= low <= 1 and (high == math.inf or 0 <= high <= 1)):
             help = "write a number from 0 to 1, or a percentage such as `90 %`"
-            self._values.add("DB105", text.span, f"{called} is {text.text}, but a rate is between 0 and 1", help)
+            self._values.add(
+                "DB105", text.span, f"{called} is {text.text}, but a rate is between 0 and 1", help
+            )
             return None
         return low, high
 
     def _ends_by(self, spec: Expectation) -> Iterator[ExpectedResult]:
         termination, limits = self._spec.termination, self._spec.truncation
         cuts = [name for name in ("max_steps", "max_time") if getattr(limits, name, None) is not None]
-        known = [*termination.success, *termination.failure, *cuts]
+        endings = [*termination.success, *termination.failure, *cuts]
         several = isinstance(spec.ends_by, tuple)
         names = spec.ends_by if isinstance(spec.ends_by, tuple) else (spec.ends_by or "",)
         for index, name in enumerate(names):
             self._namespace.mark_used(name)
-            if name not in known and not self._values.is_invalid("truncation" if name.startswith("max_") else "termination"):
+            if name not in endings and not self._values.is_invalid(
+                "truncation" if name.startswith("max_") else "termination"
+            ):
                 place: NodePath = (*spec.path, "ends_by", index) if several else (*spec.path, "ends_by")
-                self._values.report_unknown(self._values.span(place), "ending", name, known)
-        yield ExpectedResult("ends_by", self._values.span((*spec.path, "ends_by")), " or ".join(names), endings=tuple(names))
+                self._values.report_unknown(self._values.span(place), "ending", name, endings)
+        yield ExpectedResult(
+            "ends_by", self._values.span((*spec.path, "ends_by")), " or ".join(names), endings=tuple(names)
+        )
 
     def _condition(self, key: ExpectedKey, place: NodePath) -> Iterator[ExpectedResult]:
         text = self._values.text(place)
         typed = self._values.condition(text, self._scope)
         if typed is not None:
             compared = tuple(
-                Expression(text.text[part.start : part.end], text.span, text.text[part.start : part.end], part, text.owner)
+                Expression(
+                    text.text[part.start : part.end],
+                    text.span,
+                    text.text[part.start : part.end],
+                    part,
+                    text.owner,
+                )
                 for part in _compared(typed)
             )
-            yield ExpectedResult(key, text.span, text.text, condition=text.expression(typed), compared=compared[:_MAX_SHOWN_VALUES])
+            yield ExpectedResult(
+                key,
+                text.span,
+                text.text,
+                condition=text.expression(typed),
+                compared=compared[:_MAX_SHOWN_VALUES],
+            )
 
 
 def _compared(tree: Typed) -> Iterator[Typed]:
@@ -512,6 +680,11 @@ def _compared(tree: Typed) -> Iterator[Typed]:
     for node in walk(tree):
         for part in node.args if isinstance(node, Operation) and node.operator in _COMPARISONS else ():
             single = part.type.components is None and not part.type.boolean
-            if single and constant_values(part) is None and not isinstance(part, Constant) and (part.start, part.end) not in seen:
+            if (
+                single
+                and constant_values(part) is None
+                and not isinstance(part, Constant)
+                and (part.start, part.end) not in seen
+            ):
                 seen.add((part.start, part.end))
                 yield part

@@ -26,9 +26,11 @@ _SETTINGS = (("evaluation",), ("curriculum",))
 
 @dataclass(frozen=True)
 class Inputs:
-    """The files of one scenario: texts, robots, meshes and pictures; `files` are those of the world, by where they are named.
+    """The files of one scenario: texts, robots, meshes and pictures; `files` are those of the world, by where
+    they are named.
 
-    `variants` are the same for the scenario under the settings of each case and stage, which may name other files.
+    `variants` are the same for the scenario under the settings of each case and stage, which may name other
+    files.
     """
 
     document: Document
@@ -40,9 +42,13 @@ class Inputs:
     def names(self) -> dict[Path, str]:
         """A relative path for the copy of each file, the scenario first."""
         meshes = [Path(mesh) for robot in self._all_robots for mesh in robot.file.meshes]
-        packages = [robot.path.parent for robot in self._all_robots]  # one from a package has its meshes below it
+        packages = [
+            robot.path.parent for robot in self._all_robots
+        ]  # one from a package has its meshes below it
         files = [file for each in (self, *self.variants) for file in each.files.values()]
-        return copy_names([*self._texts, *meshes, *files], (shipped.data_dir(), *self.document.roots, *packages))
+        return copy_names(
+            [*self._texts, *meshes, *files], (shipped.data_dir(), *self.document.roots, *packages)
+        )
 
     @property
     def _all_robots(self) -> list[ResolvedRobot]:
@@ -51,12 +57,15 @@ class Inputs:
     @property
     def _texts(self) -> dict[Path, str]:
         main, files = self.document.source, self.document.files
-        first = next((path for path, source in files.items() if source is main), self.document.base / main.name)
+        first = next(
+            (path for path, source in files.items() if source is main), self.document.base / main.name
+        )
         robots = {robot.path: robot.file.source.text for robot in self._all_robots}
         return {first: main.text, **{path: source.text for path, source in files.items()}, **robots}
 
     def write(self, folder: Path) -> None:
-        """Write the resolved scenario and the copies into `folder`; what is compiled from there is the same."""
+        """Write the resolved scenario and the copies into `folder`; what is compiled from there is the
+        same."""
         write_copies(folder, self.resolved(), self.contents())
 
     def contents(self) -> dict[str, bytes]:
@@ -66,10 +75,13 @@ class Inputs:
             UsageError: A mesh has gone since it was checked.
         """
         texts = self._texts
-        return {name: texts[file].encode() if file in texts else _bytes(file) for file, name in self.names.items()}
+        return {
+            name: texts[file].encode() if file in texts else _bytes(file) for file, name in self.names.items()
+        }
 
     def resolved(self) -> str:
-        """The merged scenario as YAML, with the copies as its files. It has no `tune`, whose check takes longer than all others."""
+        """The merged scenario as YAML, with the copies as its files. It has no `tune`, whose check takes
+        longer than all others."""
         if self.document.root is None:
             return ""
         root = without_paths(self.document.root, [(TUNE,)])
@@ -83,7 +95,9 @@ class Inputs:
     @property
     def _named(self) -> dict[NodePath, Path]:
         """Every file that is named in the scenario, by where."""
-        return {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()} | dict(self.files)
+        return {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()} | dict(
+            self.files
+        )
 
     def _set(self) -> dict[NodePath, Path]:
         """The files that only the settings of a case or a stage name, by their place in the text."""
@@ -91,9 +105,14 @@ class Inputs:
         files: dict[Span, Path] = {}
         for variant in self.variants:
             if variant.document.root is not None:
-                files |= {descend(variant.document.root, path)[0].span: file for path, file in variant._named.items()}
+                files |= {
+                    descend(variant.document.root, path)[0].span: file
+                    for path, file in variant._named.items()
+                }
         places = walk(self.document.root) if files else ()
-        return {path: files[node.span] for path, node in places if path[:1] in _SETTINGS and node.span in files}
+        return {
+            path: files[node.span] for path, node in places if path[:1] in _SETTINGS and node.span in files
+        }
 
 
 def write_copies(folder: Path, resolved: str, contents: Mapping[str, bytes]) -> None:
@@ -120,7 +139,9 @@ def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str
     """
     groups: dict[Path, list[Path]] = {}
     for file in dict.fromkeys(files):
-        groups.setdefault(next((home for home in homes if file.is_relative_to(home)), file.parent), []).append(file)
+        groups.setdefault(
+            next((home for home in homes if file.is_relative_to(home)), file.parent), []
+        ).append(file)
     names: dict[Path, str] = {}
     for number, members in enumerate(groups.values()):
         top = os.path.commonpath([file.parent for file in members])

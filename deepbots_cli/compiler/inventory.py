@@ -42,7 +42,8 @@ _ORIGINS = {
 
 
 class NameEntry(NamedTuple):
-    """A name, what it stands for (`a revolute joint`), and where it is defined; None for what the language gives."""
+    """A name, what it stands for (`a revolute joint`), and where it is defined; None for what the language
+    gives."""
 
     name: str
     description: str
@@ -50,7 +51,8 @@ class NameEntry(NamedTuple):
 
 
 def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[NameEntry]:
-    """The names that a `Reference` or a `Pattern` of this kind may take at `path` of the scenario; none if they are unknown.
+    """The names that a `Reference` or a `Pattern` of this kind may take at `path` of the scenario; none if
+    they are unknown.
 
     Inside of a robot its parts go by their short names, elsewhere by full ones, as `cart.pole_hinge`.
     """
@@ -84,23 +86,32 @@ def _keys(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
     if kind == "action":
         return [_keyed(namespace, ("action", name), "an action") for name in namespace.scenario.action]
     if kind == "layout":
-        return [_keyed(namespace, ("reset", "layouts", name), "a layout") for name in namespace.scenario.reset.layouts]
+        return [
+            _keyed(namespace, ("reset", "layouts", name), "a layout")
+            for name in namespace.scenario.reset.layouts
+        ]
     if kind in _OF_TESTS:
         return _of_tests(namespace, kind)
     only = [*namespace.scenario.action] if len(namespace.scenario.action) == 1 else [""]
     name = action_at(path) or only[0]  # an action of one part needs no name
     part = namespace.scenario.action.get(name)
     if isinstance(part, DiscreteAction):
-        return [_keyed(namespace, ("action", name, "choices", option), "an option") for option in part.choices]
+        return [
+            _keyed(namespace, ("action", name, "choices", option), "an option") for option in part.choices
+        ]
     if kind == "option":
         return []
     symbol = namespace.resolve(name) if part is not None else None  # a range for each member of a group
     components = symbol.type.components if symbol is not None and symbol.type is not None else None
-    return [_keyed(namespace, ("action", name), f"a component of `{name}`", component) for component in components or ()]
+    return [
+        _keyed(namespace, ("action", name), f"a component of `{name}`", component)
+        for component in components or ()
+    ]
 
 
 def action_at(path: NodePath) -> str:
-    """The action that a place of a script, of an action of a test or of the section `action` belongs to; empty for none."""
+    """The action that a place of a script, of an action of a test or of the section `action` belongs to;
+    empty for none."""
     place = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
     return str(path[place]) if len(path) > place else ""
 
@@ -112,15 +123,21 @@ def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
     """The names that a test may use."""
     spec = namespace.scenario
     limits = spec.truncation.model_fields_set if spec.truncation else ()
-    found: dict[str, list[tuple[NodePath, str, str]]] = {
+    places: dict[str, list[tuple[NodePath, str, str]]] = {
         "driver": [(("scripts", name), "a script", name) for name in spec.scripts],
-        "case": [(("evaluation", "cases", name), "a case of the evaluation", name) for name in spec.evaluation.cases],
-        "stage": [(("curriculum", index, "name"), "a stage of the curriculum", stage.name) for index, stage in enumerate(spec.curriculum)],
+        "case": [
+            (("evaluation", "cases", name), "a case of the evaluation", name)
+            for name in spec.evaluation.cases
+        ],
+        "stage": [
+            (("curriculum", index, "name"), "a stage of the curriculum", stage.name)
+            for index, stage in enumerate(spec.curriculum)
+        ],
         "ending": [(("truncation", name), "a limit", name) for name in limits],
     }
     free = {"driver": [NameEntry(name, "actions without a script") for name in PLAIN_DRIVERS]}
     endings = _defined(namespace, namespace.names_of(Origin.ENDING)) if kind == "ending" else []
-    return [*endings, *(_keyed(namespace, *place) for place in found[kind]), *free.get(kind, ())]
+    return [*endings, *(_keyed(namespace, *place) for place in places[kind]), *free.get(kind, ())]
 
 
 def definition(checked: CheckedScenario, name: str, robot: str | None = None) -> NameEntry | None:
@@ -132,9 +149,9 @@ def definition(checked: CheckedScenario, name: str, robot: str | None = None) ->
     words = name.split(".")
     for length in range(len(words) if namespace is not None else 0, 0, -1):
         part = ".".join(words[:length])
-        found = namespace and (_on_board(namespace, robot, part) or _anywhere(namespace, part))
-        if found:
-            return found
+        entry = namespace and (_on_board(namespace, robot, part) or _anywhere(namespace, part))
+        if entry:
+            return entry
     return None
 
 
@@ -147,7 +164,14 @@ def _on_board(namespace: Namespace, robot: str | None, name: str) -> NameEntry |
         (resolved.spec.poses, "poses", "a pose"),
         (resolved.spec.receive or {}, "receive", "received"),
     )
-    return next((_keyed(namespace, ("robots", resolved.name, key, name), what) for table, key, what in own if name in table), None)
+    return next(
+        (
+            _keyed(namespace, ("robots", resolved.name, key, name), what)
+            for table, key, what in own
+            if name in table
+        ),
+        None,
+    )
 
 
 def _anywhere(namespace: Namespace, name: str) -> NameEntry | None:
@@ -160,21 +184,27 @@ def _anywhere(namespace: Namespace, name: str) -> NameEntry | None:
     return next((part for part in _parts(namespace, robot, sections) if part.name == rest), None)
 
 
-def _defined(namespace: Namespace, known: Iterable[str]) -> list[NameEntry]:
+def _defined(namespace: Namespace, names: Iterable[str]) -> list[NameEntry]:
     """Names of the namespace; those that the language gives stand nowhere."""
-    return [_one_defined(namespace, name) for name in dict.fromkeys(known)]
+    return [_one_defined(namespace, name) for name in dict.fromkeys(names)]
 
 
 def _one_defined(namespace: Namespace, name: str) -> NameEntry:
     if name in namespace.definitions:
-        found = namespace.definitions[name]
-        path = found.path
-        if found.origin is Origin.ACTION and path[-1] != name:  # a variable that the options of a choice set
+        definition = namespace.definitions[name]
+        path = definition.path
+        if (
+            definition.origin is Origin.ACTION and path[-1] != name
+        ):  # a variable that the options of a choice set
             node, _, steps = descend(namespace.values.root, (*path, "choices"))
             options = node.entries if isinstance(node, MappingNode) and steps > len(path) else {}
-            setting = (option for option, entry in options.items() if isinstance(entry.value, MappingNode) and name in entry.value.entries)
+            setting = (
+                option
+                for option, entry in options.items()
+                if isinstance(entry.value, MappingNode) and name in entry.value.entries
+            )
             path = next(((*path, "choices", option, name) for option in setting), path)
-        return _keyed(namespace, path, found.origin.value, name)
+        return _keyed(namespace, path, definition.origin.value, name)
     if name in namespace.walls:  # the arena, whose name the language gives
         return _keyed(namespace, ("world", name), "the walls of the arena")
     return NameEntry(name, "built in")
@@ -205,7 +235,9 @@ def _parts_of(namespace: Namespace, robot: ResolvedRobot, sections: tuple[str, .
         if "groups" in sections or ("joints" if kind is Kind.JOINTS else "links") in sections:
             yield _keyed(namespace, (*home, "groups", name), f"{kind.description} ({', '.join(members)})")
     for joint in robot.model.moving_joints if "joints" in sections else ():
-        yield NameEntry(joint.name, f"{with_article(joint.type)} joint", robot.file.joint_spans.get(joint.name))
+        yield NameEntry(
+            joint.name, f"{with_article(joint.type)} joint", robot.file.joint_spans.get(joint.name)
+        )
     for link in robot.link_names if "links" in sections else ():
         yield NameEntry(link, "a link", robot.file.link_spans.get(link))
 
@@ -247,7 +279,12 @@ def scenario_names(checked: CheckedScenario) -> ScenarioNames:
     if namespace is None or spec is None:
         return ScenarioNames()
     everywhere = {kind: _offer(_named(checked, kind, path)) for kind, path in _PLACES.items()}
-    choices = {option: "an option" for part in spec.action.values() if isinstance(part, DiscreteAction) for option in part.choices}
+    choices = {
+        option: "an option"
+        for part in spec.action.values()
+        if isinstance(part, DiscreteAction)
+        for option in part.choices
+    }
     is_whole = all(namespace.robots.values()) and not any(path[:1] == ("robots",) for path in spec.pruned)
     everywhere["choice"] = _offer(choices)
     everywhere["joints"] = _offer(_named(checked, "joints"), only=is_whole)
@@ -256,31 +293,41 @@ def scenario_names(checked: CheckedScenario) -> ScenarioNames:
     return ScenarioNames(everywhere, {robot.name: _names_on_board(checked, robot, spec) for robot in robots})
 
 
-def _offer(said: Mapping[str, str], *, only: bool = False) -> OfferedNames:
-    return OfferedNames(said if len(said) <= _MAX_NAMES else {}, only)
+def _offer(descriptions: Mapping[str, str], *, only: bool = False) -> OfferedNames:
+    return OfferedNames(descriptions if len(descriptions) <= _MAX_NAMES else {}, only)
 
 
 def _expressions(namespace: Namespace) -> Names:
     """The names that an expression of the supervisor may use, by kind of expression."""
     scopes = {word: SupervisorScope(namespace, context).names() for word, context in _SUPERVISED.items()}
     parameters = dict.fromkeys(("require", "parameter"), namespace.names_of(Origin.PARAMETER))
-    return {f"{word} expression": _offer(_describe_names(namespace, found)) for word, found in (scopes | parameters).items()}
-
-
-def _describe_names(namespace: Namespace, found: Iterable[str]) -> dict[str, str]:
-    """Each name with what it stands for, and a parameter with its value."""
-    origins = {name: origin.value if (origin := namespace.origin(name)) else "built in" for name in found}
     return {
-        name: f"{what}: {namespace.scenario.parameters[name]}" if name in namespace.scenario.parameters else what
+        f"{word} expression": _offer(_describe_names(namespace, names))
+        for word, names in (scopes | parameters).items()
+    }
+
+
+def _describe_names(namespace: Namespace, names: Iterable[str]) -> dict[str, str]:
+    """Each name with what it stands for, and a parameter with its value."""
+    origins = {name: origin.value if (origin := namespace.origin(name)) else "built in" for name in names}
+    return {
+        name: f"{what}: {namespace.scenario.parameters[name]}"
+        if name in namespace.scenario.parameters
+        else what
         for name, what in origins.items()
     }
 
 
 def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot, spec: Scenario) -> Names:
-    """The parts of one robot by their short names; those of its file are checked, and patterns over them never are."""
+    """The parts of one robot by their short names; those of its file are checked, and patterns over them
+    never are."""
     home: NodePath = ("robots", robot.name)
     groups = dict.fromkeys(robot.spec.groups, "a group")
-    joints = groups | _named(checked, "joints", home) | {joint.name: _described(joint) for joint in robot.model.moving_joints}
+    joints = (
+        groups
+        | _named(checked, "joints", home)
+        | {joint.name: _described(joint) for joint in robot.model.moving_joints}
+    )
     links = groups | _named(checked, "links", home)
     sensors, actuators = _named(checked, "sensor", home), _named(checked, "actuator", home)
     received = dict.fromkeys(robot.spec.receive or {}, "received") | dict.fromkeys(spec.action, "an action")
@@ -295,16 +342,18 @@ def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot, spec: Scenar
         **parts,
         "sensor": _offer(sensors),
         "actuator": _offer(actuators),
-        **{f"{word} expression": _offer(found) for word, found in own.items()},
+        **{f"{word} expression": _offer(names) for word, names in own.items()},
     }
 
 
 def _named(checked: CheckedScenario, kind: str, path: NodePath = ()) -> dict[str, str]:
-    return {found.name: found.description for found in names_at(checked, kind, path)}
+    return {entry.name: entry.description for entry in names_at(checked, kind, path)}
 
 
 def _described(joint: Joint) -> str:
     """A joint in a few words: `revolute, -0.5 .. 0.5 rad`."""
     lower, upper = joint.limit.lower, joint.limit.upper
     unit = "m" if joint.type == "prismatic" else "rad"
-    return joint.type if lower is None or upper is None else f"{joint.type}, {lower:.4g} .. {upper:.4g} {unit}"
+    return (
+        joint.type if lower is None or upper is None else f"{joint.type}, {lower:.4g} .. {upper:.4g} {unit}"
+    )

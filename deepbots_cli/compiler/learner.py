@@ -1,7 +1,7 @@
 """The learner that deepbots chooses for a scenario that names no algorithm.
 
-The choice depends on the structure of the compiled scenario alone, never on the machine: results are a function of scenario, seed and
-shards. docs/training.md shows the table with the measurements behind it.
+The choice depends on the structure of the compiled scenario alone, never on the machine: results are a
+function of scenario, seed and shards. docs/training.md shows the table with the measurements behind it.
 """
 
 from __future__ import annotations
@@ -45,14 +45,16 @@ _TRAIN, _ALGORITHM = "train", "algorithm"
 
 @dataclass(frozen=True)
 class Choice:
-    """The keys of `train` that deepbots chooses, as a scenario writes them, and reasons by the keys that they are about."""
+    """The keys of `train` that deepbots chooses, as a scenario writes them, and reasons by the keys that they
+    are about."""
 
     settings: Mapping[str, Any]
     reasons: Mapping[str, str]
 
 
 def choose(program: Program, *, has_teacher: bool = False) -> Choice:
-    """The learner for a scenario: the first row that fits. With a teacher it is PPO, which imitates in the least CPU time."""
+    """The learner for a scenario: the first row that fits. With a teacher it is PPO, which imitates in the
+    least CPU time."""
     agent = program.agent
     steps = program.truncation.max_episode_steps(program.period)
     numbers = len(agent.seen) + (2 * len(agent.goal.values) if agent.goal is not None else 0)
@@ -64,45 +66,80 @@ def choose(program: Program, *, has_teacher: bool = False) -> Choice:
         reasons["algorithm"] = "SAC with hindsight replay: the scenario has a goal"
         settings = {**_SAC, "environments": 4, "replay": "her", "tau": 0.02}
     elif may_be_off_policy and program.period >= LONG_STEP_S:
-        reasons["algorithm"] = f"SAC, which learns from each step many times: a step takes {program.period:g} s"
+        reasons["algorithm"] = (
+            f"SAC, which learns from each step many times: a step takes {program.period:g} s"
+        )
         settings = {**_SAC, "environments": 8, "gradient_steps": 4}
     elif steps <= SHORT_EPISODE and numbers <= FEW_NUMBERS and not agent.images:
         reasons["environments n_steps"] = (
-            f"updates every 512 steps: an episode has at most {steps:,} steps, and the policy sees {numbers} numbers"
+            f"updates every 512 steps: an episode has at most {steps:,} steps, and the policy sees {numbers}"
+            " numbers"
         )
-        settings = {**_PPO, "environments": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3}
+        settings = {
+            **_PPO,
+            "environments": 8,
+            "n_steps": 64,
+            "batch_size": 128,
+            "n_epochs": 10,
+            "learning_rate": 1e-3,
+        }
         settings |= {"total_timesteps": 200_000}
     elif has_batches and not agent.images and not has_teacher:
         reasons["environments n_steps"] = f"256 worlds: the engine {program.engine} steps them as one batch"
-        settings = {**_PPO, "environments": 256, "n_steps": 24, "batch_size": 1536, "n_epochs": 5, "total_timesteps": 3_000_000}
+        settings = {
+            **_PPO,
+            "environments": 256,
+            "n_steps": 24,
+            "batch_size": 1536,
+            "n_epochs": 5,
+            "total_timesteps": 3_000_000,
+        }
     else:
         much = "images" if agent.images else f"{numbers} numbers"
-        reasons["environments n_steps"] = f"updates every 2,048 steps: an episode has at most {steps:,} steps, and the policy sees {much}"
+        reasons["environments n_steps"] = (
+            f"updates every 2,048 steps: an episode has at most {steps:,} steps, and the policy sees {much}"
+        )
         settings = {**_PPO, "environments": 16, "n_steps": 128, "batch_size": 256, "n_epochs": 5}
         settings |= {"learning_rate": 5e-4} if agent.images else {}
 
     if settings["algorithm"] == "PPO":
         is_masked = any(option.forbidden is not None for part in agent.choices for option in part.options)
         algorithm = "MaskablePPO" if is_masked else "PPO"
-        why = "some choices are forbidden" if is_masked else "it imitates a teacher" if has_teacher else "it suits any action"
+        if is_masked:
+            why = "some choices are forbidden"
+        elif has_teacher:
+            why = "it imitates a teacher"
+        else:
+            why = "it suits any action"
         reasons = {"algorithm": f"{algorithm}: {why}"} | reasons
-        settings |= {"algorithm": algorithm, "network": {"hidden": [64, 64] if numbers <= FEW_NUMBERS else [128, 128]}}
+        settings |= {
+            "algorithm": algorithm,
+            "network": {"hidden": [64, 64] if numbers <= FEW_NUMBERS else [128, 128]},
+        }
     if agent.copies is not None:
         settings["environments"] = max(1, settings["environments"] // agent.copies.count)
     settings["gamma"] = min(max(round(1 - 4 / steps, 2), 0.9), 0.99)
-    reasons["gamma"] = f"gamma {settings['gamma']:g}: it looks {1 / (1 - settings['gamma']):.0f} of at most {steps:,} steps ahead"
+    reasons["gamma"] = (
+        f"gamma {settings['gamma']:g}: it looks {1 / (1 - settings['gamma']):.0f} of at most {steps:,} steps"
+        " ahead"
+    )
     return Choice(settings, reasons)
 
 
 def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[str, ...]]:
-    """The document with these settings under `train`, as far as it does not give them itself, and the reasons for these."""
+    """The document with these settings under `train`, as far as it does not give them itself, and the reasons
+    for these."""
     text = "".join(f"{key}: {json.dumps(value)}\n" for key, value in choice.settings.items())
     section, root = parse(Source(CHOSEN, text), document.findings), document.root
     assert isinstance(section, MappingNode)
     assert root is not None
-    written = root.entries.get(_TRAIN, Entry(ScalarNode(section.span, _TRAIN, _TRAIN), replace(section, entries={})))
+    written = root.entries.get(
+        _TRAIN, Entry(ScalarNode(section.span, _TRAIN, _TRAIN), replace(section, entries={}))
+    )
     assert isinstance(written.value, MappingNode)  # as it was validated
-    given = {key: entry for key, entry in written.value.entries.items() if key != _ALGORITHM}
-    section = merge(section, replace(written.value, entries=given), _TRAIN)
+    hyperparameters = {key: entry for key, entry in written.value.entries.items() if key != _ALGORITHM}
+    section = merge(section, replace(written.value, entries=hyperparameters), _TRAIN)
     root = replace(root, entries=root.entries | {_TRAIN: Entry(written.key, section)})
-    return replace(document, root=root), tuple(reason for keys, reason in choice.reasons.items() if given.keys().isdisjoint(keys.split()))
+    return replace(document, root=root), tuple(
+        reason for keys, reason in choice.reasons.items() if hyperparameters.keys().isdisjoint(keys.split())
+    )

@@ -4,8 +4,8 @@ Parameters, action variables, augmentation, signals and endings live here, with 
 send (`cart.pole_angle`). Typing on demand makes the order of the file irrelevant; what is asked for
 while it is itself being typed closes a cycle, which is a finding.
 
-Fields of the scenario are read here, since their values may use names: `namespace.fixed(arena, "wall_height")` takes the path from the
-section, and dimension, components and `known` from the annotation.
+Fields of the scenario are read here, since their values may use names: `namespace.fixed(arena,
+"wall_height")` takes the path from the section, and dimension, components and `known` from the annotation.
 """
 
 from __future__ import annotations
@@ -44,7 +44,16 @@ from deepbots_cli.program.robots import Parameter
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import Color
 from deepbots_cli.scenario.base import Section
-from deepbots_cli.scenario.fields import COLORS, Column, FieldType, Quantity, Range, color_options, dimension_of, measure_dimension
+from deepbots_cli.scenario.fields import (
+    COLORS,
+    Column,
+    FieldType,
+    Quantity,
+    Range,
+    color_options,
+    dimension_of,
+    measure_dimension,
+)
 from deepbots_cli.scenario.scenario import Scenario
 
 _MAX_NAMES_IN_CYCLE = 12
@@ -52,7 +61,8 @@ Default = TypeVar("Default")
 
 
 class FieldContext(TypedDict, total=False):
-    """The properties of a field that its annotation leaves open and the caller gives: a joint turns or slides, a sensor has components.
+    """The properties of a field that its annotation leaves open and the caller gives: a joint turns or
+    slides, a sensor has components.
 
     With `per_component`, a value is drawn anew for each of these components.
     """
@@ -98,7 +108,9 @@ class Definition:
 class Namespace:
     """All definitions of one scenario."""
 
-    def __init__(self, values: ValueReader, document: Document, scenario: Scenario, sent: frozenset[str] = frozenset()) -> None:
+    def __init__(
+        self, values: ValueReader, document: Document, scenario: Scenario, sent: frozenset[str] = frozenset()
+    ) -> None:
         self.values = values
         self.document = document
         self.scenario = scenario
@@ -133,17 +145,24 @@ class Namespace:
     def scope(self, context: Context, own: Mapping[str, Symbol] | None = None) -> ParameterScope:
         return ParameterScope(self, context, own or {})
 
-    def typed(self, text: SourceText, what: str | None = None, **context: Unpack[FieldContext]) -> Typed | None:
+    def typed(
+        self, text: SourceText, what: str | None = None, **context: Unpack[FieldContext]
+    ) -> Typed | None:
         """The tree of a quantity; None after a finding, which calls the field `what`."""
         return self.values.quantity(text, what or f"`{text.path[-1]}`", *self._expected_type(text, context))
 
-    def expression(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> Expression | None:
-        """A field that is computed anew in an episode or in a step; None where none is given, and after a finding."""
+    def expression(
+        self, section: Section, *steps: str | int, **context: Unpack[FieldContext]
+    ) -> Expression | None:
+        """A field that is computed anew in an episode or in a step; None where none is given, and after a
+        finding."""
         text = self._text_of(section, steps)
         typed = self.typed(text, **context) if text else None
         return text.expression(typed) if text and typed else None
 
-    def numbers(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> tuple[float, ...] | None:
+    def numbers(
+        self, section: Section, *steps: str | int, **context: Unpack[FieldContext]
+    ) -> tuple[float, ...] | None:
         """The SI values of a fixed field; None where none is given, and after a finding.
 
         With a later `known` the language lets the field vary, and a finding says that this does not run yet.
@@ -156,7 +175,10 @@ class Namespace:
         typed = self.values.quantity(text, called, scope, dimension, components, known)
         if typed is not None and typed.type.known is not Known.FIXED:
             self.values.add(
-                "DB108", text.span, f"{called} must be fixed: random and changing values are not supported here yet", "write a fixed number"
+                "DB108",
+                text.span,
+                f"{called} must be fixed: random and changing values are not supported here yet",
+                "write a fixed number",
             )
             return None
         return self._si_values(typed, text, len(components or ("",))) if typed else None
@@ -168,34 +190,44 @@ class Namespace:
 
     def fixed(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> float | None:
         """The SI value of a fixed field that is a single number; None as in `numbers`."""
-        found = self.numbers(section, *steps, **context)
-        return found[0] if found else None
+        numbers = self.numbers(section, *steps, **context)
+        return numbers[0] if numbers else None
 
     def pair(self, section: Section, *steps: str | int) -> tuple[float, float] | None:
         """The two SI values of a fixed field in the plane; None as in `numbers`."""
-        found = self.numbers(section, *steps)
-        return (found[0], found[1]) if found else None
+        numbers = self.numbers(section, *steps)
+        return (numbers[0], numbers[1]) if numbers else None
 
-    def triple(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> tuple[float, float, float] | None:
+    def triple(
+        self, section: Section, *steps: str | int, **context: Unpack[FieldContext]
+    ) -> tuple[float, float, float] | None:
         """The three SI values of a fixed field in space; None as in `numbers`."""
-        found = self.numbers(section, *steps, **context)
-        return (found[0], found[1], found[2]) if found else None
+        numbers = self.numbers(section, *steps, **context)
+        return (numbers[0], numbers[1], numbers[2]) if numbers else None
 
     def scalar_or_randomized(
-        self, section: Section, key: str, what: Randomizable, of: Owner, default: Default, **context: Unpack[FieldContext]
+        self,
+        section: Section,
+        key: str,
+        what: Randomizable,
+        of: Owner,
+        default: Default,
+        **context: Unpack[FieldContext],
     ) -> float | Default:
-        """The SI value of a field that an episode may draw; `default` where none is given, and after a finding.
+        """The SI value of a field that an episode may draw; `default` where none is given, and after a
+        finding.
 
-        A drawn value becomes a randomized parameter, and the middle of its interval is returned. With `per_component`
-        it is drawn anew for each component.
+        A drawn value becomes a randomized parameter, and the middle of its interval is returned. With
+        `per_component` it is drawn anew for each component.
         """
-        found = self.vector_or_randomized(section, key, what, of, **context)
-        return found[0] if found else default
+        values = self.vector_or_randomized(section, key, what, of, **context)
+        return values[0] if values else default
 
     def vector_or_randomized(
         self, section: Section, key: str, what: Randomizable, of: Owner, **context: Unpack[FieldContext]
     ) -> tuple[float, ...] | None:
-        """The SI values of a vector that an episode may draw; None where none is given, and after a finding."""
+        """The SI values of a vector that an episode may draw; None where none is given, and after a
+        finding."""
         text = self._text_of(section, (key,))
         if text is None:
             return None
@@ -229,33 +261,54 @@ class Namespace:
         return False
 
     def ends(
-        self, section: Section, *steps: str | int, what: str | None = None, falling: bool = False, **context: Unpack[FieldContext]
+        self,
+        section: Section,
+        *steps: str | int,
+        what: str | None = None,
+        falling: bool = False,
+        **context: Unpack[FieldContext],
     ) -> RangeEnds | None:
         """The ends of a fixed range, in any order where it may be `falling`; None after a finding."""
         text = self.values.field(section, *steps)
-        dimension = context.get("dimension") or (measure_dimension(text.kind.dimension) if isinstance(text.kind, Range) else None)
+        dimension = context.get("dimension") or (
+            measure_dimension(text.kind.dimension) if isinstance(text.kind, Range) else None
+        )
         scope, components = context.get("scope") or self.scope(Context.FIXED), context.get("components")
-        return self.values.ends(text, what or f"`{text.path[-1]}`", scope, dimension=dimension, components=components, falling=falling)
+        return self.values.ends(
+            text,
+            what or f"`{text.path[-1]}`",
+            scope,
+            dimension=dimension,
+            components=components,
+            falling=falling,
+        )
 
     def parameters(
         self, spec: Section, wanted: Iterable[tuple[str, FieldType]], own: Dimension, *, slides: bool = False
     ) -> tuple[tuple[str, Parameter], ...] | None:
         """The `wanted` fields of a sensor or actuator in SI units; None after a finding.
 
-        `own` is the dimension of its readings or commands. Of a measure such as `torque or force`, joints that slide have the second.
+        `own` is the dimension of its readings or commands. Of a measure such as `torque or force`, joints
+        that slide have the second.
         """
         read: dict[str, Parameter] = {}
         for key, kind in wanted:
-            found = len(self.values.findings)
-            read[key] = None if getattr(spec, key) is None else self._parameter(spec, key, kind, own, slides=slides)
-            if read[key] is None and len(self.values.findings) > found:
+            findings_before = len(self.values.findings)
+            read[key] = (
+                None if getattr(spec, key) is None else self._parameter(spec, key, kind, own, slides=slides)
+            )
+            if read[key] is None and len(self.values.findings) > findings_before:
                 return None
         return tuple(read.items())
 
-    def _parameter(self, spec: Section, key: str, kind: FieldType, own: Dimension, *, slides: bool) -> Parameter:
-        given = getattr(spec, key)
-        if not isinstance(kind, (Quantity, Range, Column)) or (isinstance(kind, Quantity) and given in kind.words):
-            return given if isinstance(given, (bool, int, float)) else str(given)
+    def _parameter(
+        self, spec: Section, key: str, kind: FieldType, own: Dimension, *, slides: bool
+    ) -> Parameter:
+        written = getattr(spec, key)
+        if not isinstance(kind, (Quantity, Range, Column)) or (
+            isinstance(kind, Quantity) and written in kind.words
+        ):
+            return written if isinstance(written, (bool, int, float)) else str(written)
         dimension = dimension_of(kind.dimension, own, second=slides)
         if isinstance(kind, Range):
             ends = self.ends(spec, key, dimension=dimension)
@@ -264,10 +317,15 @@ class Namespace:
         typed = self.typed(text, dimension=dimension, known=Known.FIXED)
         numbers = self.values.fixed(typed, text, f"`{key}`") if typed else None
         is_vector = isinstance(kind, Column) or kind.components
-        return None if numbers is None else tuple(map(float, numbers)) if is_vector else float(numbers[0])
+        if numbers is None:
+            return None
+        if is_vector:
+            return tuple(map(float, numbers))
+        return float(numbers[0])
 
     def noise(self, section: Section, of: Typed) -> Noise | None:
-        """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or relative to it with `%`.
+        """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or
+        relative to it with `%`.
 
         None where none is given, for a standard deviation of 0, and after a finding.
         """
@@ -284,21 +342,25 @@ class Namespace:
             return None
         relative = std.type.dimension == NUMBER and (of.type.dimension != NUMBER or "%" in text.text)
         if not relative:
-            std = expect_value(std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components)
+            std = expect_value(
+                std, self.values.report(text), "the noise", dimension=of.type.dimension, components=components
+            )
         return Noise(text.expression(std, per_component=components), relative) if std else None
 
     def color(self, section: Section, of: OfLink | None = None) -> Color | None:
         """The `color` of a section, None where none is given.
 
-        Of several to draw from it is the first, and the draw becomes a randomized parameter of a body and link, `of`; without
-        them, a draw is a finding.
+        Of several to draw from it is the first, and the draw becomes a randomized parameter of a body and
+        link, `of`; without them, a draw is a finding.
         """
-        given = getattr(section, "color", None)
-        if given is None:
+        color = getattr(section, "color", None)
+        if color is None:
             return None
-        text, options = self.values.field(section, "color"), [_rgba(word) for word in color_options(given)]
+        text, options = self.values.field(section, "color"), [_rgba(word) for word in color_options(color)]
         if of is not None:
-            self.colors[:] = [each for each in self.colors if each.of != of]  # as for a link that two patterns mean
+            self.colors[:] = [
+                each for each in self.colors if each.of != of
+            ]  # as for a link that two patterns mean
         if len(options) > 1 and of is None:
             help = "write one color for all episodes"
             self.values.add("DB407", text.span, "this color must be fixed, but the value is random", help)
@@ -314,19 +376,28 @@ class Namespace:
     def _text_of(self, section: Section, steps: tuple[str | int, ...]) -> SourceText | None:
         return None if getattr(section, str(steps[0])) is None else self.values.field(section, *steps)
 
-    def _expected_type(self, text: SourceText, context: FieldContext) -> tuple[Scope, Dimension | None, Components | None, Known]:
+    def _expected_type(
+        self, text: SourceText, context: FieldContext
+    ) -> tuple[Scope, Dimension | None, Components | None, Known]:
         kind = text.kind
         assert isinstance(kind, (Quantity, Column))  # of nothing else numbers are asked for
         axes, own = (kind.axes, kind.known) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
         known = context.get("known", Known[own.upper()])
         scope = context.get("scope") or self.scope(Context.FIELD if known else Context.FIXED)
-        return scope, context.get("dimension") or measure_dimension(kind.dimension), context.get("components") or axes, known
+        return (
+            scope,
+            context.get("dimension") or measure_dimension(kind.dimension),
+            context.get("components") or axes,
+            known,
+        )
 
     def is_randomized(self, what: Randomizable, of: Owner) -> bool:
         """Whether an episode draws this value."""
         return any((variation.what, variation.of) == (what, of) for variation in self.variations)
 
-    def define(self, name: str, origin: Origin, path: NodePath, make: Callable[[], Symbol] | None = None) -> None:
+    def define(
+        self, name: str, origin: Origin, path: NodePath, make: Callable[[], Symbol] | None = None
+    ) -> None:
         """Add a name; a second definition is a finding, and the first one stays."""
         first = self.definitions.get(name)
         if first is None:
@@ -345,7 +416,8 @@ class Namespace:
             self.definitions[name].uses += 1
 
     def resolve(self, name: str) -> Symbol | None:
-        """Type a name if it is not typed yet; None where there is no such value. This does not count as a use."""
+        """Type a name if it is not typed yet; None where there is no such value. This does not count as a
+        use."""
         definition = self.definitions.get(name)
         if definition is None or definition.make_symbol is None:
             return None
@@ -354,14 +426,14 @@ class Namespace:
         elif definition.symbol is None:
             self._being_resolved.append(definition)
             try:
-                made = definition.make_symbol()
+                symbol = definition.make_symbol()
             except RecursionError:
                 if self._being_resolved[0] is not definition:
                     raise
                 self._report_too_deep(definition)
             else:
                 self._being_resolved.pop()
-                definition.symbol = definition.symbol or made
+                definition.symbol = definition.symbol or symbol
                 self.order.append(name)
         return definition.symbol
 
@@ -369,15 +441,24 @@ class Namespace:
         cycle = self._being_resolved[self._being_resolved.index(definition) :]
         way = " -> ".join(entry.name for entry in (*cycle[:_MAX_NAMES_IN_CYCLE], definition))
         again = definition.origin in (Origin.AUGMENT, Origin.SIGNAL)
-        help = "define one of these values without the others" + (", or use `previous(...)`, the value of the step before" if again else "")
+        help = "define one of these values without the others" + (
+            ", or use `previous(...)`, the value of the step before" if again else ""
+        )
         headline = f"`{definition.name}` depends on itself"
-        self.values.add_at_key("DB207", definition.path, headline, help, notes=(f"the cycle is {way}",) if len(cycle) > 1 else ())
+        self.values.add_at_key(
+            "DB207", definition.path, headline, help, notes=(f"the cycle is {way}",) if len(cycle) > 1 else ()
+        )
         definition.symbol = Symbol(definition.name, None)
 
     def _report_too_deep(self, definition: Definition) -> None:
         """More names build on each other than can be followed: none of them is looked at again."""
-        headline = f"`{definition.name}` depends on a chain of more than {len(self._being_resolved) // 2} definitions"
-        self.values.add_at_key("DB005", definition.path, headline, "replace some names in the chain by their expressions")
+        headline = (
+            f"`{definition.name}` depends on a chain of more than {len(self._being_resolved) // 2}"
+            " definitions"
+        )
+        self.values.add_at_key(
+            "DB005", definition.path, headline, "replace some names in the chain by their expressions"
+        )
         for entry in self._being_resolved:
             entry.symbol = entry.symbol or Symbol(entry.name, None)
         self._being_resolved.clear()
@@ -407,7 +488,11 @@ class Namespace:
         head, _, rest = name.partition(".")
         definition, robot = self.definitions.get(head), self.robots.get(head)
         if robot is not None:
-            return robot.subject(rest, kinds) if rest else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
+            return (
+                robot.subject(rest, kinds)
+                if rest
+                else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
+            )
         if head in self.groups and not rest:
             return Subject(head, Kind.OBJECTS, self.groups[head].copies)
         if head in self.walls and not rest:
@@ -415,7 +500,12 @@ class Namespace:
             return Subject(head, Kind.WALLS if len(pieces) > 1 else Kind.WALL, link=pieces[0], pieces=pieces)
         if definition is not None and definition.origin in _KIND_OF and not rest:
             length = self.lengths.get(head)
-            return Subject(head, _KIND_OF[definition.origin], link=head, interval=EVERYTHING if length is None else single(length))
+            return Subject(
+                head,
+                _KIND_OF[definition.origin],
+                link=head,
+                interval=EVERYTHING if length is None else single(length),
+            )
         return None
 
     def subjects(self) -> Iterable[str]:
@@ -430,7 +520,11 @@ class Namespace:
     def is_invalid(self, name: str) -> bool:
         """Whether the definition of `name` had a finding, or that of the robot it belongs to."""
         head = name.partition(".")[0]
-        return self.values.is_invalid(name) or self.values.is_invalid(ANY_NAME) or (head in self.robots and self.robots[head] is None)
+        return (
+            self.values.is_invalid(name)
+            or self.values.is_invalid(ANY_NAME)
+            or (head in self.robots and self.robots[head] is None)
+        )
 
 
 class NamespaceReader:
@@ -479,7 +573,8 @@ class _Scope:
 
 @dataclass(frozen=True)
 class ParameterScope(_Scope):
-    """Parameters only: for values of the world, resets, ranges. `own` are names of the place itself, such as poses."""
+    """Parameters only: for values of the world, resets, ranges. `own` are names of the place itself, such as
+    poses."""
 
     own: Mapping[str, Symbol] = field(default_factory=dict)
 
@@ -491,9 +586,17 @@ class ParameterScope(_Scope):
             return self.namespace.symbol(name)
         if self.context is Context.REQUIRE and origin in (Origin.AUGMENT, Origin.SIGNAL):
             return Symbol(
-                name, None, refusal=f"{origin.value} has no value before the episode begins; write the expression of `{name}` here"
+                name,
+                None,
+                refusal=f"{origin.value} has no value before the episode begins; write the expression of"
+                f" `{name}` here",
             )
-        return Symbol(name, None, refusal=f"only parameters can be used here; `{name}` is {origin.value}, and changes in every step")
+        return Symbol(
+            name,
+            None,
+            refusal=f"only parameters can be used here; `{name}` is {origin.value}, and changes in every"
+            " step",
+        )
 
     def names(self) -> Iterable[str]:
         return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]
@@ -509,25 +612,51 @@ class SupervisorScope(_Scope):
         origin = self.namespace.origin(name)
         if origin is Origin.ENDING and self.context not in AFTER_SIGNALS:
             return Symbol(
-                name, None, refusal=f"endings have a value only in rewards, endings and tests; {self._instead(f'condition of `{name}`')}"
+                name,
+                None,
+                refusal="endings have a value only in rewards, endings and tests;"
+                f" {self._instead(f'condition of `{name}`')}",
             )
         if origin is Origin.GOAL and self.context not in AFTER_SIGNALS:
-            return Symbol(name, None, refusal=f"{GOAL_REACHED_MESSAGE}; {self._instead(f'expression of `goal.{name}`')}")
+            return Symbol(
+                name, None, refusal=f"{GOAL_REACHED_MESSAGE}; {self._instead(f'expression of `goal.{name}`')}"
+            )
         robot, _, rest = name.partition(".")
         resolved = self.namespace.robots.get(robot)
-        if origin is None and resolved is not None and rest in resolved.spec.sensors and not self.namespace.is_invalid(name):
+        if (
+            origin is None
+            and resolved is not None
+            and rest in resolved.spec.sensors
+            and not self.namespace.is_invalid(name)
+        ):
             return Symbol(name, None, refusal=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
-        if origin is Origin.FIELD and self.context is Context.TEST and resolved is not None and resolved.spec.emit is None:
-            known = [sensor for sensor in resolved.spec.sensors if sensor == rest or self.namespace.is_sent(f"{robot}.{sensor}")]
+        if (
+            origin is Origin.FIELD
+            and self.context is Context.TEST
+            and resolved is not None
+            and resolved.spec.emit is None
+        ):
+            sensors = [
+                sensor
+                for sensor in resolved.spec.sensors
+                if sensor == rest or self.namespace.is_sent(f"{robot}.{sensor}")
+            ]
             if not self.namespace.is_sent(name):
-                listed = ", ".join(known)
-                return Symbol(name, None, refusal=f"only this test uses it, so `{robot}` does not send it; write `emit: [{listed}]`")
+                listed = ", ".join(sensors)
+                return Symbol(
+                    name,
+                    None,
+                    refusal=f"only this test uses it, so `{robot}` does not send it; write `emit:"
+                    f" [{listed}]`",
+                )
         return self.namespace.symbol(name)
 
     def _instead(self, text: str) -> str:
         """Where to write the text of a definition that has no value here."""
         named = self.context in (Context.OBSERVATION, Context.FORBID)  # which use values of `augment` by name
-        return f"write the {text} under `augment`, and use its name here" if named else f"write the {text} here"
+        return (
+            f"write the {text} under `augment`, and use its name here" if named else f"write the {text} here"
+        )
 
     def _built_in(self, name: str) -> Symbol | None:
         if name == "time":
@@ -539,21 +668,36 @@ class SupervisorScope(_Scope):
         if name in self.namespace.built_in:
             return self.namespace.built_in[name](self.context)
         if name in _END_FLAGS:
-            refused = None if self.context is Context.REWARD else "it is computed after the endings; use it only in rewards"
-            return Symbol(name, Type(boolean=True, known=Known.STEP) if refused is None else None, refusal=refused)
+            refused = (
+                None
+                if self.context is Context.REWARD
+                else "it is computed after the endings; use it only in rewards"
+            )
+            return Symbol(
+                name, Type(boolean=True, known=Known.STEP) if refused is None else None, refusal=refused
+            )
         if name == "goal_reached":
             return Symbol(
-                name, None, refusal=None if self.namespace.is_invalid("goal") else "define a `goal`, or use the name of an ending"
+                name,
+                None,
+                refusal=None
+                if self.namespace.is_invalid("goal")
+                else "define a `goal`, or use the name of an ending",
             )
         return None
 
     def names(self) -> Iterable[str]:
-        known = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
+        origins = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
         endings = [Origin.ENDING] if self.context in AFTER_SIGNALS else []
-        found = self.namespace.names_of(*known, *endings)
+        names = self.namespace.names_of(*origins, *endings)
         if self.context is Context.OBSERVATION:
-            found = [name for name in found if self.namespace.origin(name) not in HIDDEN_ORIGINS or name in self.namespace.scenario.augment]
-        return [*found, "time", "step", *_PAST_REWARDS, *self.namespace.built_in]
+            names = [
+                name
+                for name in names
+                if self.namespace.origin(name) not in HIDDEN_ORIGINS
+                or name in self.namespace.scenario.augment
+            ]
+        return [*names, "time", "step", *_PAST_REWARDS, *self.namespace.built_in]
 
 
 @dataclass(frozen=True)
@@ -575,18 +719,30 @@ class RobotScope(_Scope):
             if symbol is None or symbol.type is None or symbol.type.known is Known.FIXED:
                 return symbol
             if not arrives:
-                return Symbol(name, None, refusal=f"the robot cannot read a random parameter; {self._instead(name)}")
+                return Symbol(
+                    name, None, refusal=f"the robot cannot read a random parameter; {self._instead(name)}"
+                )
         if arrives:
             return Symbol(
-                name, None, refusal="the supervisor already has this value: remove it here; to observe it, define it under `augment`"
+                name,
+                None,
+                refusal="the supervisor already has this value: remove it here; to observe it, define it"
+                " under `augment`",
             )
         if name in _BUILT_IN or origin in (Origin.AUGMENT, Origin.SIGNAL, Origin.ENDING, Origin.FIELD):
-            known = "its sensors" if self.context is Context.EMIT else "its sensors and the values that it receives"
-            return Symbol(name, None, refusal=f"robot `{self.robot}` knows only {known}; {self._instead(name)}")
+            readable = (
+                "its sensors"
+                if self.context is Context.EMIT
+                else "its sensors and the values that it receives"
+            )
+            return Symbol(
+                name, None, refusal=f"robot `{self.robot}` knows only {readable}; {self._instead(name)}"
+            )
         return self.namespace.symbol(name)
 
     def _instead(self, name: str) -> str:
-        """Where to define a value that only the supervisor knows; a robot cannot send back what it receives."""
+        """Where to define a value that only the supervisor knows; a robot cannot send back what it
+        receives."""
         if self.context is Context.EMIT:
             return "define the value under `augment` instead"
         return f"to send `{name}` to the robot, write `receive: {{{name}: {name}}}`"

@@ -1,4 +1,5 @@
-"""Where bodies stand at the start: placements, regions, layouts and maps, and whether there is room for them."""
+"""Where bodies stand at the start: placements, regions, layouts and maps, and whether there is room for
+them."""
 
 from __future__ import annotations
 
@@ -15,7 +16,16 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
 from deepbots_cli.expressions.intervals import TURN, single
 from deepbots_cli.expressions.lower import constant_values
-from deepbots_cli.expressions.types import PLANE, SPACE, ComponentSelection, Constant, Context, Invocation, Known, Type
+from deepbots_cli.expressions.types import (
+    PLANE,
+    SPACE,
+    ComponentSelection,
+    Constant,
+    Context,
+    Invocation,
+    Known,
+    Type,
+)
 from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Layout, ObjectGroup, Placement, Region, Top
 from deepbots_cli.program.values import Expression
@@ -32,7 +42,9 @@ _MAX_AREA_RATIO = 16.0
 
 def has_top(thing: ObjectBody) -> bool:
     """Whether other bodies can stand on an object: a single one with a level top that is solid."""
-    return thing.solid and not thing.pooled and not thing.variants and isinstance(thing.shape, (Box, Cylinder))
+    return (
+        thing.solid and not thing.pooled and not thing.variants and isinstance(thing.shape, (Box, Cylinder))
+    )
 
 
 class PlacementChecker(NamespaceReader):
@@ -43,7 +55,8 @@ class PlacementChecker(NamespaceReader):
         self._world = world
 
     def check_region(self, place: Placement, region: Region, path: NodePath) -> None:
-        """DB105 where the region is too small or beyond the walls: for one body with its clearance, the grid, all copies together."""
+        """DB105 where the region is too small or beyond the walls: for one body with its clearance, the grid,
+        all copies together."""
         kinds = self._footprints(place)
         if not kinds:
             return
@@ -59,19 +72,40 @@ class PlacementChecker(NamespaceReader):
             headline = f"`{place.body}` needs {size}, but the arena is only {min(arena.size):.3g} m wide"
             self._values.add("DB105", span, headline, "use a larger arena, or less clearance")
         elif arena is not None and any(
-            region.low[axis] > arena.size[axis] / 2 - needed / 2 or region.high[axis] < needed / 2 - arena.size[axis] / 2 for axis in (0, 1)
+            region.low[axis] > arena.size[axis] / 2 - needed / 2
+            or region.high[axis] < needed / 2 - arena.size[axis] / 2
+            for axis in (0, 1)
         ):
-            headline = f"`{place.body}` fits nowhere in the region: the region is outside the arena, or too close to its walls"
-            self._values.add("DB105", span, headline, "move the region into the arena, whose center is the origin")
-        elif region.mesh and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies:
-            headline = f"the grid has {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
-            self._values.add_at_key("DB105", (*path, "grid"), headline, "use a larger region, or a smaller `grid`")
-        elif arena is not None and copies * (area := min(kind.area for kind in kinds)) > arena.size[0] * arena.size[1]:
-            headline = f"{copies} copies that need {area:.3g} m^2 each do not fit into an arena of {arena.size[0] * arena.size[1]:.3g} m^2"
+            headline = (
+                f"`{place.body}` fits nowhere in the region: the region is outside the arena, or too"
+                " close to its walls"
+            )
+            self._values.add(
+                "DB105", span, headline, "move the region into the arena, whose center is the origin"
+            )
+        elif (
+            region.mesh
+            and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies
+        ):
+            headline = (
+                f"the grid has {cells} cells for {'one body' if copies == 1 else f'up to {copies} copies'}"
+            )
+            self._values.add_at_key(
+                "DB105", (*path, "grid"), headline, "use a larger region, or a smaller `grid`"
+            )
+        elif (
+            arena is not None
+            and copies * (area := min(kind.area for kind in kinds)) > arena.size[0] * arena.size[1]
+        ):
+            headline = (
+                f"{copies} copies that need {area:.3g} m^2 each do not fit into an arena of"
+                f" {arena.size[0] * arena.size[1]:.3g} m^2"
+            )
             self._values.add("DB105", span, headline, "use a larger arena, or fewer copies")
 
     def check_surroundings(self, common: Sequence[Placement], layouts: Sequence[Layout]) -> None:
-        """What stands around leaves no room in any layout: the top that a body shall stand on, or a body that covers its region."""
+        """What stands around leaves no room in any layout: the top that a body shall stand on, or a body that
+        covers its region."""
         for layout in layouts or (Layout("", 1.0, ()),):
             standing = {place.body: place for place in (*common, *layout.placements)}
             for place in standing.values():
@@ -82,8 +116,11 @@ class PlacementChecker(NamespaceReader):
                     case Region() as region:
                         self._check_covered(place, region, standing, path)
 
-    def _check_top(self, place: Placement, spot: Top, standing: Mapping[str, Placement], path: NodePath) -> None:
-        """DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one that is too small or elsewhere."""
+    def _check_top(
+        self, place: Placement, spot: Top, standing: Mapping[str, Placement], path: NodePath
+    ) -> None:
+        """DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one that is
+        too small or elsewhere."""
         span = self._values.span((*path, "on"))
         support, stack = standing[spot.of], [place.body]
         below: Placement | None = support
@@ -98,10 +135,17 @@ class PlacementChecker(NamespaceReader):
             self._values.add("DB207", span, f"`{place.body}` is placed on itself", help, notes=notes)
             return
         if any(_coordinate(support, turn) != 0.0 for turn in ("roll", "pitch")):
-            self._values.add("DB203", span, f"the top of `{spot.of}` is not level", f"remove `roll` and `pitch` of `{spot.of}`")
+            self._values.add(
+                "DB203",
+                span,
+                f"the top of `{spot.of}` is not level",
+                f"remove `roll` and `pitch` of `{spot.of}`",
+            )
             return
         kinds = self._footprints(place)
-        top = footprint.shape_footprint(next(thing.shape for thing in self._world.objects if thing.name == spot.of))
+        top = footprint.shape_footprint(
+            next(thing.shape for thing in self._world.objects if thing.name == spot.of)
+        )
         margin = 0.0 if self._is_fixed(place) else place.clearance
         turns = None if _is_tilted(place) else _turn_between(place, support)
         copies = self.copies(place)
@@ -117,18 +161,37 @@ class PlacementChecker(NamespaceReader):
             help = ", or ".join(filter(None, (", ".join(ways[:-1]), ways[-1])))
             if min(kind.area for kind in kinds) > _MAX_AREA_RATIO * top.area:
                 help = f"check the unit of the size of `{place.body}`"
-            self._values.add("DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help)
-        elif kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area:
-            headline = f"{copies} copies that need {area:.3g} m^2 each do not fit on the {top.area:.3g} m^2 of `{spot.of}`"
+            self._values.add(
+                "DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help
+            )
+        elif (
+            kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area
+        ):
+            headline = (
+                f"{copies} copies that need {area:.3g} m^2 each do not fit on the {top.area:.3g} m^2"
+                f" of `{spot.of}`"
+            )
             self._values.add("DB105", span, headline, f"make `{spot.of}` larger, or place fewer copies")
-        elif spot.region is not None and (patch := _patch(support, top)) is not None and _misses(spot.region, patch):
+        elif (
+            spot.region is not None
+            and (patch := _patch(support, top)) is not None
+            and _misses(spot.region, patch)
+        ):
             reach_x, reach_y = patch.half_extents
-            sides = f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .. {patch.y + reach_y:g} m"
+            sides = (
+                f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .."
+                f" {patch.y + reach_y:g} m"
+            )
             help = f"leave out `region` to use the whole top, which covers {sides}"
-            self._values.add_at_key("DB105", (*path, "region"), f"the region lies outside the top of `{spot.of}`", help)
+            self._values.add_at_key(
+                "DB105", (*path, "region"), f"the region lies outside the top of `{spot.of}`", help
+            )
 
-    def _check_covered(self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath) -> None:
-        """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it is ever free.
+    def _check_covered(
+        self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath
+    ) -> None:
+        """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it
+        is ever free.
 
         The distance from a convex patch is greatest at a corner of the region: it is enough to look there.
         """
@@ -145,18 +208,31 @@ class PlacementChecker(NamespaceReader):
             needed = inner + max(place.clearance, other.clearance if other else 0.0)
             if patch is not None and all(patch.distance(*corner) < needed - 1e-6 for corner in corners):
                 headline = f"the region has no free position for `{place.body}`: `{thing.name}` covers it"
-                onto = f"write `on: {thing.name}` to put it on the top of `{thing.name}`, or " if has_top(thing) and other else ""
-                self._values.add_at_key("DB105", (*path, "region"), headline, f"{onto}move the region away from `{thing.name}`")
+                onto = (
+                    f"write `on: {thing.name}` to put it on the top of `{thing.name}`, or "
+                    if has_top(thing) and other
+                    else ""
+                )
+                self._values.add_at_key(
+                    "DB105", (*path, "region"), headline, f"{onto}move the region away from `{thing.name}`"
+                )
                 return
 
     def copies(self, place: Placement) -> int:
         """How many copies are placed at most."""
         group = self._namespace.groups.get(place.body)
-        return 1 if group is None else min(group.capacity, group.capacity if place.at_most is None else place.at_most)
+        return (
+            1
+            if group is None
+            else min(group.capacity, group.capacity if place.at_most is None else place.at_most)
+        )
 
     def _is_fixed(self, place: Placement) -> bool:
         group = self._namespace.groups.get(place.body)
-        return any(thing.name in (place.body, *(group.copies if group else ())) and thing.fixed for thing in self._world.objects)
+        return any(
+            thing.name in (place.body, *(group.copies if group else ())) and thing.fixed
+            for thing in self._world.objects
+        )
 
     def _footprints(self, place: Placement) -> list[Footprint]:
         """The footprint of each form that a body may take; a mesh has none."""
@@ -168,12 +244,17 @@ class PlacementChecker(NamespaceReader):
         for thing in self._world.objects:
             if thing.name == first:
                 shapes = [variant.shape for variant in thing.variants] or [thing.shape]
-                return [] if any(isinstance(shape, Mesh) for shape in shapes) else [footprint.shape_footprint(shape) for shape in shapes]
+                return (
+                    []
+                    if any(isinstance(shape, Mesh) for shape in shapes)
+                    else [footprint.shape_footprint(shape) for shape in shapes]
+                )
         return []
 
 
 def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
-    """The patch of an object that rises above level ground; None if it does not, or if its place is not fixed."""
+    """The patch of an object that rises above level ground; None if it does not, or if its place is not
+    fixed."""
     low, high = footprint.bounds_of_shape(thing.shape)
     if place is None:  # a piece of a wall
         (x, y, z), rpy = thing.pose.xyz, thing.pose.rpy
@@ -188,7 +269,11 @@ def _patch(place: Placement, covered: Footprint) -> Patch | None:
     """The patch of a body that stands upright at fixed coordinates; None if they are drawn."""
     x, y, yaw = (_coordinate(place, key) for key in ("x", "y", "yaw"))
     yaw = 0.0 if covered.half is None else yaw
-    return None if place.spot is not None or x is None or y is None or yaw is None else covered.at(x, y, yaw + place.heading)
+    return (
+        None
+        if place.spot is not None or x is None or y is None or yaw is None
+        else covered.at(x, y, yaw + place.heading)
+    )
 
 
 def _coordinate(place: Placement, key: str) -> float | None:
@@ -196,8 +281,8 @@ def _coordinate(place: Placement, key: str) -> float | None:
     coordinate = place.coordinates.get(key)
     if coordinate is None:
         return 0.0
-    found = constant_values(coordinate.typed)
-    return None if found is None else float(found[0])
+    constants = constant_values(coordinate.typed)
+    return None if constants is None else float(constants[0])
 
 
 def _is_tilted(place: Placement) -> bool:
@@ -221,12 +306,17 @@ def _fits(top: Footprint, kind: Footprint, turn: float | None, margin: float) ->
 def _misses(region: Region, patch: Patch) -> bool:
     reach = patch.half_extents
     return any(
-        region.low[axis] > middle + reach[axis] or region.high[axis] < middle - reach[axis] for axis, middle in ((0, patch.x), (1, patch.y))
+        region.low[axis] > middle + reach[axis] or region.high[axis] < middle - reach[axis]
+        for axis, middle in ((0, patch.x), (1, patch.y))
     )
 
 
 def _size(covered: Footprint) -> str:
-    return f"{2 * covered.half[0]:.3g} by {2 * covered.half[1]:.3g} m" if covered.half else f"{2 * covered.radius:.3g} m across"
+    return (
+        f"{2 * covered.half[0]:.3g} by {2 * covered.half[1]:.3g} m"
+        if covered.half
+        else f"{2 * covered.radius:.3g} m across"
+    )
 
 
 _ROTATION_KEYS = ("roll", "pitch", "yaw")
@@ -237,7 +327,15 @@ def _fixed(value: float, dimension: Dimension) -> Constant:
     return Constant(Type(dimension, interval=single(value)), 0, 0, (value,))
 
 
-_ANY_ANGLE = Invocation(Type(ANGLE, interval=TURN, known=Known.EPISODE), 0, 0, "uniform", (), (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)), 0)
+_ANY_ANGLE = Invocation(
+    Type(ANGLE, interval=TURN, known=Known.EPISODE),
+    0,
+    0,
+    "uniform",
+    (),
+    (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)),
+    0,
+)
 """`any`: a turn drawn from the whole circle."""
 
 
@@ -251,15 +349,18 @@ class Places(NamespaceReader):
         self._scope = namespace.scope(Context.RESET)
 
     def placements(self, spec: Mapping[str, Pose], path: NodePath, *, used: bool = True) -> list[Placement]:
-        """Those of one layout, or of `reset.place`; whether there is room is asked of layouts that are used."""
-        found = []
+        """Those of one layout, or of `reset.place`; whether there is room is asked of layouts that are
+        used."""
+        placements = []
         for body, pose in spec.items():
             if self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
-                found.append(self.placement(body, pose, used=used))
+                placements.append(self.placement(body, pose, used=used))
             else:
-                known = self._namespace.names_of(Origin.ROBOT, Origin.OBJECT)
-                self._values.report_unknown(self._values.key_span((*path, body)), "robot or object", body, known)
-        return found
+                bodies = self._namespace.names_of(Origin.ROBOT, Origin.OBJECT)
+                self._values.report_unknown(
+                    self._values.key_span((*path, body)), "robot or object", body, bodies
+                )
+        return placements
 
     def at_own_pose(self, body: str) -> Placement:
         """At the body's own `pose`."""
@@ -296,25 +397,31 @@ class Places(NamespaceReader):
         return self.resting_placement(place)
 
     def coordinates(self, pose: Pose) -> dict[str, Expression]:
-        """The coordinates x, y, z, roll, pitch and yaw of a pose, given singly or as components of `xyz` or `rpy`."""
-        found: dict[str, Expression | None] = {}
+        """The coordinates x, y, z, roll, pitch and yaw of a pose, given singly or as components of `xyz` or
+        `rpy`."""
+        coordinates: dict[str, Expression | None] = {}
         for whole, parts in (("xyz", SPACE), ("rpy", _ROTATION_KEYS)):
             for part in parts:
                 if getattr(pose, part) == "any":
-                    found[part] = self._values.field(pose, part).expression(_ANY_ANGLE)
+                    coordinates[part] = self._values.field(pose, part).expression(_ANY_ANGLE)
                 else:
-                    found[part] = self._namespace.expression(pose, part, scope=self._scope)
+                    coordinates[part] = self._namespace.expression(pose, part, scope=self._scope)
             vector = self._namespace.expression(pose, whole, scope=self._scope)
             if vector is not None:
                 typed = vector.typed
                 for index, part in enumerate(parts):
                     chosen = typed.type.selected((index,))
-                    tree = ComponentSelection(chosen, typed.start, typed.end, typed, (index,)) if typed.type.components else typed
-                    found[part] = replace(vector, name=part, typed=tree)
-        return {part: coordinate for part, coordinate in found.items() if coordinate is not None}
+                    tree = (
+                        ComponentSelection(chosen, typed.start, typed.end, typed, (index,))
+                        if typed.type.components
+                        else typed
+                    )
+                    coordinates[part] = replace(vector, name=part, typed=tree)
+        return {part: coordinate for part, coordinate in coordinates.items() if coordinate is not None}
 
     def resting_placement(self, place: Placement) -> Placement:
-        """The placement of a body that lies on the ground where no height is given; a robot with a fixed base is built in at 0."""
+        """The placement of a body that lies on the ground where no height is given; a robot with a fixed base
+        is built in at 0."""
         robot = self._spec.robots.get(place.body)
         is_built_in = robot is not None and robot.base == "fixed"
         shapes = {thing.name: thing.shape for thing in self._world.objects if not thing.pooled}
@@ -331,17 +438,33 @@ class Places(NamespaceReader):
             return place
         self._namespace.mark_used(line)
         first, second = stroke.pieces[0]
-        here = {axis: Expression(axis, span, line, _fixed(first[index], LENGTH), place.owner) for index, axis in enumerate(PLANE)}
-        return replace(place, coordinates={**place.coordinates, **here}, heading=atan2(second[1] - first[1], second[0] - first[0]))
+        here = {
+            axis: Expression(axis, span, line, _fixed(first[index], LENGTH), place.owner)
+            for index, axis in enumerate(PLANE)
+        }
+        return replace(
+            place,
+            coordinates={**place.coordinates, **here},
+            heading=atan2(second[1] - first[1], second[0] - first[0]),
+        )
 
     def _top(self, name: str, pose: PlacementSpec) -> Top | None:
         span = self._values.field(pose, "on").span
-        flat = [thing.name for thing in self._world.objects if has_top(thing) and self._namespace.origin(thing.name) is Origin.OBJECT]
+        flat = [
+            thing.name
+            for thing in self._world.objects
+            if has_top(thing) and self._namespace.origin(thing.name) is Origin.OBJECT
+        ]
         if self._namespace.origin(name) is None:
             self._values.report_unknown(span, "object", name, flat)
         elif name not in flat and not self._values.is_invalid(name):
             headline = f"`{name}` has no flat top to place a body on"
-            self._values.add("DB203", span, headline, f"use a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}")
+            self._values.add(
+                "DB203",
+                span,
+                headline,
+                f"use a single, solid box or cylinder{f', such as `{flat[0]}`' if flat else ''}",
+            )
         if name not in flat or (pose.region is not None and (region := self._region(pose)) is None):
             return None
         return Top(name, region if pose.region is not None else None, self._namespace.fixed(pose, "grid"))
@@ -358,7 +481,12 @@ class Places(NamespaceReader):
             self._values.report_unknown(span, "region", str(pose.region), ["arena"])
         elif self._spec.world.arena is None:
             if not self._values.is_invalid("world.arena"):
-                self._values.add("DB201", span, "the world has no arena", "write the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`")
+                self._values.add(
+                    "DB201",
+                    span,
+                    "the world has no arena",
+                    "write the region as `{x: -1 .. 1 m, y: -1 .. 1 m}`",
+                )
         elif arena is not None:
             half_x, half_y = arena.size[0] / 2, arena.size[1] / 2
             return Region((-half_x, -half_y), (half_x, half_y), mesh)
@@ -366,7 +494,11 @@ class Places(NamespaceReader):
 
     def _check_spots(self, spot: Region | Cells | Top | None, path: NodePath) -> None:
         if isinstance(spot, Top):
-            reach = next(footprint.shape_footprint(thing.shape).radius for thing in self._world.objects if thing.name == spot.of)
+            reach = next(
+                footprint.shape_footprint(thing.shape).radius
+                for thing in self._world.objects
+                if thing.name == spot.of
+            )
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
             headline = f"the region has {spot.spots:,.0f} cells; the limit is {MAX_SPOTS:,}"
@@ -382,17 +514,24 @@ class Places(NamespaceReader):
         for key, spec in (("at_most", place.at_most is not None), ("spacing", any(place.spacing))):
             if spec and not self._values.is_invalid(place.body):
                 headline = f"`{key}` applies only to groups, but `{place.body}` is a single body"
-                self._values.add_at_key("DB203", (*path, key), headline, f"remove it, or add a `count` to `{place.body}`")
+                self._values.add_at_key(
+                    "DB203", (*path, key), headline, f"remove it, or add a `count` to `{place.body}`"
+                )
 
     def _check_spread(self, place: Placement, copies: int, path: NodePath) -> None:
         """DB105 where up to so many `copies` stand at the same coordinates."""
         if any(self._values.is_present((*path, way)) for way in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
-        known = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
-        is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in known)
+        plane = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
+        is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in plane)
         if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
-            help = "draw the positions with `region`, place the copies in a row with `spacing`, or keep one copy with `at_most: 1`"
-            self._values.add_at_key("DB105", path, f"up to {copies} copies of `{place.body}` at one position", help)
+            help = (
+                "draw the positions with `region`, place the copies in a row with `spacing`, or keep one"
+                " copy with `at_most: 1`"
+            )
+            self._values.add_at_key(
+                "DB105", path, f"up to {copies} copies of `{place.body}` at one position", help
+            )
 
 
 def draws_owner(path: NodePath) -> str:
@@ -406,7 +545,8 @@ _MAX_CELLS = 250_000
 
 
 class Layouts(NamespaceReader):
-    """The layouts that episodes use. `walls` are the bodies that stand in cells of walls, absent in other layouts."""
+    """The layouts that episodes use. `walls` are the bodies that stand in cells of walls, absent in other
+    layouts."""
 
     def __init__(self, namespace: Namespace, places: Places, world: WorldModel) -> None:
         super().__init__(namespace)
@@ -417,17 +557,24 @@ class Layouts(NamespaceReader):
     def weighted_layouts(self) -> tuple[Layout, ...]:
         """Each layout with its share; all others are read for their findings alone."""
         spec, layouts = self._spec.reset.layout, self._spec.reset.layouts
-        shares = self._shares() if isinstance(spec, dict) else {spec: 1.0} if spec is not None else dict.fromkeys(list(layouts)[:1], 1.0)
+        if isinstance(spec, dict):
+            shares = self._shares()
+        elif spec is not None:
+            shares = {spec: 1.0}
+        else:
+            shares = dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
             one, other = list(layouts)[:2]
-            help = f"choose one with `layout: {one}`, or draw one with `layout: {{{one}: 50 %, {other}: 50 %}}`"
+            help = (
+                f"choose one with `layout: {one}`, or draw one with `layout: {{{one}: 50 %, {other}: 50 %}}`"
+            )
             self._values.add_at_key("DB102", ("reset", "layouts"), "missing key `layout`", help)
         for name in shares:
             if name not in layouts:
                 path: NodePath = ("reset", "layout", name) if isinstance(spec, dict) else ("reset", "layout")
                 span = self._values.key_span(path) if isinstance(spec, dict) else self._values.span(path)
                 self._values.report_unknown(span, "layout", name, list(layouts))
-        found = {
+        weights = {
             name: tuple(
                 self._map(name, layout, used=name in shares)
                 if isinstance(layout, MapLayout)
@@ -435,7 +582,7 @@ class Layouts(NamespaceReader):
             )
             for name, layout in layouts.items()
         }
-        return tuple(Layout(name, share, found[name]) for name, share in shares.items() if name in found)
+        return tuple(Layout(name, share, weights[name]) for name, share in shares.items() if name in weights)
 
     def _shares(self) -> dict[str, float]:
         spec = self._spec.reset.layout
@@ -450,7 +597,8 @@ class Layouts(NamespaceReader):
     # Maps
 
     def _map(self, name: str, layout: MapLayout, *, used: bool) -> list[Placement]:
-        """Each letter's body on the cells that bear it; the first row is the farthest along y, the middle is the origin."""
+        """Each letter's body on the cells that bear it; the first row is the farthest along y, the middle is
+        the origin."""
         cell, text = self._namespace.fixed(layout, "cell"), self._values.field(layout, "map")
         rows = _rows(text) if self._is_small(text) else []
         if cell is None or not rows or not self._is_even(rows):
@@ -461,47 +609,72 @@ class Layouts(NamespaceReader):
         for number, row in enumerate(rows):
             for column, (letter, span) in enumerate(row):
                 if letter in spots:
-                    spots[letter].append(((column - (len(row) - 1) / 2) * cell, ((len(rows) - 1) / 2 - number) * cell))
+                    spots[letter].append(
+                        ((column - (len(row) - 1) / 2) * cell, ((len(rows) - 1) / 2 - number) * cell)
+                    )
                 elif letter != _EMPTY_CELL and letter not in layout.legend:
                     self._values.report_unknown(span, "letter", letter, [_EMPTY_CELL, *layout.legend])
         bodies: dict[str, list[tuple[float, float]]] = {}
         for letter, body in legend.items():
             bodies.setdefault(body, []).extend(spots[letter])
-        return [self._standing(name, body, cell, tuple(found), layout.path, used=used) for body, found in bodies.items() if found]
+        return [
+            self._standing(name, body, cell, tuple(cells), layout.path, used=used)
+            for body, cells in bodies.items()
+            if cells
+        ]
 
     def _legend(self, layout: MapLayout) -> dict[str, str]:
         """The letters whose bodies are known."""
-        found = {}
+        legend = {}
         for letter, body in layout.legend.items():
             if body == _WALL_CELL or self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
-                found[letter] = body
+                legend[letter] = body
             else:
-                known = [*self._namespace.names_of(Origin.ROBOT, Origin.OBJECT), _WALL_CELL]
-                self._values.report_unknown(self._values.field(layout, "legend", letter).span, "robot or object", body, known)
-        return found
+                standing = [*self._namespace.names_of(Origin.ROBOT, Origin.OBJECT), _WALL_CELL]
+                self._values.report_unknown(
+                    self._values.field(layout, "legend", letter).span, "robot or object", body, standing
+                )
+        return legend
 
     def _is_small(self, text: SourceText) -> bool:
         if len(text.text.split()) <= _MAX_CELLS:
             return True
-        self._values.add("DB005", text.span, f"the map has more than {_MAX_CELLS:,} cells", "use larger cells")
+        self._values.add(
+            "DB005", text.span, f"the map has more than {_MAX_CELLS:,} cells", "use larger cells"
+        )
         return False
 
     def _is_even(self, rows: list[list[tuple[str, Span]]]) -> bool:
         for row in rows[1:]:
             if len(row) != len(rows[0]):
                 headline = f"this row has {len(row)} cells, but the first row has {len(rows[0])}"
-                self._values.add("DB106", row[0][1], headline, "separate cells by spaces, and write a dot for an empty cell")
+                self._values.add(
+                    "DB106",
+                    row[0][1],
+                    headline,
+                    "separate cells by spaces, and write a dot for an empty cell",
+                )
                 return False
         return True
 
     def _check_size(self, width: float, depth: float, path: NodePath) -> None:
         arena = self._world.arena
         if arena is not None and (width > arena.size[0] + 1e-9 or depth > arena.size[1] + 1e-9):
-            headline = f"the map is {width:g} by {depth:g} m, but the arena is only {arena.size[0]:g} by {arena.size[1]:g} m"
+            headline = (
+                f"the map is {width:g} by {depth:g} m, but the arena is only {arena.size[0]:g} by"
+                f" {arena.size[1]:g} m"
+            )
             self._values.add_at_key("DB105", path, headline, "use smaller cells, or a larger arena")
 
     def _standing(
-        self, layout: str, body: str, cell: float, spots: tuple[tuple[float, float], ...], path: NodePath, *, used: bool
+        self,
+        layout: str,
+        body: str,
+        cell: float,
+        spots: tuple[tuple[float, float], ...],
+        path: NodePath,
+        *,
+        used: bool,
     ) -> Placement:
         """The body on the spots of its letters, in the attitude of its own `pose`."""
         if body == _WALL_CELL and self._namespace.origin(_WALL_CELL) not in (Origin.ROBOT, Origin.OBJECT):
@@ -517,18 +690,32 @@ class Layouts(NamespaceReader):
         arena = self._world.arena
         height, color = (arena.wall_height, arena.color or WALL_COLOR) if arena else (0.1, WALL_COLOR)
         span = self._values.key_span(("reset", "layouts"))
-        bodies = len(self._world.robots) + sum(thing.bodies for thing in self._world.objects) + len(self.walls) + count
+        bodies = (
+            len(self._world.robots)
+            + sum(thing.bodies for thing in self._world.objects)
+            + len(self.walls)
+            + count
+        )
         if bodies > MAX_BODIES:
-            headline = f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}"
-            self._values.add("DB005", span, headline, "write long walls under `world.walls`, or use larger cells")
+            headline = (
+                f"the world has {bodies:,} bodies, including the walls of maps; the limit is {MAX_BODIES}"
+            )
+            self._values.add(
+                "DB005", span, headline, "write long walls under `world.walls`, or use larger cells"
+            )
             return
         group = ObjectGroup(name, count, Expression("count", span, "", _fixed(float(count), NUMBER), name))
         self._namespace.groups[name] = group
-        self.walls += [ObjectBody(copy, Box((cell, cell, height)), color=color, fixed=True, pooled=True) for copy in group.copies]
+        self.walls += [
+            ObjectBody(copy, Box((cell, cell, height)), color=color, fixed=True, pooled=True)
+            for copy in group.copies
+        ]
 
 
 def _rows(text: SourceText) -> list[list[tuple[str, Span]]]:
     """The cells of each row that is not empty, with their places in the file."""
-    rows = (re.compile(r"\S+").finditer(text.text, *line.span()) for line in re.finditer(r"[^\n]+", text.text))
-    found = ([(cell[0], text.part(*cell.span())) for cell in row] for row in rows)
-    return [row for row in found if row]
+    rows = (
+        re.compile(r"\S+").finditer(text.text, *line.span()) for line in re.finditer(r"[^\n]+", text.text)
+    )
+    cells = ([(cell[0], text.part(*cell.span())) for cell in row] for row in rows)
+    return [row for row in cells if row]

@@ -1,4 +1,5 @@
-"""The policy: what the agent decides and sees, its goal, hand-written policies, and copies of a robot under one policy."""
+"""The policy: what the agent decides and sees, its goal, hand-written policies, and copies of a robot under
+one policy."""
 
 from __future__ import annotations
 
@@ -26,7 +27,18 @@ from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant_values
-from deepbots_cli.expressions.types import Components, Context, Invocation, Known, Reference, Scope, Symbol, Type, Typed, children
+from deepbots_cli.expressions.types import (
+    Components,
+    Context,
+    Invocation,
+    Known,
+    Reference,
+    Scope,
+    Symbol,
+    Type,
+    Typed,
+    children,
+)
 from deepbots_cli.expressions.unification import ANY_SHAPE, expect_value
 from deepbots_cli.program.task import (
     MAX_CONDITIONS,
@@ -60,13 +72,19 @@ _UNSUPPORTED_WITH_COPIES: tuple[tuple[NodePath, str], ...] = (
 
 
 def copies(namespace: Namespace) -> RobotCopies | None:
-    """The copies that `agent.each` and the `count` of its robot ask for; None for a single robot, and after a finding."""
+    """The copies that `agent.each` and the `count` of its robot ask for; None for a single robot, and after a
+    finding."""
     spec = namespace.scenario
     name, values = spec.agent.each, namespace.values
-    for robot, given in spec.robots.items():
-        if "count" in given.model_fields_set and robot != name and not values.is_invalid("each"):
+    for robot, written in spec.robots.items():
+        if "count" in written.model_fields_set and robot != name and not values.is_invalid("each"):
             help = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
-            values.add_at_key("DB108", ("robots", robot, "count"), f"copies of `{robot}` need `agent: {{each: {robot}}}`", help)
+            values.add_at_key(
+                "DB108",
+                ("robots", robot, "count"),
+                f"copies of `{robot}` need `agent: {{each: {robot}}}`",
+                help,
+            )
     if name is None:
         return None
     if name not in spec.robots:
@@ -82,7 +100,9 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     if count is None or spacing is None:
         return None
     if not 1 <= count <= MAX_BODIES:
-        values.add("DB105", values.field(robot_spec, "count").span, f"{count:g} copies", f"write 1 to {MAX_BODIES}")
+        values.add(
+            "DB105", values.field(robot_spec, "count").span, f"{count:g} copies", f"write 1 to {MAX_BODIES}"
+        )
         return None
     return RobotCopies(name, int(count), spacing)
 
@@ -90,16 +110,20 @@ def copies(namespace: Namespace) -> RobotCopies | None:
 def _refuse_others(name: str, namespace: Namespace) -> None:
     """DB108 for what would have to be agreed upon between the copies."""
     values, paths = namespace.values, list(_UNSUPPORTED_WITH_COPIES)
-    paths += [(("robots", other), f"the robot `{other}`") for other in namespace.scenario.robots if other != name]
+    paths += [
+        (("robots", other), f"the robot `{other}`") for other in namespace.scenario.robots if other != name
+    ]
     paths += [
         (("objects", thing), f"the group `{thing}`")
-        for thing, given in namespace.scenario.objects.items()
-        if "count" in given.model_fields_set
+        for thing, thing_spec in namespace.scenario.objects.items()
+        if "count" in thing_spec.model_fields_set
     ]
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
     for path, what in paths:
         if values.is_present(path):
-            values.add_at_key("DB108", path, f"{what} together with copies of `{name}` is not supported yet", _NOT_YET)
+            values.add_at_key(
+                "DB108", path, f"{what} together with copies of `{name}` is not supported yet", _NOT_YET
+            )
 
 
 class Actions(NamespaceReader):
@@ -122,10 +146,17 @@ class Actions(NamespaceReader):
         return tuple(part for part in self._parts.values() if part is not None)
 
     def with_conditions(self, action: tuple[ActionPart, ...]) -> tuple[ActionPart, ...]:
-        """The action with the conditions that forbid options, which may use only values that the policy may see."""
+        """The action with the conditions that forbid options, which may use only values that the policy may
+        see."""
         conditions = {(part, option): condition for part, option, condition in self._forbidden()}
         return tuple(
-            replace(part, options=tuple(replace(option, forbidden=conditions.get((part.name, option.name))) for option in part.options))
+            replace(
+                part,
+                options=tuple(
+                    replace(option, forbidden=conditions.get((part.name, option.name)))
+                    for option in part.options
+                ),
+            )
             if isinstance(part, Choices)
             else part
             for part in action
@@ -133,21 +164,34 @@ class Actions(NamespaceReader):
 
     def _forbidden(self) -> list[tuple[str, str, Expression]]:
         scope = SupervisorScope(self._namespace, Context.FORBID)
-        found = []
-        choices = [(name, part) for name, part in self._spec.action.items() if isinstance(part, DiscreteAction)]
+        forbidden = []
+        choices = [
+            (name, part) for name, part in self._spec.action.items() if isinstance(part, DiscreteAction)
+        ]
         for name, part in choices:
             for option in part.forbid:
                 text = self._values.field(part, "forbid", option)
                 if option not in part.choices:
-                    self._values.report_unknown(self._values.key_span(text.path), "choice", option, list(part.choices))
+                    self._values.report_unknown(
+                        self._values.key_span(text.path), "choice", option, list(part.choices)
+                    )
                 typed = self._values.condition(text, scope)
                 if typed is not None and option in part.choices:
-                    found.append((name, option, text.expression(typed)))
-            always = {option for part, option, condition in found if part == name and constant_values(condition.typed) == (True,)}
+                    forbidden.append((name, option, text.expression(typed)))
+            always = {
+                option
+                for part, option, condition in forbidden
+                if part == name and constant_values(condition.typed) == (True,)
+            }
             if always == set(part.choices):
                 headline = f"every option of `{name}` is always forbidden"
-                self._values.add_at_key("DB105", (*part.path, "forbid"), headline, "change `forbid` so that at least one option is allowed")
-        return found
+                self._values.add_at_key(
+                    "DB105",
+                    (*part.path, "forbid"),
+                    headline,
+                    "change `forbid` so that at least one option is allowed",
+                )
+        return forbidden
 
     def _last_action_symbol(self, context: Context) -> Symbol:
         """The last action as the agent gave it: numbers in [-1, 1], and each choice as one-hot."""
@@ -155,11 +199,17 @@ class Actions(NamespaceReader):
         if context is Context.RECEIVE:
             variable = next(iter(self._namespace.names_of(Origin.ACTION)), None)
             example = f", such as `{variable}`" if variable else ""
-            return Symbol(name, None, refusal=f"the robot already receives the current action: use the action variable{example}")
+            return Symbol(
+                name,
+                None,
+                refusal=f"the robot already receives the current action: use the action variable{example}",
+            )
         parts = self.parts()
         if not parts:
             written = self._values.root.get("action")  # of which findings may have left nothing
-            has_some = (isinstance(written, MappingNode) and written.entries) or self._values.is_invalid("action")
+            has_some = (isinstance(written, MappingNode) and written.entries) or self._values.is_invalid(
+                "action"
+            )
             return Symbol(name, None, refusal=None if has_some else "the scenario defines no `action`")
         if len(parts) < len(self._parts):
             return Symbol(name, None)
@@ -170,32 +220,46 @@ class Actions(NamespaceReader):
 
     def _define_choices(self, name: str, part: DiscreteAction) -> None:
         """Each option sets the variable called like the action, or the variables that it lists."""
-        named = [variable for given in part.choices.values() if isinstance(given, dict) for variable in given]
+        named = [
+            variable for values in part.choices.values() if isinstance(values, dict) for variable in values
+        ]
         variables = tuple(dict.fromkeys(named)) or (name,)
         rows = {option: self._numbers(part, option, variables, named=bool(named)) for option in part.choices}
         for index, variable in enumerate(variables):
             column = [row[index] for row in rows.values()]
-            known = Type(NUMBER, interval=Interval(min(column, default=0.0), max(column, default=0.0)), known=Known.STEP)
-            self._namespace.define(variable, Origin.ACTION, ("action", name), partial(Symbol, variable, known))
-        self._parts[name] = Choices(name, variables, tuple(Option(option, row) for option, row in rows.items()))
+            chosen = Type(
+                NUMBER,
+                interval=Interval(min(column, default=0.0), max(column, default=0.0)),
+                known=Known.STEP,
+            )
+            self._namespace.define(
+                variable, Origin.ACTION, ("action", name), partial(Symbol, variable, chosen)
+            )
+        self._parts[name] = Choices(
+            name, variables, tuple(Option(option, row) for option, row in rows.items())
+        )
 
-    def _numbers(self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool) -> tuple[float, ...]:
+    def _numbers(
+        self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool
+    ) -> tuple[float, ...]:
         """The value of each variable under one option; 0 after a finding."""
-        given, place = part.choices[option], (*part.path, "choices", option)
+        written, place = part.choices[option], (*part.path, "choices", option)
         number = partial(self._namespace.fixed, part, "choices", option, dimension=NUMBER)
-        if not isinstance(given, dict):
+        if not isinstance(written, dict):
             if named:
                 help = f"assign the variables, as in `{{{variables[0]}: 1}}`"
-                self._values.add("DB103", place, "this option is a number, but other options assign variables", help)
+                self._values.add(
+                    "DB103", place, "this option is a number, but other options assign variables", help
+                )
                 self._values.mark_invalid(str(place[1]))
                 return (0.0,) * len(variables)
             return (number() or 0.0,)
-        missing = [variable for variable in variables if variable not in given]
+        missing = [variable for variable in variables if variable not in written]
         if missing:
             headline = f"the option `{place[-1]}` does not assign `{missing[0]}`, but other options do"
             self._values.add_at_key("DB102", place, headline, f"add `{missing[0]}: 0`, or another value")
-        found = {variable: number(variable) for variable in given}
-        return tuple(found.get(variable) or 0.0 for variable in variables)
+        numbers = {variable: number(variable) for variable in written}
+        return tuple(numbers.get(variable) or 0.0 for variable in variables)
 
     def _interval(self, name: str, part: ContinuousAction | str) -> Symbol:
         holder = (self._spec, "action", name) if isinstance(part, str) else (part, "range")
@@ -209,7 +273,9 @@ class Actions(NamespaceReader):
             return Symbol(name, None)
         low, high = ends.low[0], ends.high[0]
         self._parts[name] = ActionRange(name, components, low, high, str(ends.dimension))
-        return Symbol(name, Type(ends.dimension, components or None, interval=Interval(low, high), known=Known.STEP))
+        return Symbol(
+            name, Type(ends.dimension, components or None, interval=Interval(low, high), known=Known.STEP)
+        )
 
     def _group(self, reference: str, place: NodePath) -> Components | None:
         """The members of a group of joints or links, or the joints of an actuator; None after a finding."""
@@ -222,8 +288,10 @@ class Actions(NamespaceReader):
             return driven_parts(robot, robot.spec.actuators[rest])
         if not self._namespace.is_invalid(reference):
             robots = self._namespace.resolved_robots
-            known = dict.fromkeys(f"{robot.name}.{part}" for robot in robots for part in (*robot.groups, *robot.spec.actuators))
-            self._values.report_unknown(self._values.span(place), "group or actuator", reference, list(known))
+            names = dict.fromkeys(
+                f"{robot.name}.{part}" for robot in robots for part in (*robot.groups, *robot.spec.actuators)
+            )
+            self._values.report_unknown(self._values.span(place), "group or actuator", reference, list(names))
         return None
 
 
@@ -237,27 +305,33 @@ class Observations(NamespaceReader):
     """Reads the entries of the observation."""
 
     def entries(self) -> tuple[Observation, ...]:
-        found = tuple(entry for key, spec in self._spec.observation.items() if (entry := self._entry(key, spec)) is not None)
-        self._check_size(found)
-        self._check_pictures(found)
-        self._check_keys(found)
-        return found
+        entries = tuple(
+            entry
+            for key, spec in self._spec.observation.items()
+            if (entry := self._entry(key, spec)) is not None
+        )
+        self._check_size(entries)
+        self._check_pictures(entries)
+        self._check_keys(entries)
+        return entries
 
-    def _entry(self, key: str, given: Observed | str) -> Observation | None:
+    def _entry(self, key: str, written: Observed | str) -> Observation | None:
         text = self._values.key_text(("observation", key))
         typed = self._observed(text)
         read = self._values.field
-        range_text = read(given, "range") if isinstance(given, Observed) else read(self._spec, "observation", key)
+        range_text = (
+            read(written, "range") if isinstance(written, Observed) else read(self._spec, "observation", key)
+        )
         if typed is None:
             if range_text.text != "auto":
                 self._values.range(range_text, self._namespace.scope(Context.FIXED))
             return None
         bounds = self._bounds(typed, range_text)
-        added = self._namespace.noise(given, typed) if isinstance(given, Observed) else None
+        added = self._namespace.noise(written, typed) if isinstance(written, Observed) else None
         if bounds is None:
             return None
         kind = ImageObservation if typed.type.picture else Observation
-        history, clip = (given.history, given.clip) if isinstance(given, Observed) else (1, True)
+        history, clip = (written.history, written.clip) if isinstance(written, Observed) else (1, True)
         return kind(text.expression(typed), *bounds, history, clip, added)
 
     def _observed(self, text: SourceText) -> Typed | None:
@@ -266,11 +340,18 @@ class Observations(NamespaceReader):
             return None
         if not isinstance(tree, syntax.Name):
             self._values.add(
-                "DB103", text.span, "expected a name, found an expression", "define the expression under `augment`, and write its name here"
+                "DB103",
+                text.span,
+                "expected a name, found an expression",
+                "define the expression under `augment`, and write its name here",
             )
             return None
         name = tree.parts[0]
-        if self._namespace.origin(name) in HIDDEN_ORIGINS and name not in self._spec.augment and not self._values.is_invalid("augment"):
+        if (
+            self._namespace.origin(name) in HIDDEN_ORIGINS
+            and name not in self._spec.augment
+            and not self._values.is_invalid("augment")
+        ):
             self._report_hidden(name, text)
             return None
         return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
@@ -283,20 +364,27 @@ class Observations(NamespaceReader):
             written = " ".join(self._values.text(("signals", name)).text.split())
             what, help = "a signal", f"move it from `signals` to `augment`: `{name}: {written}`"
         elif isinstance(augment, dict) and augment:
-            fix, what, help = (
-                None,
-                "a parameter",
-                f"write `seen_{name}: {name}` under `augment`, and observe `seen_{name}`",
-            )
+            fix = None
+            what = "a parameter"
+            help = f"write `seen_{name}: {name}` under `augment`, and observe `seen_{name}`"
         else:
             fix, what = None, "a parameter"
-            help = f"list it under `augment`, if the policy may know it: `augment: [{', '.join([*augment, name])}]`"
-        self._values.add("DB609", text.span, f"the observation contains `{name}`, which is {what}", help, fix=fix)
+            help = (
+                "list it under `augment`, if the policy may know it: `augment:"
+                f" [{', '.join([*augment, name])}]`"
+            )
+        self._values.add(
+            "DB609", text.span, f"the observation contains `{name}`, which is {what}", help, fix=fix
+        )
 
     def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
         count, picture = len(typed.type.components or ("",)), typed.type.picture
         if text.text != "auto" and (picture or typed.type.boolean):
-            what, seen = ("picture", "a pixel is a number from 0 to 255") if picture else ("truth value", "the policy reads it as 0 or 1")
+            what, seen = (
+                ("picture", "a pixel is a number from 0 to 255")
+                if picture
+                else ("truth value", "the policy reads it as 0 or 1")
+            )
             self._values.add("DB403", text.span, f"a {what} cannot have a range", f"write `auto`: {seen}")
             return None
         if picture:
@@ -308,23 +396,38 @@ class Observations(NamespaceReader):
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 unit = "" if typed.type.dimension == NUMBER else f" {typed.type.dimension}"
                 self._values.add(
-                    "DB102", text.span, "deepbots cannot determine the range of this value", f"write it, as in `-1 .. 1{unit}`"
+                    "DB102",
+                    text.span,
+                    "deepbots cannot determine the range of this value",
+                    f"write it, as in `-1 .. 1{unit}`",
                 )
                 return None
             return (low,) * count, (high,) * count
         scope, components = self._namespace.scope(Context.FIXED), typed.type.components or None
-        ends = self._values.ends(text, "the range of an observation", scope, dimension=typed.type.dimension, components=components)
+        ends = self._values.ends(
+            text, "the range of an observation", scope, dimension=typed.type.dimension, components=components
+        )
         return (ends.low, ends.high) if ends else None
 
     def _check_size(self, entries: tuple[Observation, ...]) -> None:
         stack = self._spec.agent.frame_stack
         seen = stack * sum(len(entry.low) * entry.history for entry in entries)
-        pixels = stack * sum(math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries)
-        for found, limit, what in ((seen, MAX_OBSERVED_NUMBERS, "numbers"), (pixels, MAX_OBSERVED_BYTES, "bytes of pictures")):
-            if found > limit:
-                frames = f" ({found // stack:,} in each of {stack} frames)" if stack > 1 else ""
-                headline = f"the observation has {found:,} {what}{frames}; the limit is {limit:,}"
-                self._values.add_at_key("DB105", ("observation",), headline, "lower `history` of its entries, or `agent.frame_stack`")
+        pixels = stack * sum(
+            math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries
+        )
+        for size, limit, what in (
+            (seen, MAX_OBSERVED_NUMBERS, "numbers"),
+            (pixels, MAX_OBSERVED_BYTES, "bytes of pictures"),
+        ):
+            if size > limit:
+                frames = f" ({size // stack:,} in each of {stack} frames)" if stack > 1 else ""
+                headline = f"the observation has {size:,} {what}{frames}; the limit is {limit:,}"
+                self._values.add_at_key(
+                    "DB105",
+                    ("observation",),
+                    headline,
+                    "lower `history` of its entries, or `agent.frame_stack`",
+                )
 
     def _check_pictures(self, entries: tuple[Observation, ...]) -> None:
         """Whether the network that is trained can see the pictures: its three layers of filters must fit in.
@@ -335,18 +438,25 @@ class Observations(NamespaceReader):
             picture = entry.value.typed.type.picture
             if picture is None:
                 continue
-            rows, columns, channels = picture[0], picture[1], picture[2] * entry.history * self._spec.agent.frame_stack
+            rows = picture[0]
+            columns = picture[1]
+            channels = picture[2] * entry.history * self._spec.agent.frame_stack
             if min(rows, columns) < MIN_IMAGE_SIDE:
                 headline = (
-                    f"the pictures have {columns} x {rows} pixels, but the network needs at least {MIN_IMAGE_SIDE} x {MIN_IMAGE_SIDE}"
+                    f"the pictures have {columns} x {rows} pixels, but the network needs at least"
+                    f" {MIN_IMAGE_SIDE} x {MIN_IMAGE_SIDE}"
                 )
                 self._values.add("DB612", entry.value.span, headline, "raise the `resolution` of the camera")
             elif channels >= min(rows, columns):
                 headline = (
-                    f"the pictures have {channels} channels in all, which must be fewer than the pixels of a side ({columns} x {rows})"
+                    f"the pictures have {channels} channels in all, which must be fewer than the"
+                    f" pixels of a side ({columns} x {rows})"
                 )
                 self._values.add(
-                    "DB612", entry.value.span, headline, "lower `history` or `frame_stack`, or raise the `resolution` of the camera"
+                    "DB612",
+                    entry.value.span,
+                    headline,
+                    "lower `history` or `frame_stack`, or raise the `resolution` of the camera",
                 )
 
     def _check_keys(self, entries: tuple[Observation, ...]) -> None:
@@ -355,7 +465,10 @@ class Observations(NamespaceReader):
         for entry in entries:
             key = entry.value.name.replace(".", "_")
             if entry.value.typed.type.picture and key in taken:
-                headline = f"the picture `{entry.value.name}` needs the key `{key}` of the observation, but this key is already used"
+                headline = (
+                    f"the picture `{entry.value.name}` needs the key `{key}` of the observation, but"
+                    " this key is already used"
+                )
                 self._values.add("DB202", entry.value.span, headline, "rename the picture")
             taken |= {key} if entry.value.typed.type.picture else set()
 
@@ -373,25 +486,40 @@ class Goals(NamespaceReader):
             namespace.built_in["goal_reached"] = self._reached
             for name in ("achieved", "desired"):
                 namespace.define(
-                    name, Origin.GOAL, (*namespace.scenario.goal.path, name), partial(self._part, namespace.scenario.goal, name)
+                    name,
+                    Origin.GOAL,
+                    (*namespace.scenario.goal.path, name),
+                    partial(self._part, namespace.scenario.goal, name),
                 )
 
     def goal(self, rewards: Iterable[Expression]) -> Goal | None:
-        """The goal; None without one, and after a finding. The terms of the reward must be such as hindsight can recompute."""
+        """The goal; None without one, and after a finding. The terms of the reward must be such as hindsight
+        can recompute."""
         spec = self._spec.goal
         if spec is None:
             return None
         for name in self._namespace.names_of(Origin.GOAL):
             self._namespace.resolve(name)
         achieved, desired = self._valued.get("achieved"), self._valued.get("desired")
-        within, ends = self._namespace.fixed(spec, "tolerance", dimension=achieved.typed.type.dimension if achieved else None), None
+        within = self._namespace.fixed(
+            spec, "tolerance", dimension=achieved.typed.type.dimension if achieved else None
+        )
+        ends = None
         if achieved is not None:
             kind = achieved.typed.type
-            ends = self._namespace.ends(spec, "range", what="the range of a goal", dimension=kind.dimension, components=kind.components)
+            ends = self._namespace.ends(
+                spec,
+                "range",
+                what="the range of a goal",
+                dimension=kind.dimension,
+                components=kind.components,
+            )
         if self._spec.agent.action_repeat > 1:
             span = self._values.field(self._spec.agent, "action_repeat").span
             help = "remove `action_repeat`, and use a longer timestep instead"
-            self._values.add("DB709", span, "hindsight replay cannot recompute a reward over several timesteps", help)
+            self._values.add(
+                "DB709", span, "hindsight replay cannot recompute a reward over several timesteps", help
+            )
         _check_rewards(rewards, self._namespace)
         if achieved is None or desired is None or ends is None or within is None:
             return None
@@ -408,12 +536,20 @@ class Goals(NamespaceReader):
         if typed is None or (name == "desired" and wanted is None):
             return Symbol(name, None)
         dimension, components = (wanted.dimension, wanted.components) if wanted else (None, ANY_SHAPE)
-        typed = expect_value(typed, self._values.report(text), f"`{name}` of the goal", dimension=dimension, components=components)
+        typed = expect_value(
+            typed,
+            self._values.report(text),
+            f"`{name}` of the goal",
+            dimension=dimension,
+            components=components,
+        )
         if typed is None:
             return Symbol(name, None)
         if wanted:
             typed = typed._replace(type=typed.type._replace(components=wanted.components))
-        self._valued[name] = text.expression(typed, noise=self._namespace.noise(spec, typed) if name == "achieved" else None)
+        self._valued[name] = text.expression(
+            typed, noise=self._namespace.noise(spec, typed) if name == "achieved" else None
+        )
         return Symbol(name, typed.type._replace(known=Known.STEP))
 
     def _reached(self, context: Context) -> Symbol:
@@ -432,12 +568,15 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
     for term in terms:
         if term.foreign is not None:
             help = "write the reward as an expression of `achieved` and `desired`"
-            namespace.values.add("DB709", term.span, "hindsight replay cannot recompute a reward in Python", help)
+            namespace.values.add(
+                "DB709", term.span, "hindsight replay cannot recompute a reward in Python", help
+            )
         for odd in _parts_besides_goal(term.typed):
             text = namespace.values.text(tuple(term.owner.split(".", 1)), term.text)
             headline = f"the term `{term.name}` depends on values other than the goal"
             help = (
-                "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight replay (HER) recomputes the reward for other goals"
+                "use `achieved`, `desired`, `goal_reached` and fixed values: hindsight replay (HER)"
+                " recomputes the reward for other goals"
             )
             namespace.values.add("DB709", text.part(odd.start, odd.end), headline, help)
             break
@@ -461,12 +600,16 @@ _WORD = re.compile(r"\w+", re.ASCII)
 def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
     """The scripts without findings, which decide every part of the `action`."""
     reader = Decisions(namespace, action, SupervisorScope(namespace, Context.SCRIPT))
-    found = ((name, reader.read(("scripts", name), given, f"the script `{name}`")) for name, given in namespace.scenario.scripts.items())
-    return tuple(Script(name, parts) for name, parts in found if parts is not None)
+    decisions = (
+        (name, reader.read(("scripts", name), written, f"the script `{name}`"))
+        for name, written in namespace.scenario.scripts.items()
+    )
+    return tuple(Script(name, parts) for name, parts in decisions if parts is not None)
 
 
 class Decisions(NamespaceReader):
-    """Reads decisions for every part of an action; `action` has the parts without findings, `scope` is that of the expressions."""
+    """Reads decisions for every part of an action; `action` has the parts without findings, `scope` is that
+    of the expressions."""
 
     def __init__(self, namespace: Namespace, action: tuple[ActionPart, ...], scope: Scope) -> None:
         super().__init__(namespace)
@@ -475,7 +618,9 @@ class Decisions(NamespaceReader):
         self._names = list(self._spec.action)
         self._called = ""
 
-    def read(self, place: NodePath, given: Mapping[str, object], description: str) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
+    def read(
+        self, place: NodePath, given: Mapping[str, object], description: str
+    ) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
         """The decisions at `place`, which findings call `description`; None after a finding."""
         self._called = description
         strange = [part for part in given if part not in self._names]
@@ -483,8 +628,14 @@ class Decisions(NamespaceReader):
             self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
         for part in self._names:
             if part not in given and not strange and not self._values.is_invalid(part):
-                self._values.add_at_key("DB102", place, f"{description} sets no value for `{part}`", self._example(part))
-        decided = {part: self._decision((*place, part), self._parts[part], given[part]) for part in self._parts if part in given}
+                self._values.add_at_key(
+                    "DB102", place, f"{description} sets no value for `{part}`", self._example(part)
+                )
+        decided = {
+            part: self._decision((*place, part), self._parts[part], given[part])
+            for part in self._parts
+            if part in given
+        }
         parts = [decided.get(part) for part in self._names]
         return tuple(part for part in parts if part is not None) if all(parts) else None
 
@@ -498,46 +649,77 @@ class Decisions(NamespaceReader):
             case _:
                 return None
 
-    def _decision(self, place: NodePath, part: Choices | ActionRange, given: object) -> ScriptedChoice | ScriptedRange | None:
+    def _decision(
+        self, place: NodePath, part: Choices | ActionRange, written: object
+    ) -> ScriptedChoice | ScriptedRange | None:
         if isinstance(part, ActionRange):
-            if isinstance(given, dict):
-                return self._aims(place, part, given)
-            aim = self._aim(place, part, given, part.components or None)
+            if isinstance(written, dict):
+                return self._aims(place, part, written)
+            aim = self._aim(place, part, written, part.components or None)
             return None if aim is None else ScriptedRange((aim,), max(1, len(part.components)))
-        return self._pick(place, part, given) if isinstance(given, dict) else self._option(place, part, str(given))
+        return (
+            self._pick(place, part, written)
+            if isinstance(written, dict)
+            else self._option(place, part, str(written))
+        )
 
-    def _aims(self, place: NodePath, part: ActionRange, given: Mapping[str, object]) -> ScriptedRange | None:
+    def _aims(
+        self, place: NodePath, part: ActionRange, written: Mapping[str, object]
+    ) -> ScriptedRange | None:
         """A value for each component by its name."""
         key = self._values.key_span(place)
         if not part.components:
-            self._values.add("DB103", key, f"several values for `{part.name}`, which is a single value", self._example(part.name))
+            self._values.add(
+                "DB103",
+                key,
+                f"several values for `{part.name}`, which is a single value",
+                self._example(part.name),
+            )
             return None
-        strange = [name for name in given if name not in part.components]
+        strange = [name for name in written if name not in part.components]
         for name in strange:
-            self._values.report_unknown(self._values.key_span((*place, name)), f"component of `{part.name}` called", name, part.components)
+            self._values.report_unknown(
+                self._values.key_span((*place, name)),
+                f"component of `{part.name}` called",
+                name,
+                part.components,
+            )
         for name in part.components:
-            if name not in given and not strange:  # otherwise it probably stands there under another name
+            if name not in written and not strange:  # otherwise it probably stands there under another name
                 headline = f"{self._called} sets no value for `{name}` of `{part.name}`"
-                self._values.add("DB102", key, headline, "write a value for each component, or one value for all of them")
-        aims = [self._aim((*place, name), part, given[name], None) for name in part.components if name in given]
-        found = tuple(aim for aim in aims if aim is not None)
-        return ScriptedRange(found, len(part.components)) if len(found) == len(part.components) else None
+                self._values.add(
+                    "DB102", key, headline, "write a value for each component, or one value for all of them"
+                )
+        aims = [
+            self._aim((*place, name), part, written[name], None)
+            for name in part.components
+            if name in written
+        ]
+        complete = tuple(aim for aim in aims if aim is not None)
+        return (
+            ScriptedRange(complete, len(part.components)) if len(complete) == len(part.components) else None
+        )
 
-    def _aim(self, place: NodePath, part: ActionRange, given: object, components: Components | None) -> Expression | None:
+    def _aim(
+        self, place: NodePath, part: ActionRange, written: object, components: Components | None
+    ) -> Expression | None:
         """A value of the dimension of the range, which may be a vector of these components."""
-        known = self._namespace.resolve(part.name)
-        text = self._values.text(place, given)
+        symbol = self._namespace.resolve(part.name)
+        text = self._values.text(place, written)
         typed = self._values.expression(text, self._scope, boolean=False)
-        if typed is None or known is None or known.type is None:
+        if typed is None or symbol is None or symbol.type is None:
             return None
-        report, dimension = self._values.report(text), known.type.dimension
+        report, dimension = self._values.report(text), symbol.type.dimension
         fitted = expect_value(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
         return fitted and text.expression(fitted, part.name)
 
     def _option(self, place: NodePath, part: Choices, word: str) -> ScriptedChoice | None:
         span, options = self._values.span(place), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
-            help = f"write the name of one option, or a condition for each: `{{{options[0]}: x > 0 m, {options[-1]}: true}}`"
+            help = (
+                f"write the name of one option, or a condition for each: `{{{options[0]}: x > 0 m,"
+                f" {options[-1]}: true}}`"
+            )
             self._values.add("DB103", span, f"expected an option of `{part.name}`, found an expression", help)
         elif word not in options and self._values.is_invalid("action"):
             return None  # it may be an option of the action that has a finding
@@ -547,35 +729,52 @@ class Decisions(NamespaceReader):
             return ScriptedChoice((), word)
         return None
 
-    def _pick(self, place: NodePath, part: Choices, given: Mapping[str, object]) -> ScriptedChoice | None:
-        """The first option whose condition holds; one of the conditions must hold always, and nothing stands behind it."""
-        if len(given) > MAX_CONDITIONS:
+    def _pick(self, place: NodePath, part: Choices, written: Mapping[str, object]) -> ScriptedChoice | None:
+        """The first option whose condition holds; one of the conditions must hold always, and nothing stands
+        behind it."""
+        if len(written) > MAX_CONDITIONS:
             self._values.add_at_key(
-                "DB005", place, f"more than {MAX_CONDITIONS} conditions", "combine conditions with `or`, or split the script"
+                "DB005",
+                place,
+                f"more than {MAX_CONDITIONS} conditions",
+                "combine conditions with `or`, or split the script",
             )
             return None
         options, branches, broken = [option.name for option in part.options], [], False
-        for option, condition in given.items():
+        for option, condition in written.items():
             if option not in options:
-                self._values.report_unknown(self._values.key_span((*place, option)), "choice", option, options)
+                self._values.report_unknown(
+                    self._values.key_span((*place, option)), "choice", option, options
+                )
             holds = self._condition((*place, option), condition)
             broken = broken or holds is None or option not in options
             if holds is not None:
                 branches.append((option, holds))
         if broken:
             return None
-        always = next((index for index, (_, holds) in enumerate(branches) if constant_values(holds.typed) == (True,)), None)
+        always = next(
+            (index for index, (_, holds) in enumerate(branches) if constant_values(holds.typed) == (True,)),
+            None,
+        )
         if always is None:
-            headline = f"the script may choose no option of `{part.name}`: none of its conditions is always true"
-            self._values.add_at_key("DB102", place, headline, f"make the last condition true: `{branches[-1][0]}: true`")
+            headline = (
+                f"the script may choose no option of `{part.name}`: none of its conditions is always true"
+            )
+            self._values.add_at_key(
+                "DB102", place, headline, f"make the last condition true: `{branches[-1][0]}: true`"
+            )
             return None
         otherwise = branches[always][0]
         for option, _ in branches[always + 1 :]:
-            headline = f"`{option}` is never chosen: `{otherwise}` comes first, and its condition is always true"
-            self._values.add_at_key("DB205", (*place, option), headline, f"remove `{option}`, or move it before `{otherwise}`")
+            headline = (
+                f"`{option}` is never chosen: `{otherwise}` comes first, and its condition is always true"
+            )
+            self._values.add_at_key(
+                "DB205", (*place, option), headline, f"remove `{option}`, or move it before `{otherwise}`"
+            )
         return ScriptedChoice(tuple(branches[:always]), otherwise)
 
-    def _condition(self, place: NodePath, given: object) -> Expression | None:
-        text = self._values.text(place, given)
+    def _condition(self, place: NodePath, written: object) -> Expression | None:
+        text = self._values.text(place, written)
         typed = self._values.condition(text, self._scope)
         return typed and text.expression(typed)

@@ -1,4 +1,5 @@
-"""Robot files with the changes of the scenario: names, patterns and groups of links and joints, and what joints measure."""
+"""Robot files with the changes of the scenario: names, patterns and groups of links and joints, and what
+joints measure."""
 
 from __future__ import annotations
 
@@ -16,7 +17,18 @@ from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
 from deepbots_cli.document import Document, files, shipped
 from deepbots_cli.document.nodes import MappingNode, descend
 from deepbots_cli.expressions import intervals, syntax
-from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, MASS, NUMBER, TIME, TORQUE, UNITS, Dimension, Unit
+from deepbots_cli.expressions.dimensions import (
+    ANGLE,
+    FORCE,
+    LENGTH,
+    MASS,
+    NUMBER,
+    TIME,
+    TORQUE,
+    UNITS,
+    Dimension,
+    Unit,
+)
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
 from deepbots_cli.expressions.types import Context, Kind, Known, Scope, Subject, Symbol, Type
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
@@ -76,7 +88,8 @@ def joint_moves_link(model: RobotModel, joint: Joint, link: str) -> bool:
 
 
 def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:
-    """The link that carries another by fixed joints alone, farthest towards the root; and the other's frame in its frame."""
+    """The link that carries another by fixed joints alone, farthest towards the root; and the other's frame
+    in its frame."""
     above = {joint.child: joint for joint in model.joints if not joint.moves}
     frame = IDENTITY_FRAME
     for _ in model.joints:  # no more than there are, whatever circle a forged model may hold
@@ -98,7 +111,11 @@ def expand_patterns(
     found: dict[str, None] = {}
     missing = []
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        matched = tuple(member for member in groups[pattern][1] if member in names) if pattern in groups else matching_names(names, pattern)
+        matched = (
+            tuple(member for member in groups[pattern][1] if member in names)
+            if pattern in groups
+            else matching_names(names, pattern)
+        )
         if not matched:
             missing.append(pattern)
         found.update(dict.fromkeys(matched))
@@ -106,9 +123,14 @@ def expand_patterns(
 
 
 def matching_names(names: Iterable[str], pattern: str) -> tuple[str, ...]:
-    """The one of this name; or those that fit `pattern` (`*`, `?`, `[abc]`; upper and lower case differ), in their given order."""
-    known = tuple(names)
-    return (pattern,) if pattern in known else tuple(name for name in known if fnmatchcase(name, pattern))
+    """The one of this name; or those that fit `pattern` (`*`, `?`, `[abc]`; upper and lower case differ), in
+    their given order."""
+    candidates = tuple(names)
+    return (
+        (pattern,)
+        if pattern in candidates
+        else tuple(name for name in candidates if fnmatchcase(name, pattern))
+    )
 
 
 def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:
@@ -119,14 +141,19 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, n
         values.add("DB206", span, f"`{pattern}` matches no {what}", choices_help(pattern, names))
 
 
-def report_missing_joint(values: ValueReader, span: Span, pattern: str, model: RobotModel, known: Sequence[str]) -> None:
-    """A joint where one of the `known` is needed: it does not exist, it cannot move, or it follows another one."""
+def report_missing_joint(
+    values: ValueReader, span: Span, pattern: str, model: RobotModel, known: Sequence[str]
+) -> None:
+    """A joint where one of the `known` is needed: it does not exist, it cannot move, or it follows another
+    one."""
     matched = matching_names((joint.name for joint in model.joints), pattern)
     if matched and matched[0] in model.followers:
         report_follower(values, span, matched[0], model)
     elif matched:
         joints = {joint.name for joint in model.joints}
-        report_motionless_joint(values, span, model.joint(matched[0]), [name for name in known if name in joints])
+        report_motionless_joint(
+            values, span, model.joint(matched[0]), [name for name in known if name in joints]
+        )
     else:
         report_unmatched(values, span, pattern, "joint", known)
 
@@ -151,13 +178,27 @@ _DIGITS = 4
 
 
 def warn_beyond_limits(
-    values: ValueReader, text: SourceText, dimension: Dimension, allowed: Interval, what: str, found: Interval, help: str
+    values: ValueReader,
+    text: SourceText,
+    dimension: Dimension,
+    allowed: Interval,
+    what: str,
+    found: Interval,
+    help: str,
 ) -> None:
-    """DB304: `what` is `found`, which is not all within what the robot file allows for the value that is written in `text`."""
+    """DB304: `what` is `found`, which is not all within what the robot file allows for the value that is
+    written in `text`."""
     tree = values.parsed(text)
     numbers = list(_numbers(tree)) if tree else []
-    units = [number.unit for number in numbers if number.unit is not None and number.unit.dimension == dimension]
-    unit = units[0] if units else UNITS["deg"] if dimension == ANGLE else Unit(str(dimension), dimension)
+    units = [
+        number.unit for number in numbers if number.unit is not None and number.unit.dimension == dimension
+    ]
+    if units:
+        unit = units[0]
+    elif dimension == ANGLE:
+        unit = UNITS["deg"]
+    else:
+        unit = Unit(str(dimension), dimension)
 
     def in_unit(known: Interval) -> str:
         low, high = (f"{end / unit.to_si(1.0):.{_DIGITS}g}" for end in known)
@@ -169,7 +210,8 @@ def warn_beyond_limits(
 
 
 def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
-    """Each number at the limit that it is beyond; None where they stand for something else, or none would be left to draw from."""
+    """Each number at the limit that it is beyond; None where they stand for something else, or none would be
+    left to draw from."""
     kept = [_clamped(number, allowed) for number in numbers]
     if not kept or (len(kept) > 1 and kept[0] >= kept[1]):
         return None
@@ -189,7 +231,11 @@ def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -
 def _clamped(number: syntax.Number, allowed: Interval) -> float:
     one = number.unit.to_si(1.0) if number.unit else 1.0
     low, high = (end / one for end in allowed)
-    return _rounded(low, math.ceil) if number.value < low else _rounded(high, math.floor) if number.value > high else number.value
+    if number.value < low:
+        return _rounded(low, math.ceil)
+    if number.value > high:
+        return _rounded(high, math.floor)
+    return number.value
 
 
 def _numbers(tree: syntax.Node) -> Iterator[syntax.Number]:
@@ -197,7 +243,9 @@ def _numbers(tree: syntax.Node) -> Iterator[syntax.Number]:
     match tree:
         case syntax.Number():
             yield tree
-        case syntax.Call(function="uniform", args=(syntax.Range(low=syntax.Number() as low, high=syntax.Number() as high),)):
+        case syntax.Call(
+            function="uniform", args=(syntax.Range(low=syntax.Number() as low, high=syntax.Number() as high),)
+        ):
             yield from (low, high)
 
 
@@ -227,7 +275,8 @@ _UNKNOWN = Symbol("urdf", None, refusal="the robot file does not state this valu
 
 @dataclass(frozen=True)
 class Overrides:
-    """The changes that the scenario makes to a robot. A drawn value is drawn for each link or joint that a pattern means."""
+    """The changes that the scenario makes to a robot. A drawn value is drawn for each link or joint that a
+    pattern means."""
 
     robot: str
     groups: Mapping[str, NameGroup]
@@ -250,10 +299,14 @@ class Overrides:
                 if joint.moves:
                     model = self._change_joint(model, joint, joint_change)
                 elif name == pattern:
-                    report_motionless_joint(self.values, self.values.key_span(joint_change.path), joint, moving)
+                    report_motionless_joint(
+                        self.values, self.values.key_span(joint_change.path), joint, moving
+                    )
         return model
 
-    def _members(self, names: list[str], pattern: str, change: LinkOverride | JointOverride, what: str) -> tuple[str, ...]:
+    def _members(
+        self, names: list[str], pattern: str, change: LinkOverride | JointOverride, what: str
+    ) -> tuple[str, ...]:
         members, missing = expand_patterns(names, pattern, self.groups)
         if missing:
             report_unmatched(self.values, self.values.key_span(change.path), pattern, what, names)
@@ -261,8 +314,8 @@ class Overrides:
 
     def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:
         """The scope of a change of a value that is called `urdf` and stands in the robot file."""
-        known = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=single(urdf)), (urdf,))
-        return self.namespace.scope(Context.FIELD, {"urdf": known})
+        symbol = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=single(urdf)), (urdf,))
+        return self.namespace.scope(Context.FIELD, {"urdf": symbol})
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         of = OfLink(self.robot, link.name)
@@ -282,18 +335,28 @@ class Overrides:
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
         if change.mass is not None:
-            self.values.add_at_key("DB202", (*change.path, "density"), "`mass` and `density` cannot be combined", "keep one of the two")
+            self.values.add_at_key(
+                "DB202",
+                (*change.path, "density"),
+                "`mass` and `density` cannot be combined",
+                "keep one of the two",
+            )
             return model
         density = self.namespace.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
-        return self._accepted(model, with_density(model, link, density), change, "density") if density else model
+        return (
+            self._accepted(model, with_density(model, link, density), change, "density") if density else model
+        )
 
     def _change_mass(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if link.inertial is None and link.name != change.path[-1]:
             return model  # a pattern means the links that have a mass
-        of, scope = OfLink(self.robot, link.name), self._scope(MASS, link.inertial.mass if link.inertial else None)
+        of = OfLink(self.robot, link.name)
+        scope = self._scope(MASS, link.inertial.mass if link.inertial else None)
         mass = self.namespace.scalar_or_randomized(change, "mass", "mass", of, None, scope=scope)
         if mass == 0 and not self.namespace.is_randomized("mass", of):
-            self.values.add("DB105", self.values.field(change, "mass").span, "`mass` is 0 kg", "write more than 0 kg")
+            self.values.add(
+                "DB105", self.values.field(change, "mass").span, "`mass` is 0 kg", "write more than 0 kg"
+            )
         return self._accepted(model, with_mass(model, link.name, mass), change, "mass") if mass else model
 
     def _accepted(self, old: RobotModel, new: RobotModel | str, change: LinkOverride, key: str) -> RobotModel:
@@ -308,16 +371,19 @@ class Overrides:
 
         def drawn(key: str, what: JointParameter, urdf: float | None, dimension: Dimension) -> float | None:
             of, scope = OfJoint(self.robot, joint.name), self._scope(dimension, urdf)
-            return self.namespace.scalar_or_randomized(change, key, what, of, None, dimension=dimension, scope=scope)
+            return self.namespace.scalar_or_randomized(
+                change, key, what, of, None, dimension=dimension, scope=scope
+            )
 
         def fixed(key: str, urdf: float | None, dimension: Dimension) -> float | None:
             scope = self._scope(dimension, urdf)
-            found = self.namespace.fixed(change, key, dimension=dimension, scope=scope, known=Known.EPISODE)
-            return urdf if found is None else found
+            numbers = self.namespace.fixed(change, key, dimension=dimension, scope=scope, known=Known.EPISODE)
+            return urdf if numbers is None else numbers
 
         damping = drawn("damping", "joint_damping", joint.damping, effort * TIME / position)
         friction = drawn("friction", "joint_friction", joint.friction, effort)
-        torque, velocity = fixed("max_torque", limit.effort, effort), fixed("max_velocity", limit.velocity, position / TIME)
+        torque = fixed("max_torque", limit.effort, effort)
+        velocity = fixed("max_velocity", limit.velocity, position / TIME)
         limit = replace(limit, effort=torque, velocity=velocity)
         if change.range is not None:
             limit = self._range(joint, limit, change)
@@ -327,10 +393,17 @@ class Overrides:
         """`limit` with both ends as the scenario gives them."""
         if joint.type == "continuous":
             span, headline = self.values.field(change, "range").span, "a continuous joint cannot have a range"
-            self.values.add("DB203", span, headline, "remove `range`, or change the type of the joint to revolute in the robot file")
+            self.values.add(
+                "DB203",
+                span,
+                headline,
+                "remove `range`, or change the type of the joint to revolute in the robot file",
+            )
             return limit
         scope, dimension = self.namespace.scope(Context.FIELD), joint_dimension(joint)
-        ends = self.namespace.ends(change, "range", what="the range of a joint", dimension=dimension, scope=scope)
+        ends = self.namespace.ends(
+            change, "range", what="the range of a joint", dimension=dimension, scope=scope
+        )
         return replace(limit, lower=ends.low[0], upper=ends.high[0]) if ends else limit
 
 
@@ -350,7 +423,8 @@ class ResolvedRobot:
         return [link.name for link in self.model.links]
 
     def subject(self, part: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        """The joint, link, group or, where `kinds` asks for one, sensor called `part`; where several share the name, the one of `kinds`."""
+        """The joint, link, group or, where `kinds` asks for one, sensor called `part`; where several share
+        the name, the one of `kinds`."""
         full = f"{self.name}.{part}"
         is_link = part in self.link_names
         if part in self.spec.sensors and kinds and not kinds.isdisjoint({Kind.SENSOR, Kind.CAMERA}):
@@ -362,11 +436,20 @@ class ResolvedRobot:
                 return Subject(full, kind, names)
             joints = [self.model.joint(member) for member in members]
             limits = tuple(map(joint_interval, joints))
-            return Subject(full, kind, names, dimension=joint_dimension(joints[0]), interval=intervals.hull(limits), intervals=limits)
+            return Subject(
+                full,
+                kind,
+                names,
+                dimension=joint_dimension(joints[0]),
+                interval=intervals.hull(limits),
+                intervals=limits,
+            )
         if not (is_link and kinds and Kind.LINK in kinds):
             for joint in self.model.moving_joints:
                 if joint.name == part:
-                    return Subject(full, Kind.JOINT, dimension=joint_dimension(joint), interval=joint_interval(joint))
+                    return Subject(
+                        full, Kind.JOINT, dimension=joint_dimension(joint), interval=joint_interval(joint)
+                    )
         return Subject(full, Kind.LINK, link=full) if is_link else None
 
     @property
@@ -380,7 +463,11 @@ class ResolvedRobot:
         A pattern or a group of an actuator leaves followers out.
         """
         key = "joint" if getattr(spec, "joint", None) is not None else "joints"
-        known = self.drivable_joints if isinstance(spec, Actuator) else [joint.name for joint in self.model.moving_joints]
+        known = (
+            self.drivable_joints
+            if isinstance(spec, Actuator)
+            else [joint.name for joint in self.model.moving_joints]
+        )
         names = self._named(spec, key, known, values)
         joints = tuple(self.model.joint(name) for name in names)
         if len({joint_dimension(joint) for joint in joints}) > 1:
@@ -402,28 +489,38 @@ class ResolvedRobot:
             values.report_unknown(values.span((*spec.path, "link")), "link", one, self.link_names)
         return (one,) if one in self.link_names else ()
 
-    def _named(self, spec: Section, key: str, known: list[str], values: ValueReader) -> tuple[str, ...]:
+    def _named(self, spec: Section, key: str, candidates: list[str], values: ValueReader) -> tuple[str, ...]:
         """The names that the patterns under a key stand for; none after a finding."""
         patterns = getattr(spec, key) or ()  # neither key is left where validation had a finding about it
-        names, missing = expand_patterns(known, patterns, self.groups)
+        names, missing = expand_patterns(candidates, patterns, self.groups)
         for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
             if pattern in missing:
                 span = values.span((*spec.path, *((key,) if isinstance(patterns, str) else (key, index))))
                 if key == "links":
-                    report_unmatched(values, span, pattern, "link", known)
+                    report_unmatched(values, span, pattern, "link", candidates)
                 else:
-                    self.report_missing_joint(values, span, pattern, known)
+                    self.report_missing_joint(values, span, pattern, candidates)
         return () if missing else names
 
-    def report_missing_joint(self, values: ValueReader, span: Span, pattern: str, known: Sequence[str]) -> None:
-        """A joint or group where one of the `known` is needed; of a group that names none of them, its first joint is reported."""
+    def report_missing_joint(
+        self, values: ValueReader, span: Span, pattern: str, known: Sequence[str]
+    ) -> None:
+        """A joint or group where one of the `known` is needed; of a group that names none of them, its first
+        joint is reported."""
         kind, members = self.groups.get(pattern, (None, ()))
         groups = [name for name, (kind_of_group, _) in self.groups.items() if kind_of_group is Kind.JOINTS]
-        report_missing_joint(values, span, members[0] if kind is Kind.JOINTS else pattern, self.model, [*groups, *known])
+        report_missing_joint(
+            values, span, members[0] if kind is Kind.JOINTS else pattern, self.model, [*groups, *known]
+        )
 
     @property
     def parts(self) -> list[str]:
-        return [*self.groups, *(joint.name for joint in self.model.moving_joints), *self.link_names, *self.spec.sensors]
+        return [
+            *self.groups,
+            *(joint.name for joint in self.model.moving_joints),
+            *self.link_names,
+            *self.spec.sensors,
+        ]
 
 
 def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobot | None:
@@ -436,38 +533,55 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
     if file_at is None:
         return None
     resolve_mesh = meshes.mesh_resolver(file_at.parent, (*document.roots, *meshes.package_folders(spec.urdf)))
-    found = Findings()
-    file = read(file_at, files.display_path(file_at), found, resolve_mesh=resolve_mesh)
+    findings = Findings()
+    file = read(file_at, files.display_path(file_at), findings, resolve_mesh=resolve_mesh)
     if file is None:
-        _tell(found, values, ())
+        _tell(findings, values, ())
         return None
     groups = _groups(file.model, spec, values)
     model = Overrides(name, groups, namespace).apply(file.model, spec)
-    has_mass = [file.link_spans[link.name] for link in model.links if link.inertial or link.density is not None]
-    _tell(found, values, has_mass)
+    has_mass = [
+        file.link_spans[link.name] for link in model.links if link.inertial or link.density is not None
+    ]
+    _tell(findings, values, has_mass)
     return ResolvedRobot(name, file_at.resolve(), spec, file, model, groups)
 
 
-def _tell(found: Findings, values: ValueReader, has_mass: Sequence[Span]) -> None:
-    """Pass on what was found in a robot file, but not that a link has no inertial where the scenario gives it one."""
-    for finding in found:
+def _tell(findings: Findings, values: ValueReader, has_mass: Sequence[Span]) -> None:
+    """Pass on what was found in a robot file, but not that a link has no inertial where the scenario gives it
+    one."""
+    for finding in findings:
         if finding.code != "DB305" or finding.notes or finding.span not in has_mass:
             values.findings.append(finding)
 
 
-def locate_file(reference: str, span: Span, document: Document, values: ValueReader, *, robot: bool = False) -> FilePath | None:
-    """The file that the scenario names at `span`: in the project, in an installed package, or, of a `robot`, a shipped one."""
+def locate_file(
+    reference: str, span: Span, document: Document, values: ValueReader, *, robot: bool = False
+) -> FilePath | None:
+    """The file that the scenario names at `span`: in the project, in an installed package, or, of a `robot`,
+    a shipped one."""
     if reference.startswith("package://"):
-        found = meshes.package_file(reference)
-        if found is None:
-            values.add("DB204", span, f"`{reference}` does not exist", _package_help(reference, document, span))
-        return found
-    located = files.resolve_reference(reference, document.directory_of(span), document.roots, shipped.ROBOTS if robot else None)
+        path = meshes.package_file(reference)
+        if path is None:
+            values.add(
+                "DB204", span, f"`{reference}` does not exist", _package_help(reference, document, span)
+            )
+        return path
+    located = files.resolve_reference(
+        reference, document.directory_of(span), document.roots, shipped.ROBOTS if robot else None
+    )
     if isinstance(located, FilePath):
         return located
     library = meshes.library_reference(reference)
     fix = Fix.replacing(span, reference, library, safe=False) if library else None
-    values.add("DB204", span, located.headline, f"did you mean `{library}`?" if library else located.help, notes=located.notes, fix=fix)
+    values.add(
+        "DB204",
+        span,
+        located.headline,
+        f"did you mean `{library}`?" if library else located.help,
+        notes=located.notes,
+        fix=fix,
+    )
     return None
 
 
@@ -477,11 +591,16 @@ def _package_help(reference: str, document: Document, span: Span) -> str:
     if meshes.package_folder(package):
         help = f"the Python package `{package}` is installed, but has no file `{inside}`"
     else:
-        help = f"`package://` names a file of an installed Python package, and there is no package `{package}`; write the path of the file"
-    found = files.find_in(document.roots[0], FilePath(inside).name) if document.roots and inside else None
-    if found is None:
+        help = (
+            "`package://` names a file of an installed Python package, and there is no package"
+            f" `{package}`; write the path of the file"
+        )
+    candidates = (
+        files.find_in(document.roots[0], FilePath(inside).name) if document.roots and inside else None
+    )
+    if candidates is None:
         return help
-    return f"{help}: `{FilePath(os.path.relpath(found, document.directory_of(span))).as_posix()}`"
+    return f"{help}: `{FilePath(os.path.relpath(candidates, document.directory_of(span))).as_posix()}`"
 
 
 def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str, NameGroup]:
@@ -496,7 +615,10 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
         as_links, not_links = expand_patterns(links, patterns, groups)
         if not not_joints and len({joint_dimension(model.joint(joint)) for joint in as_joints}) > 1:
             values.add(
-                "DB404", place, "turning and sliding joints in one group", "make one group of turning joints, and one of sliding joints"
+                "DB404",
+                place,
+                "turning and sliding joints in one group",
+                "make one group of turning joints, and one of sliding joints",
             )
         elif not not_joints:
             groups[name] = (Kind.JOINTS, as_joints)
@@ -509,8 +631,12 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
             if matching_names((joint.name for joint in model.joints), odd[0]):
                 report_missing_joint(values, span, odd[0], model, joints)
             else:
-                report_unmatched(values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links])))
+                report_unmatched(
+                    values, span, odd[0], "joint or link", list(dict.fromkeys([*joints, *links]))
+                )
         else:
-            values.add("DB203", place, "joints and links in one group", "make one group of joints, and one of links")
+            values.add(
+                "DB203", place, "joints and links in one group", "make one group of joints, and one of links"
+            )
         values.mark_invalid(name)
     return groups

@@ -1,4 +1,5 @@
-"""The search of `tune`: every value at an end of a range and every choice is checked as `--set` of it would be."""
+"""The search of `tune`: every value at an end of a range and every choice is checked as `--set` of it would
+be."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ _FIXED_HELP = {
     **dict.fromkeys(("deepbots", "name", "summary", TUNE, TESTS), "remove it"),
     "evaluation": "remove it: it determines how trials are compared",
     "solved": "remove it: it determines how trials are compared",
-    "train.total_timesteps": "remove it: all trials train for the same number of steps, which `tune.timesteps` or `--timesteps` sets",
+    "train.total_timesteps": "remove it: all trials train for the same number of steps, which"
+    " `tune.timesteps` or `--timesteps` sets",
 }
 
 
@@ -32,30 +34,45 @@ def compile_search(
     document: Document, program: Program, findings: Findings, check: Callable[[Document], CheckedScenario]
 ) -> dict[str, SearchSpace]:
     """The search space of each key, by its path as it is written; what cannot be searched is a finding."""
-    found: dict[str, SearchSpace] = {}
+    spaces: dict[str, SearchSpace] = {}
     entries = entries_at(document.root, TUNE, "search")
     if document.root is None or not entries:
-        return found
+        return spaces
     if len(entries) > MAX_SEARCHED:
         headline = f"a search over {len(entries)} keys"
-        findings.add("DB005", next(iter(entries.values())).key.span, headline, f"search over at most {MAX_SEARCHED} keys")
-        return found
+        findings.add(
+            "DB005",
+            next(iter(entries.values())).key.span,
+            headline,
+            f"search over at most {MAX_SEARCHED} keys",
+        )
+        return spaces
     prober = _Prober(document, program, findings, check)
     for name, entry in entries.items():
         space = prober.space(name.strip(), entry)
         if space is not None:
-            found[name.strip()] = space
-    return found
+            spaces[name.strip()] = space
+    return spaces
 
 
 class _Prober:
     """Checks the scenario with one value of one key after the other."""
 
-    def __init__(self, document: Document, program: Program, findings: Findings, check: Callable[[Document], CheckedScenario]) -> None:
+    def __init__(
+        self,
+        document: Document,
+        program: Program,
+        findings: Findings,
+        check: Callable[[Document], CheckedScenario],
+    ) -> None:
         root = without_paths(document.root, ((TUNE,), (TESTS,))) if document.root else None
         assert isinstance(root, MappingNode)  # as it was
-        self._root, self._document, self._base, self._findings, self._check = root, document, program, findings, check
-        self._known = {found.sort_key for found in findings}
+        self._root = root
+        self._document = document
+        self._base = program
+        self._findings = findings
+        self._check = check
+        self._known = {finding.sort_key for finding in findings}
         self._searched: dict[NodePath, Entry] = {}
 
     def space(self, name: str, entry: Entry) -> SearchSpace | None:
@@ -68,7 +85,13 @@ class _Prober:
             return None
         if path in self._searched:
             labels = (Label(self._searched[path].key.span, "first searched here"),)
-            self._findings.add("DB202", entry.key.span, f"`{name}` is already searched", "remove one of the two", labels=labels)
+            self._findings.add(
+                "DB202",
+                entry.key.span,
+                f"`{name}` is already searched",
+                "remove one of the two",
+                labels=labels,
+            )
             return None
         self._searched[path] = entry
         try:
@@ -82,7 +105,8 @@ class _Prober:
         return self._with_sound_middle(name, space, entry)
 
     def _with_sound_middle(self, name: str, space: SearchSpace, entry: Entry) -> SearchSpace | None:
-        """The space if a value with a fraction is sound too; else that of the whole numbers, if both ends are."""
+        """The space if a value with a fraction is sound too; else that of the whole numbers, if both ends
+        are."""
         middle = space.middle
         is_whole = space.low.is_integer() and space.high.is_integer() and not space.unit
         if is_whole and not list(self._errors(name, space.text(int(middle) + 0.5))):
@@ -92,14 +116,17 @@ class _Prober:
         return space if self._is_sound(name, space.text(middle), entry) else None
 
     def _is_sound(self, name: str, text: str, entry: Entry) -> bool:
-        """Whether the scenario compiles with this value, and the same policy can act in it; else after findings at the entry."""
+        """Whether the scenario compiles with this value, and the same policy can act in it; else after
+        findings at the entry."""
         errors = list(self._errors(name, text))
-        for found in errors:
-            source, start, _ = found.span
+        for finding in errors:
+            source, start, _ = finding.span
             at_key = source.text == f"{name}={text}" and start < len(name)
-            elsewhere = () if source.text == f"{name}={text}" else (Label(found.span, f"with `{name}: {text}`"),)
+            elsewhere = (
+                () if source.text == f"{name}={text}" else (Label(finding.span, f"with `{name}: {text}`"),)
+            )
             span = entry.key.span if at_key else entry.value.span
-            self._findings.append(replace(found, span=span, labels=elsewhere, fix=None))
+            self._findings.append(replace(finding, span=span, labels=elsewhere, fix=None))
         return not errors
 
     def _errors(self, name: str, text: str) -> Iterator[Finding]:
@@ -110,13 +137,21 @@ class _Prober:
             yield from findings.errors
             return
         checked = self._check(replace(self._document, root=root, findings=findings))
-        yield from (found for found in checked.findings.errors if found.sort_key not in self._known)
-        lines = identity.differences(self._base, checked.program, words=("in the scenario", "with this value")) if checked.program else []
+        yield from (finding for finding in checked.findings.errors if finding.sort_key not in self._known)
+        lines = (
+            identity.differences(self._base, checked.program, words=("in the scenario", "with this value"))
+            if checked.program
+            else []
+        )
         if lines:
             headline = f"`{name}: {text}` changes the interface of the policy"
-            help = "search only over values that leave the observation, the action and the messages as they are"
+            help = (
+                "search only over values that leave the observation, the action and the messages as they are"
+            )
             source = Source("", f"{name}={text}")
-            yield Finding("DB613", Span(source, len(name), len(source.text)), headline, help, notes=tuple(lines[:5]))
+            yield Finding(
+                "DB613", Span(source, len(name), len(source.text)), headline, help, notes=tuple(lines[:5])
+            )
 
 
 def _read(entry: Entry) -> SearchSpace:

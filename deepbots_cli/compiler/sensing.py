@@ -14,17 +14,36 @@ from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Components, Kind, Known, Symbol, Type
 from deepbots_cli.program.resets import OfSensor
-from deepbots_cli.program.robots import MAX_SENSED_RAYS, MIN_RESOLUTION, CalibrationTable, CameraIntrinsics, NoiseModel, RayConfig, Sensor
+from deepbots_cli.program.robots import (
+    MAX_SENSED_RAYS,
+    MIN_RESOLUTION,
+    CalibrationTable,
+    CameraIntrinsics,
+    NoiseModel,
+    RayConfig,
+    Sensor,
+)
 from deepbots_cli.program.task import MAX_OBSERVED_BYTES
 from deepbots_cli.robots.model import Pose, Vector
 from deepbots_cli.scenario.base import kind_parameters
-from deepbots_cli.scenario.sensors import BASES, Camera, ContactSensor, JointSensor, LinkSensor, RayScan, RaySensor, Touch
+from deepbots_cli.scenario.sensors import (
+    BASES,
+    Camera,
+    ContactSensor,
+    JointSensor,
+    LinkSensor,
+    RayScan,
+    RaySensor,
+    Touch,
+)
 from deepbots_cli.scenario.sensors import CalibrationTable as TableSpec
 from deepbots_cli.scenario.sensors import Sensor as SensorSpec
 from deepbots_cli.scenario.world import SensorFrame
 
 _LINKS = frozenset({Kind.LINK})
-_CONTACT_KINDS = frozenset({Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS})
+_CONTACT_KINDS = frozenset(
+    {Kind.GROUND, Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.LINK, Kind.LINKS, Kind.WALL, Kind.WALLS}
+)
 
 
 class SensorsCompiler(NamespaceReader):
@@ -44,35 +63,49 @@ class SensorsCompiler(NamespaceReader):
         """The sensors in a world whose timestep is `timestep` s, which their periods are multiples of."""
         specs = self._robot.spec.sensors
         return tuple(
-            replace(found, faults=_with_period(found.faults, self._namespace, specs[name], timestep))
-            for name, found in self._sensors.items()
+            replace(sensor, faults=_with_period(sensor.faults, self._namespace, specs[name], timestep))
+            for name, sensor in self._sensors.items()
         )
 
     def _check_size(self) -> None:
         """DB005 for more than a robot can send in every timestep."""
         rays = sum(len(sensor.beams.rays) for sensor in self._sensors.values() if sensor.beams)
-        values = sum(math.prod(symbol.type.picture) for symbol in self.symbols.values() if symbol.type and symbol.type.picture)
-        for count, limit, what in ((rays, MAX_SENSED_RAYS, "rays"), (values, MAX_OBSERVED_BYTES, "bytes of pictures")):
+        values = sum(
+            math.prod(symbol.type.picture)
+            for symbol in self.symbols.values()
+            if symbol.type and symbol.type.picture
+        )
+        for count, limit, what in (
+            (rays, MAX_SENSED_RAYS, "rays"),
+            (values, MAX_OBSERVED_BYTES, "bytes of pictures"),
+        ):
             if count > limit:
-                headline = f"the sensors of `{self._robot.name}` have {count:,} {what}; the limit is {limit:,}"
+                headline = (
+                    f"the sensors of `{self._robot.name}` have {count:,} {what}; the limit is {limit:,}"
+                )
                 help = "use fewer rays or smaller pictures: the robot reads all its sensors in every timestep"
                 self._values.add_at_key("DB005", (*self._robot.spec.path, "sensors"), headline, help)
 
     def _add(self, name: str, spec: SensorSpec) -> None:
-        made = self._read(name, spec)
-        if made is None:
+        reading = self._read(name, spec)
+        if reading is None:
             return
-        sensor, known = made
-        slides = isinstance(spec, JointSensor) and joint_dimension(self._robot.model.joint(sensor.subjects[0])) == LENGTH
-        own = self._namespace.parameters(spec, kind_parameters(type(spec), *BASES), known.dimension, slides=slides)
+        sensor, typed = reading
+        slides = (
+            isinstance(spec, JointSensor)
+            and joint_dimension(self._robot.model.joint(sensor.subjects[0])) == LENGTH
+        )
+        own = self._namespace.parameters(
+            spec, kind_parameters(type(spec), *BASES), typed.dimension, slides=slides
+        )
         if own is None:
             return
-        faults, known = _noise_model(self._namespace, spec, known)
+        faults, typed = _noise_model(self._namespace, spec, typed)
         if isinstance(spec, RaySensor) and spec.lookup is None:
             sensor = self._with_ray_reach(sensor, spec, faults)
-        unit = "" if known.boolean or known.picture else str(known.dimension)
+        unit = "" if typed.boolean or typed.picture else str(typed.dimension)
         self._sensors[name] = replace(sensor, unit=unit, faults=faults, parameters=own)
-        self.symbols[name] = Symbol(name, known._replace(known=Known.STEP))
+        self.symbols[name] = Symbol(name, typed._replace(known=Known.STEP))
 
     def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, Type] | None:
         """A sensor without errors, and the type of its readings; None after a finding."""
@@ -106,16 +139,29 @@ class SensorsCompiler(NamespaceReader):
                     more["optics"], picture = optics, optics.shape
         if not subjects:
             return None
-        sensor = Sensor(name, spec.type, subjects, components, "", reader=spec.reader, world_function=spec.world_function, **more)
+        sensor = Sensor(
+            name,
+            spec.type,
+            subjects,
+            components,
+            "",
+            reader=spec.reader,
+            world_function=spec.world_function,
+            **more,
+        )
         if picture:
             return sensor, Type(picture=picture, known=Known.STEP)
-        return sensor, Type(dimension, components or None, boolean=spec.boolean, known=Known.STEP).with_intervals(intervals)
+        return sensor, Type(
+            dimension, components or None, boolean=spec.boolean, known=Known.STEP
+        ).with_intervals(intervals)
 
     def _with_ray_reach(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None) -> Sensor:
         """The sensor with rays that go to the end of its range."""
         if "range" not in spec.model_fields_set and not self._values.is_invalid("range"):
             headline = f"the range of `{sensor.name}` is missing"
-            self._values.add_at_key("DB102", spec.path, headline, "add a range, as in `range: 0 .. 1 m`, or a `lookup`")
+            self._values.add_at_key(
+                "DB102", spec.path, headline, "add a range, as in `range: 0 .. 1 m`, or a `lookup`"
+            )
         reach = max(faults.high) if faults and faults.high else 0.0
         if faults and faults.high and reach <= 0.0:
             span, headline = self._values.span((*spec.path, "range")), f"a range that ends at {reach:g} m"
@@ -124,21 +170,27 @@ class SensorsCompiler(NamespaceReader):
 
     def _against(self, spec: Touch) -> tuple[str, ...]:
         """The full names of what a touch sensor feels."""
-        given = spec.against or ()
-        found: list[str] = []
-        for index, name in enumerate([given] if isinstance(given, str) else given):
+        written = spec.against or ()
+        links: list[str] = []
+        for index, name in enumerate([written] if isinstance(written, str) else written):
             subject = self._namespace.subject(name, _LINKS)
             if subject is not None and subject.kind in _CONTACT_KINDS:
-                found += subject.members or subject.pieces or (subject.name,)
+                links += subject.members or subject.pieces or (subject.name,)
             elif subject is None or subject.kind is not Kind.BROKEN:
-                steps = ("against",) if isinstance(given, str) else ("against", index)
-                self._values.report_unknown(self._values.span((*spec.path, *steps)), "body or link", name, [*self._felt(), "ground"])
-        return tuple(dict.fromkeys(found))
+                steps = ("against",) if isinstance(written, str) else ("against", index)
+                self._values.report_unknown(
+                    self._values.span((*spec.path, *steps)), "body or link", name, [*self._felt(), "ground"]
+                )
+        return tuple(dict.fromkeys(links))
 
     def _felt(self) -> list[str]:
         """Every body and link that a touch sensor may feel."""
         subjects = {name: self._namespace.subject(name, _LINKS) for name in self._namespace.subjects()}
-        return [name for name, subject in subjects.items() if subject is not None and subject.kind in _CONTACT_KINDS]
+        return [
+            name
+            for name, subject in subjects.items()
+            if subject is not None and subject.kind in _CONTACT_KINDS
+        ]
 
 
 # Frames, cameras and rays
@@ -150,7 +202,9 @@ def _frame(namespace: Namespace, spec: SensorFrame) -> Pose:
     def triple(whole: str, parts: Components) -> Vector:
         if getattr(spec, whole) is not None:
             return namespace.triple(spec, whole) or (0.0, 0.0, 0.0)
-        x, y, z = (namespace.fixed(spec, part) or 0.0 if part in spec.model_fields_set else 0.0 for part in parts)
+        x, y, z = (
+            namespace.fixed(spec, part) or 0.0 if part in spec.model_fields_set else 0.0 for part in parts
+        )
         return (x, y, z)
 
     return Pose(triple("xyz", ("x", "y", "z")), triple("rpy", ("roll", "pitch", "yaw")))
@@ -170,20 +224,33 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
             return None
         (near,), (far,) = ends.low, ends.high
     if fov is not None and fov >= math.pi:
-        values.add("DB105", values.span((*spec.path, "fov")), f"the angle of view is {math.degrees(fov):g} deg", "write less than 180 deg")
+        values.add(
+            "DB105",
+            values.span((*spec.path, "fov")),
+            f"the angle of view is {math.degrees(fov):g} deg",
+            "write less than 180 deg",
+        )
         return None
-    return CameraIntrinsics(int(size[0]), int(size[1]), fov, spec.channels, near, far) if size and fov else None
+    return (
+        CameraIntrinsics(int(size[0]), int(size[1]), fov, spec.channels, near, far) if size and fov else None
+    )
 
 
 def _scan(namespace: Namespace, spec: RayScan) -> tuple[RayConfig, Components, Dimension, Interval] | None:
-    """The rays, with components, dimension and interval of what they tell; None after a finding. Without a lookup, their reach is 0."""
+    """The rays, with components, dimension and interval of what they tell; None after a finding. Without a
+    lookup, their reach is 0."""
     rays = _rays(namespace, spec)
     if not isinstance(spec, RaySensor):
-        return None if rays is None else (RayConfig(tuple(rays.values()), 0.0), _components(rays), spec.dimension, spec.interval)
+        return (
+            None
+            if rays is None
+            else (RayConfig(tuple(rays.values()), 0.0), _components(rays), spec.dimension, spec.interval)
+        )
     table = _lookup(namespace, spec.lookup) if spec.lookup is not None else None
     if rays is None or (spec.lookup is not None and table is None):
         return None
-    beams, components = RayConfig(tuple(rays.values()), 0.0, spec.measure), _components(rays) if spec.measure == "each" else ()
+    beams = RayConfig(tuple(rays.values()), 0.0, spec.measure)
+    components = _components(rays) if spec.measure == "each" else ()
     if table is None:
         return beams, components, spec.dimension, spec.interval
     lookup, dimension = table
@@ -202,12 +269,17 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     if isinstance(spec.rays, dict):
         if spec.angle_range is not None:
             help = "remove it, or write a number of rays, as in `rays: 5`, to spread them over the range"
-            values.add_at_key("DB101", (*spec.path, "angle_range"), "`angle_range` does not apply to rays with names", help)
+            values.add_at_key(
+                "DB101", (*spec.path, "angle_range"), "`angle_range` does not apply to rays with names", help
+            )
         return {name: _frame(namespace, ray) for name, ray in spec.rays.items()}
     count = spec.rays or 1
     if spec.angle_range is None:
         if count > 1 and not values.is_invalid("angle_range"):
-            help = "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays: {left: {yaw: 30 deg}}`"
+            help = (
+                "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays: {left: {yaw: 30"
+                " deg}}`"
+            )
             values.add("DB102", (*spec.path, "rays"), f"the directions of the {count} rays are missing", help)
         if count > 1:
             return None
@@ -234,7 +306,7 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
             dimension = typed.type.dimension if key == "value" else dimension
     if len(columns) < (2 if spec.noise is None else 3):
         return None
-    found = len(values.findings)
+    findings_before = len(values.findings)
     distance = columns["distance"]
     for key, column in columns.items():
         if len(column) != len(distance):
@@ -248,10 +320,16 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
         values.add("DB105", distances, headline, "sort the distances, and their values with them")
     elif distance[0] < 0.0 or distance[-1] <= 0.0:
         headline = f"the distance {min(distance[0], distance[-1]):g} m is not allowed"
-        values.add("DB105", distances, headline, "write distances of at least 0; the last one must be greater than 0")
+        values.add(
+            "DB105", distances, headline, "write distances of at least 0; the last one must be greater than 0"
+        )
     elif noises and min(noises) < 0.0:
         values.add("DB105", (*spec.path, "noise"), f"the noise is {min(noises):g}", "write 0 or more")
-    return (CalibrationTable(distance, columns["value"], noises), dimension) if len(values.findings) == found else None
+    return (
+        (CalibrationTable(distance, columns["value"], noises), dimension)
+        if len(values.findings) == findings_before
+        else None
+    )
 
 
 # Errors
@@ -261,29 +339,42 @@ MAX_TICKS = 100_000
 _NUMERIC_SENSOR_KEYS = ("noise", "bias", "drift", "resolution", "range")
 
 
-def _noise_model(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[NoiseModel | None, Type]:
-    """The errors of a sensor, period apart, and the type of its readings with them; None for a perfect sensor."""
+def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[NoiseModel | None, Type]:
+    """The errors of a sensor, period apart, and the type of its readings with them; None for a perfect
+    sensor."""
     drawn = len(namespace.variations)
     latency = _latency(namespace, spec)
-    if known.boolean or known.picture:
-        tells, keys = ("takes pictures", _NUMERIC_SENSOR_KEYS[:-2]) if known.picture else ("reads true or false", _NUMERIC_SENSOR_KEYS)
+    if typed.boolean or typed.picture:
+        tells, keys = (
+            ("takes pictures", _NUMERIC_SENSOR_KEYS[:-2])
+            if typed.picture
+            else ("reads true or false", _NUMERIC_SENSOR_KEYS)
+        )
         for key in keys:
             if key in spec.model_fields_set:
-                namespace.values.add_at_key("DB403", (*spec.path, key), f"a sensor that {tells} has no `{key}`", "remove it")
+                namespace.values.add_at_key(
+                    "DB403", (*spec.path, key), f"a sensor that {tells} has no `{key}`", "remove it"
+                )
         model = NoiseModel(latency=latency)
     else:
-        noise, relative_noise = _error(namespace, spec, "noise", known)
-        bias, relative_bias = _error(namespace, spec, "bias", known)
-        drift, _ = _error(namespace, spec, "drift", known)
-        resolution, (low, high) = _resolution(namespace, spec, known), _range(namespace, spec, known)
-        model = NoiseModel(1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, resolution)
+        noise, relative_noise = _error(namespace, spec, "noise", typed)
+        bias, relative_bias = _error(namespace, spec, "bias", typed)
+        drift, _ = _error(namespace, spec, "drift", typed)
+        resolution, (low, high) = _resolution(namespace, spec, typed), _range(namespace, spec, typed)
+        model = NoiseModel(
+            1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, resolution
+        )
         wanders = noise or relative_noise or bias or relative_bias or drift
-        reach = list(map(Interval, low, high)) or ([EVERYTHING] if wanders else list(known.intervals) or [known.interval])
+        reach = list(map(Interval, low, high)) or (
+            [EVERYTHING] if wanders else list(typed.intervals) or [typed.interval]
+        )
         if resolution:
             half = max(resolution) / 2
-            reach = [Interval(each.low - half, each.high + half) if each.is_finite else each for each in reach]
-        known = known.with_intervals(reach)
-    return None if model == NoiseModel() and len(namespace.variations) == drawn else model, known
+            reach = [
+                Interval(each.low - half, each.high + half) if each.is_finite else each for each in reach
+            ]
+        typed = typed.with_intervals(reach)
+    return None if model == NoiseModel() and len(namespace.variations) == drawn else model, typed
 
 
 def _latency(namespace: Namespace, spec: SensorSpec) -> float:
@@ -292,34 +383,55 @@ def _latency(namespace: Namespace, spec: SensorSpec) -> float:
     return namespace.scalar_or_randomized(spec, "latency", "sensor", _owner(spec.path, "latency"), 0.0)
 
 
-def _error(namespace: Namespace, spec: SensorSpec, key: str, known: Type) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _error(
+    namespace: Namespace, spec: SensorSpec, key: str, typed: Type
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """A value per component, absolute or relative: one written with `%` is relative to the reading."""
     if key not in spec.model_fields_set:
         return (), ()
     relative = key != "drift" and "%" in namespace.values.field(spec, key).text
-    dimension = NUMBER if relative else known.dimension / TIME if key == "drift" else known.dimension
+    if relative:
+        dimension = NUMBER
+    elif key == "drift":
+        dimension = typed.dimension / TIME
+    else:
+        dimension = typed.dimension
     of, drawn = _owner(spec.path, f"relative_{key}" if relative else key), len(namespace.variations)
-    found = namespace.vector_or_randomized(spec, key, "sensor", of, dimension=dimension, per_component=known.components or ("",)) or ()
-    if not any(found) and drawn == len(namespace.variations):
-        found = ()
-    return ((), found) if relative else (found, ())
+    error = (
+        namespace.vector_or_randomized(
+            spec, key, "sensor", of, dimension=dimension, per_component=typed.components or ("",)
+        )
+        or ()
+    )
+    if not any(error) and drawn == len(namespace.variations):
+        error = ()
+    return ((), error) if relative else (error, ())
 
 
-def _resolution(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[float, ...]:
+def _resolution(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[float, ...]:
     if "resolution" not in spec.model_fields_set:
         return ()
-    steps = namespace.numbers(spec, "resolution", dimension=known.dimension, components=known.components)
+    steps = namespace.numbers(spec, "resolution", dimension=typed.dimension, components=typed.components)
     if steps and any(0.0 < step < MIN_RESOLUTION for step in steps):
-        values, unit = namespace.values, "" if known.dimension == NUMBER else f" {known.dimension}"
+        values, unit = namespace.values, "" if typed.dimension == NUMBER else f" {typed.dimension}"
         headline = f"`resolution` is {min(step for step in steps if step > 0.0):g}{unit}"
-        values.add("DB105", (*spec.path, "resolution"), headline, f"write at least `{MIN_RESOLUTION:g}{unit}`, or remove it")
+        values.add(
+            "DB105",
+            (*spec.path, "resolution"),
+            headline,
+            f"write at least `{MIN_RESOLUTION:g}{unit}`, or remove it",
+        )
     return steps if steps and all(steps) else ()
 
 
-def _range(namespace: Namespace, spec: SensorSpec, known: Type) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _range(
+    namespace: Namespace, spec: SensorSpec, typed: Type
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
     if spec.range is None:
         return (), ()
-    ends = namespace.ends(spec, "range", what="the range of a sensor", dimension=known.dimension, components=known.components)
+    ends = namespace.ends(
+        spec, "range", what="the range of a sensor", dimension=typed.dimension, components=typed.components
+    )
     return (ends.low, ends.high) if ends else ((), ())
 
 
@@ -327,8 +439,11 @@ def _owner(path: NodePath, field: str) -> OfSensor:
     return OfSensor(str(path[1]), str(path[3]), field)
 
 
-def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, timestep: float) -> NoiseModel | None:
-    """The errors with the period of the sensor, in timesteps; DB308 for a period that is no whole number of them."""
+def _with_period(
+    faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, timestep: float
+) -> NoiseModel | None:
+    """The errors with the period of the sensor, in timesteps; DB308 for a period that is no whole number of
+    them."""
     seconds, values = namespace.fixed(spec, "period"), namespace.values
     if seconds is None or values.is_invalid("world.timestep"):
         return faults
@@ -337,5 +452,7 @@ def _with_period(faults: NoiseModel | None, namespace: Namespace, spec: SensorSp
         headline = f"the period of {seconds:g} s is not a multiple of the timestep of {timestep:g} s"
         values.add("DB308", span, headline, "write a multiple of the timestep")
     elif ticks > MAX_TICKS:
-        values.add("DB105", span, f"the period is {ticks:,} timesteps", f"write at most {MAX_TICKS:,} timesteps")
+        values.add(
+            "DB105", span, f"the period is {ticks:,} timesteps", f"write at most {MAX_TICKS:,} timesteps"
+        )
     return replace(faults or NoiseModel(), period=ticks) if ticks > 1 else faults

@@ -1,4 +1,5 @@
-"""The section `ros`: the topics of sensors, readings of the world and actuators, checked against the messages of ROS 2."""
+"""The section `ros`: the topics of sensors, readings of the world and actuators, checked against the messages
+of ROS 2."""
 
 from __future__ import annotations
 
@@ -14,10 +15,12 @@ if TYPE_CHECKING:
 
 
 def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
-    """The topics that the scenario gives, by sensor, reading and actuator; findings for those that do not fit.
+    """The topics that the scenario gives, by sensor, reading and actuator; findings for those that do not
+    fit.
 
     Raises:
-        MissingExtraError: The scenario has a section `ros`, and deepbots-robot, which has the messages, is not installed.
+        MissingExtraError: The scenario has a section `ros`, and deepbots-robot, which has the messages, is
+            not installed.
     """
     values, spec = namespace.values, namespace.scenario
     if not spec.ros:
@@ -29,29 +32,36 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
         raise MissingExtraError("robot", "the section `ros`") from error
     sensors = {field.name: field for field in (*reading_fields(program), *sensor_fields(program))}
     fields = {**{field.name: field for field in command_fields(program)}, **sensors}
-    found: dict[str, tuple[Field, Topic]] = {}
-    for name, given in spec.ros.items():
+    topics_by_field: dict[str, tuple[Field, Topic]] = {}
+    for name, written in spec.ros.items():
         field = fields.get(name)
         if field is None:
-            values.report_unknown(values.key_span(("ros", name)), "sensor, reading or actuator", name, list(fields))
+            values.report_unknown(
+                values.key_span(("ros", name)), "sensor, reading or actuator", name, list(fields)
+            )
             continue
-        topic = Topic(given.topic, given.type, given.part)
+        topic = Topic(written.topic, written.type, written.part)
         try:
             part_of(field, topic)
         except ValueError as error:
-            help = "choose another type, or another `part`; `deepbots inspect SCENARIO --ros` prints types that fit"
-            values.add("DB321", ("ros", name, "type" if given.part is None else "part"), str(error), help)
+            help = (
+                "choose another type, or another `part`; `deepbots inspect SCENARIO --ros` prints types"
+                " that fit"
+            )
+            values.add("DB321", ("ros", name, "type" if written.part is None else "part"), str(error), help)
         else:
-            found[name] = (field, topic)
+            topics_by_field[name] = (field, topic)
     first = mapping(replace(program, ros={}))
-    every = {name: (field, first[name]) for name, field in fields.items() if name in first and name not in spec.ros} | found
+    every = {
+        name: (field, first[name]) for name, field in fields.items() if name in first and name not in spec.ros
+    } | topics_by_field
     problems = conflicts(every)
     measured = {topic.name for name, (_, topic) in every.items() if name in sensors}
     commanded = {topic.name for name, (_, topic) in every.items() if name not in sensors}
-    for name, (_, given_topic) in found.items():
+    for name, (_, given_topic) in topics_by_field.items():
         if given_topic.name in measured & commanded:
             headline = f"the topic {given_topic.name} carries sensors and commands"
             values.add_at_key("DB321", ("ros", name), headline, "use topics of their own for commands")
         elif name in problems:
             values.add_at_key("DB321", ("ros", name), problems[name], "use another topic")
-    return {name: topic for name, (_, topic) in found.items()}
+    return {name: topic for name, (_, topic) in topics_by_field.items()}

@@ -13,7 +13,15 @@ from typing import Any, NamedTuple
 
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import Replacement, nearest_word, suggest_replacement
-from deepbots_cli.document.nodes import MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, to_data
+from deepbots_cli.document.nodes import (
+    MappingNode,
+    Node,
+    NodePath,
+    ScalarNode,
+    SequenceNode,
+    descend,
+    to_data,
+)
 from deepbots_cli.expressions import check, parser, syntax
 from deepbots_cli.expressions.dimensions import ACCELERATION, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.lower import constant_values
@@ -41,7 +49,13 @@ _BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
 """A word that is not the unit of a number."""
 _COPY = re.compile(r"#\d")
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
-_DEFINED_UNDER = {"case": "evaluation.cases", "stage": "curriculum", "line": "world.lines", "object": "objects", "layout": "reset.layouts"}
+_DEFINED_UNDER = {
+    "case": "evaluation.cases",
+    "stage": "curriculum",
+    "line": "world.lines",
+    "object": "objects",
+    "layout": "reset.layouts",
+}
 """The place of definitions, by what findings call them."""
 ANY_NAME = "*"
 """Stands for all names: those of a section that is no mapping cannot be told."""
@@ -51,7 +65,8 @@ _MAX_KEY_DISTANCE = 200  # how far before a finding its key may stand, in charac
 
 
 def invalid_names(root: MappingNode, pruned: Iterable[NodePath], found: Iterable[Span]) -> set[str]:
-    """The names in what the schema took out of `root`, and the keys at and right before the findings `found`."""
+    """The names in what the schema took out of `root`, and the keys at and right before the findings
+    `found`."""
     names: set[str] = set()
     data = to_data(root)
     for path in pruned:
@@ -103,7 +118,16 @@ class SourceText(NamedTuple):
         noise: Noise | None = None,
     ) -> Expression:
         """The expression of which `typed` is the tree, called like the key unless it has a `name`."""
-        return Expression(name or str(self.path[-1]), self.span, self.text, typed, self.owner, per_component, redraw, noise=noise)
+        return Expression(
+            name or str(self.path[-1]),
+            self.span,
+            self.text,
+            typed,
+            self.owner,
+            per_component,
+            redraw,
+            noise=noise,
+        )
 
     @property
     def span(self) -> Span:
@@ -116,7 +140,11 @@ class SourceText(NamedTuple):
 
     def noun(self, dimension: Dimension | None) -> str | None:
         """The noun of a torque, which in an expression may be an energy; None of all else."""
-        return "a torque" if dimension == TORQUE and isinstance(self.kind, Quantity) and "torque" in self.kind.dimension else None
+        return (
+            "a torque"
+            if dimension == TORQUE and isinstance(self.kind, Quantity) and "torque" in self.kind.dimension
+            else None
+        )
 
 
 class RangeEnds(NamedTuple):
@@ -141,11 +169,17 @@ class ScopedExpression(NamedTuple):
 class ValueReader:
     """Reads the values of one scenario.
 
-    `kinds` says what the schema wants at each path; `invalid` holds the names whose definitions had findings. What was read
-    is kept in `readings`, for editors.
+    `kinds` says what the schema wants at each path; `invalid` holds the names whose definitions had findings.
+    What was read is kept in `readings`, for editors.
     """
 
-    def __init__(self, root: MappingNode, findings: Findings, kinds: Table[NodePath, FieldType], invalid: Iterable[str] = ()) -> None:
+    def __init__(
+        self,
+        root: MappingNode,
+        findings: Findings,
+        kinds: Table[NodePath, FieldType],
+        invalid: Iterable[str] = (),
+    ) -> None:
         self.root = root
         self.findings = findings
         self.readings: list[ScopedExpression] = []
@@ -157,7 +191,8 @@ class ValueReader:
         return descend(self.root, path)[0].span
 
     def key_span(self, path: NodePath) -> Span:
-        """The span of the last key of `path`; of the value if there is no key, and of the first line for the whole file."""
+        """The span of the last key of `path`; of the value if there is no key, and of the first line for the
+        whole file."""
         node, key, _ = descend(self.root, path)
         if key is None and node is self.root:
             end = node.span.source.text.find("\n", node.span.start, node.span.end)
@@ -165,7 +200,8 @@ class ValueReader:
         return key.span if key else node.span
 
     def span_of_first(self, path: NodePath, *keys: str) -> Span:
-        """The value of the first of these keys that the mapping at `path` has, or else the last key of `path`."""
+        """The value of the first of these keys that the mapping at `path` has, or else the last key of
+        `path`."""
         key = next((key for key in keys if self.is_present((*path, key))), None)
         return self.span((*path, key)) if key else self.key_span(path)
 
@@ -205,7 +241,15 @@ class ValueReader:
         span = place if isinstance(place, Span) else self.span(place)
         self.findings.add(code, span, headline, help=help, labels=labels, notes=notes, fix=fix)
 
-    def add_at_key(self, code: str, path: NodePath, headline: str, help: str | None = None, *, notes: tuple[str, ...] = ()) -> None:
+    def add_at_key(
+        self,
+        code: str,
+        path: NodePath,
+        headline: str,
+        help: str | None = None,
+        *,
+        notes: tuple[str, ...] = (),
+    ) -> None:
         """Add a finding at the last key of a path."""
         self.add(code, self.key_span(path), headline, help, notes=notes)
 
@@ -214,7 +258,9 @@ class ValueReader:
     def report_duplicate(self, path: NodePath, name: str, what: str, first: NodePath) -> None:
         """A finding that the key at `path` defines a `name` that is already `what`, since `first`."""
         also = (Label(self.key_span(first), "first defined here"),)
-        self.add("DB202", self.key_span(path), f"`{name}` is already {what}", "choose another name", labels=also)
+        self.add(
+            "DB202", self.key_span(path), f"`{name}` is already {what}", "choose another name", labels=also
+        )
 
     def mark_invalid(self, name: str) -> None:
         """Note that the definition of `name` had a finding."""
@@ -228,7 +274,9 @@ class ValueReader:
         """Whether the definition of the dotted `name`, or of a part of it, had a finding."""
         return name in self._invalid or not self._invalid.isdisjoint(name.split("."))
 
-    def report_unknown(self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201") -> None:
+    def report_unknown(
+        self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201"
+    ) -> None:
         """A finding that `name` is none of the `known`, unless its definition had one."""
         if not self.is_invalid(name):
             owned = check.with_owner(name, known)
@@ -256,16 +304,25 @@ class ValueReader:
             corrected: Callable[[str], str] | None = None,
         ) -> None:
             span, piece = text.part(start, end), text.text[start:end]
-            if code == "DB502" and any(found.code == "DB106" and found.span == span for found in self.findings):
+            if code == "DB502" and any(
+                finding.code == "DB106" and finding.span == span for finding in self.findings
+            ):
                 return  # what to write instead of too few numbers shows the unit
-            if code == "DB503" and any(word in UNITS and word in self._invalid for word in _BARE_WORD.findall(text.text)):
+            if code == "DB503" and any(
+                word in UNITS and word in self._invalid for word in _BARE_WORD.findall(text.text)
+            ):
                 return  # a definition has the name of a unit, which is no name
-            if code == "DB401" and help is None and (hidden := _HIDDEN.match(span.source.text, text.part(0, len(text.text)).end)):
+            if (
+                code == "DB401"
+                and help is None
+                and (hidden := _HIDDEN.match(span.source.text, text.part(0, len(text.text)).end))
+            ):
                 help = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
                 help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
             word = self._word_replacement(text, piece) if code == "DB402" else None
             if word and not (help or "").startswith("did you mean"):
-                help, replacement = f"write the word `{word}`, or a value; {help}", Replacement(word, safe=False)
+                help = f"write the word `{word}`, or a value; {help}"
+                replacement = Replacement(word, safe=False)
             if corrected is not None:
                 key = f"{text.path[-1]}: " if text.path and isinstance(text.path[-1], str) else ""
                 help = (help or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
@@ -304,13 +361,20 @@ class ValueReader:
         tree = self.parsed(text)
         checked = check.check_drawn(tree, scope, self.report(text)) if tree else None
         period = checked.redraw.period if checked and checked.redraw else None
-        self.readings.append(ScopedExpression(text, scope, tuple(filter(None, (checked and checked.value, period)))))
+        self.readings.append(
+            ScopedExpression(text, scope, tuple(filter(None, (checked and checked.value, period))))
+        )
         return checked
 
-    def redrawn(self, text: SourceText, what: str, scope: Scope, dimension: Dimension) -> tuple[Typed | None, Redraw | None]:
-        """As `quantity`, for a single value that may be new in every step; with it, how often its draws are repeated."""
+    def redrawn(
+        self, text: SourceText, what: str, scope: Scope, dimension: Dimension
+    ) -> tuple[Typed | None, Redraw | None]:
+        """As `quantity`, for a single value that may be new in every step; with it, how often its draws are
+        repeated."""
         checked = self.drawn(text, scope)
-        value = checked and expect_value(checked.value, self.report(text), what, dimension=dimension, unit=text.unit)
+        value = checked and expect_value(
+            checked.value, self.report(text), what, dimension=dimension, unit=text.unit
+        )
         if checked is None or value is None or not self._is_within(value, text, what):
             return None, None
         return value, checked.redraw
@@ -349,12 +413,22 @@ class ValueReader:
             noun=text.noun(dimension),
             shape_help=shape_help,
         )
-        return value if value and self._is_vector(value, text, what) and self._is_within(value, text, what) else None
+        return (
+            value
+            if value and self._is_vector(value, text, what) and self._is_within(value, text, what)
+            else None
+        )
 
     def _is_vector(self, value: Typed, text: SourceText, what: str) -> bool:
-        """Whether what has a direction has all its components; a size or a factor, which is fixed, may be one for all axes."""
+        """Whether what has a direction has all its components; a size or a factor, which is fixed, may be one
+        for all axes."""
         kind = text.kind
-        if not isinstance(kind, Quantity) or not kind.components or kind.known == "fixed" or value.type.components is not None:
+        if (
+            not isinstance(kind, Quantity)
+            or not kind.components
+            or kind.known == "fixed"
+            or value.type.components is not None
+        ):
             return True
         unit = value.type.dimension
         drawn = f"0 0 -10 .. 0 0 -9 {unit}" if unit == ACCELERATION else f"-1 -1 0 .. 1 1 0 {unit}"
@@ -365,20 +439,40 @@ class ValueReader:
     def _is_within(self, value: Typed, text: SourceText, what: str) -> bool:
         """Whether the value keeps the bounds of its field; the schema has looked at bare numbers only."""
         kind = text.kind
-        if not isinstance(kind, Quantity) or (kind.minimum is None and kind.maximum is None and not kind.whole):
+        if not isinstance(kind, Quantity) or (
+            kind.minimum is None and kind.maximum is None and not kind.whole
+        ):
             return True
-        known = constant_values(value)
-        low, high = (min(known), max(known)) if known else (value.type.interval.low, value.type.interval.high)
+        constants = constant_values(value)
+        low, high = (
+            (min(constants), max(constants))
+            if constants
+            else (value.type.interval.low, value.type.interval.high)
+        )
         minimum, maximum, unit = kind.minimum, kind.maximum, str(value.type.dimension)
-        if minimum is not None and math.isfinite(low) and (low < minimum or (kind.exclusive and low == minimum)):
-            odd, help = low, f"write {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
+        if (
+            minimum is not None
+            and math.isfinite(low)
+            and (low < minimum or (kind.exclusive and low == minimum))
+        ):
+            odd = low
+            help = f"write {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
         elif maximum is not None and math.isfinite(high) and high > maximum:
             odd, help = high, f"write at most {_with_unit(maximum, unit)}"
-        elif kind.whole and known and (broken := [number for number in known if not float(number).is_integer()]):
+        elif (
+            kind.whole
+            and constants
+            and (broken := [number for number in constants if not float(number).is_integer()])
+        ):
             odd, help = broken[0], "write a whole number"
         else:
             return True
-        verb = "can be" if known is None else "is" if len(known) == 1 else "contains"
+        if constants is None:
+            verb = "can be"
+        elif len(constants) == 1:
+            verb = "is"
+        else:
+            verb = "contains"
         self.add("DB105", text.span, f"{what} {verb} {_with_unit(odd, unit)}", help)
         return False
 
@@ -386,7 +480,10 @@ class ValueReader:
         """The SI values of a value that is settled in the file; a finding where they cannot be computed."""
         values = constant_values(value)
         if values is None:
-            help = "correct it: the expression divides by zero, leaves the domain of a function, or gives too large a number"
+            help = (
+                "correct it: the expression divides by zero, leaves the domain of a function, or gives"
+                " too large a number"
+            )
             self.add("DB105", text.span, f"{what} cannot be computed", help)
         return values
 
@@ -400,10 +497,17 @@ class ValueReader:
         components: Components | None = None,
         falling: bool = False,
     ) -> RangeEnds | None:
-        """The fixed ends of a range, one per component; with `falling`, in any order. None after a finding."""
-        found = self.range(text, scope, falling=falling)
-        bounds = found and expect_range(found, self.report(text), what, dimension=dimension, components=components)
-        low, high = (self.fixed(bounds.low, text, what), self.fixed(bounds.high, text, what)) if bounds else (None, None)
+        """The fixed ends of a range, one per component; with `falling`, in any order. None after a
+        finding."""
+        interval = self.range(text, scope, falling=falling)
+        bounds = interval and expect_range(
+            interval, self.report(text), what, dimension=dimension, components=components
+        )
+        low, high = (
+            (self.fixed(bounds.low, text, what), self.fixed(bounds.high, text, what))
+            if bounds
+            else (None, None)
+        )
         if bounds is None or low is None or high is None:
             return None
         count = len(components) if components else 1
@@ -411,7 +515,9 @@ class ValueReader:
         if not falling and any(high <= low for low, high in zip(lows, highs, strict=True)):
             self.add("DB105", text.span, "both ends of the range are equal", "write two different ends")
             return None
-        return RangeEnds((bounds.high if is_bare_zero(bounds.low) else bounds.low).type.dimension, lows, highs)
+        return RangeEnds(
+            (bounds.high if is_bare_zero(bounds.low) else bounds.low).type.dimension, lows, highs
+        )
 
 
 def _with_unit(number: float, unit: str) -> str:

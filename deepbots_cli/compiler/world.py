@@ -1,4 +1,5 @@
-"""The world: timestep, ground, arena, terrain, painted lines, walls and objects, with the files that they are made from."""
+"""The world: timestep, ground, arena, terrain, painted lines, walls and objects, with the files that they are
+made from."""
 
 from __future__ import annotations
 
@@ -59,9 +60,9 @@ def define_bodies(namespace: Namespace) -> None:
     for name, thing in spec.objects.items():
         namespace.define(name, Origin.OBJECT, ("objects", name))
         if "count" in thing.model_fields_set:
-            found = _group(name, thing, namespace)
-            namespace.groups |= {name: found} if found else {}
-            if found is None:
+            group = _group(name, thing, namespace)
+            namespace.groups |= {name: group} if group else {}
+            if group is None:
                 namespace.values.mark_invalid(name)
     for name, wall in spec.world.walls.items():
         namespace.define(name, Origin.WALL, ("world", "walls", name))
@@ -76,14 +77,17 @@ def define_bodies(namespace: Namespace) -> None:
 def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> ObjectGroup | None:
     """The group that an object with a `count` is; None after a finding.
 
-    There are as many bodies as the greatest count asks for, and one at least; an episode without copies leaves them absent.
+    There are as many bodies as the greatest count asks for, and one at least; an episode without copies
+    leaves them absent.
     """
     values, count = namespace.values, namespace.expression(thing, "count")
     if count is None:
         return None
     highest = count.typed.type.interval.high
     if not math.isfinite(highest):
-        values.add("DB105", count.span, "a count without a maximum", "draw it from a range: `integer(1 .. 10)`")
+        values.add(
+            "DB105", count.span, "a count without a maximum", "draw it from a range: `integer(1 .. 10)`"
+        )
         return None
     if highest > MAX_BODIES:
         help = "use fewer bodies: an engine would take minutes to build this world"
@@ -93,26 +97,33 @@ def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> Obj
 
 
 MAX_TRIANGLES = 200_000
-_MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = 1e-5, 1e-4, 1e3, 1e6  # m; beyond the inner two a mesh is probably in another unit
+_MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = (
+    1e-5,
+    1e-4,
+    1e3,
+    1e6,
+)  # m; beyond the inner two a mesh is probably in another unit
 
 
 def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
     """The mesh file of an object or a terrain; None after a finding."""
     values, reference, place = namespace.values, spec.file, (*spec.path, "file")
     factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.triple(spec, "scale")
-    found = locate_file(reference, values.span(place), namespace.document, values)
-    if found is None or factors is None:
+    path = locate_file(reference, values.span(place), namespace.document, values)
+    if path is None or factors is None:
         return None
-    loaded = meshes.MeshReader(lambda _reference: found).load(reference)
+    loaded = meshes.MeshReader(lambda _reference: path).load(reference)
     if isinstance(loaded, meshes.UnusableMesh):
         values.add("DB301", place, loaded.headline, loaded.help)
         return None
     if 0.0 in factors:
-        values.add("DB105", (*spec.path, "scale"), "a mesh cannot be scaled by 0", "write factors other than 0")
+        values.add(
+            "DB105", (*spec.path, "scale"), "a mesh cannot be scaled by 0", "write factors other than 0"
+        )
         return None
-    namespace.files[place] = found
-    made = Mesh(str(loaded[0]), loaded[1], factors)
-    return made if _is_sensible(namespace, place, found, made) else None
+    namespace.files[place] = path
+    mesh_shape = Mesh(str(loaded[0]), loaded[1], factors)
+    return mesh_shape if _is_sensible(namespace, place, path, mesh_shape) else None
 
 
 def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Mesh) -> bool:
@@ -122,40 +133,60 @@ def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Me
     if measured is None:
         return True
     if measured.triangles > MAX_TRIANGLES:
-        values.add("DB005", place, f"the mesh has {measured.triangles:,} triangles; the limit is {MAX_TRIANGLES:,}", "simplify it")
+        values.add(
+            "DB005",
+            place,
+            f"the mesh has {measured.triangles:,} triangles; the limit is {MAX_TRIANGLES:,}",
+            "simplify it",
+        )
         return False
-    size = [abs(factor) * (high - low) for factor, low, high in zip(mesh.scale, measured.lower, measured.upper, strict=True)]
-    code = None if _SMALL_MESH_M <= max(size) <= _LARGE_MESH_M else "DB505" if _MIN_MESH_M <= max(size) <= _MAX_MESH_M else "DB105"
+    size = [
+        abs(factor) * (high - low)
+        for factor, low, high in zip(mesh.scale, measured.lower, measured.upper, strict=True)
+    ]
+    if _SMALL_MESH_M <= max(size) <= _LARGE_MESH_M:
+        code = None
+    elif _MIN_MESH_M <= max(size) <= _MAX_MESH_M:
+        code = "DB505"
+    else:
+        code = "DB105"
     if code is not None:
         shown = " x ".join(f"{side:.3g}" for side in size)
-        values.add(code, place, f"the mesh is {shown} m in size", "a mesh in millimeters needs `scale: 0.001 0.001 0.001`")
+        values.add(
+            code,
+            place,
+            f"the mesh is {shown} m in size",
+            "a mesh in millimeters needs `scale: 0.001 0.001 0.001`",
+        )
     return code != "DB105"
 
 
 def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, str] | None:
     """The path and the digest of a gray picture; None after a finding."""
     span = namespace.values.span(path)
-    found = locate_file(reference, span, namespace.document, namespace.values)
-    if found is None:
+    located = locate_file(reference, span, namespace.document, namespace.values)
+    if located is None:
         return None
-    data = read_at_most(found, MAX_PICTURE_BYTES + 1)
+    data = read_at_most(located, MAX_PICTURE_BYTES + 1)
     wrong = picture_problem(data)
     if wrong is not None:
-        namespace.values.add("DB103", span, wrong, "save it as a gray PNG of 8 or 16 bits, without interlacing")
+        namespace.values.add(
+            "DB103", span, wrong, "save it as a gray PNG of 8 or 16 bits, without interlacing"
+        )
         return None
-    namespace.files[path] = found
-    return str(found), hashlib.sha256(data).hexdigest()
+    namespace.files[path] = located
+    return str(located), hashlib.sha256(data).hexdigest()
 
 
 def lines(namespace: Namespace) -> tuple[Line, ...]:
     """The painted lines; their lengths are noted in the namespace."""
-    found = [_line(name, line, namespace) for name, line in namespace.scenario.world.lines.items()]
-    known = tuple(line for line in found if line is not None)
-    if sum(len(line.points) for line in known) > MAX_POINTS:
+    compiled = [_line(name, line, namespace) for name, line in namespace.scenario.world.lines.items()]
+    complete = tuple(line for line in compiled if line is not None)
+    if sum(len(line.points) for line in complete) > MAX_POINTS:
         headline = f"the lines together have more than {MAX_POINTS:,} points"
         namespace.values.add_at_key("DB005", ("world", "lines"), headline, "leave out points")
-    namespace.lengths |= {line.name: line.length for line in known}
-    return known
+    namespace.lengths |= {line.name: line.length for line in complete}
+    return complete
 
 
 def _line(name: str, spec: world_spec.Line, namespace: Namespace) -> Line | None:
@@ -164,28 +195,38 @@ def _line(name: str, spec: world_spec.Line, namespace: Namespace) -> Line | None
     if points is None or width is None or reflectance is None:
         namespace.values.mark_invalid(name)
         return None
-    return Line(name, points, spec.closed, width, reflectance, namespace.color(spec) or (*COLORS["black"], 1.0))
+    return Line(
+        name, points, spec.closed, width, reflectance, namespace.color(spec) or (*COLORS["black"], 1.0)
+    )
 
 
 def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tuple[Point, ...] | None:
     """The corners; None after a finding."""
-    found = [namespace.pair(spec, "points", index) for index in range(len(spec.points))]
-    points = [point for point in found if point is not None]
-    if len(points) < len(found):
+    corners = [namespace.pair(spec, "points", index) for index in range(len(spec.points))]
+    points = [point for point in corners if point is not None]
+    if len(points) < len(corners):
         return None
-    for index, (one, other) in enumerate(zip(points, [*points[1:], points[0]] if spec.closed else points[1:], strict=False)):
+    for index, (one, other) in enumerate(
+        zip(points, [*points[1:], points[0]] if spec.closed else points[1:], strict=False)
+    ):
         if one == other:
             after = (index + 1) % len(points)
-            headline = "two points in a row are the same" if after else "the last point repeats the first point"
+            headline = (
+                "two points in a row are the same" if after else "the last point repeats the first point"
+            )
             help = "leave one of them out" if after else "remove it; `closed: true` already joins the ends"
-            namespace.values.add("DB105", namespace.values.span((*spec.path, "points", after or index)), headline, help)
+            namespace.values.add(
+                "DB105", namespace.values.span((*spec.path, "points", after or index)), headline, help
+            )
             return None
     return tuple(points)
 
 
 def walls(namespace: Namespace) -> tuple[ObjectBody, ...]:
     """The walls, a fixed box for each straight piece; those around an arena are the engine's."""
-    return tuple(box for name, wall in namespace.scenario.world.walls.items() for box in _wall(name, wall, namespace))
+    return tuple(
+        box for name, wall in namespace.scenario.world.walls.items() for box in _wall(name, wall, namespace)
+    )
 
 
 def wall_piece_names(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
@@ -196,7 +237,6 @@ def wall_piece_names(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
 def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[ObjectBody]:
     points = _points(spec, namespace)
     height, thickness = namespace.fixed(spec, "height"), namespace.fixed(spec, "thickness")
-    ends = () if points is None else (*points[1:], points[0]) if spec.closed else points[1:]
     names = wall_piece_names(name, spec)
     friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(names), None)
     if points is None or height is None or thickness is None or friction is None:
@@ -204,11 +244,16 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
         return ()
     paint = namespace.color(spec) or WALL_COLOR
     boxes = []
+    ends = (*points[1:], points[0]) if spec.closed else points[1:]
     for piece, one, other in zip(names, points, ends, strict=False):
         heading = math.atan2(other[1] - one[1], other[0] - one[0])
         middle = ((one[0] + other[0]) / 2, (one[1] + other[1]) / 2, height / 2)
         box = Box((math.dist(one, other) + thickness, thickness, height))  # so that corners are closed
-        boxes.append(ObjectBody(piece, box, Pose(middle, (0.0, 0.0, heading)), color=paint, friction=friction, fixed=True))
+        boxes.append(
+            ObjectBody(
+                piece, box, Pose(middle, (0.0, 0.0, heading)), color=paint, friction=friction, fixed=True
+            )
+        )
     return boxes
 
 
@@ -225,33 +270,39 @@ def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
     return None if relief is None else Terrain(relief, friction, paint)
 
 
-def _relief(given: world_spec.Terrain, namespace: Namespace) -> TerrainShape | None:
+def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | None:
     values, fixed = namespace.values, namespace.fixed
-    match given:
+    match spec:
         case world_spec.Pit():
-            height, radius = fixed(given, "height"), _PIT_RIM_M if given.radius is None else fixed(given, "radius")
-            noise = fixed(given, "noise")
+            height = fixed(spec, "height")
+            radius = _PIT_RIM_M if spec.radius is None else fixed(spec, "radius")
+            noise = fixed(spec, "noise")
             return None if height is None or radius is None or noise is None else Pit(height, radius, noise)
         case world_spec.MeshTerrain():
-            if given.file.lower().endswith(".dae"):
-                values.add("DB104", (*given.path, "file"), "ground from a COLLADA file", "convert it to STL or OBJ")
+            if spec.file.lower().endswith(".dae"):
+                values.add(
+                    "DB104", (*spec.path, "file"), "ground from a COLLADA file", "convert it to STL or OBJ"
+                )
                 return None
-            return mesh(namespace, given)
+            return mesh(namespace, spec)
         case world_spec.Heightfield():
-            file = picture(namespace, (*given.path, "file"), given.file)
-            size, height = namespace.pair(given, "size"), fixed(given, "height")
+            file = picture(namespace, (*spec.path, "file"), spec.file)
+            size, height = namespace.pair(spec, "size"), fixed(spec, "height")
             return None if file is None or size is None or height is None else Picture(*file, size, height)
         case world_spec.Formula():
-            size = namespace.pair(given, "size")
-            return None if size is None else _formula(given, size, namespace)
+            size = namespace.pair(spec, "size")
+            return None if size is None else _formula(spec, size, namespace)
     return None
 
 
-def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:
+def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:
     values = namespace.values
-    sides = {name: Type(LENGTH, interval=Interval(-side / 2, side / 2), known=Known.STEP) for name, side in zip(PLANE, size, strict=True)}
-    scope = namespace.scope(Context.FIXED, {name: Symbol(name, known) for name, known in sides.items()})
-    text = values.field(given, "heights")
+    sides = {
+        name: Type(LENGTH, interval=Interval(-side / 2, side / 2), known=Known.STEP)
+        for name, side in zip(PLANE, size, strict=True)
+    }
+    scope = namespace.scope(Context.FIXED, {name: Symbol(name, length) for name, length in sides.items()})
+    text = values.field(spec, "heights")
     typed = values.quantity(text, "`heights`", scope, LENGTH, None, Known.STEP)
     if typed is None:
         return None
@@ -264,14 +315,18 @@ def _formula(given: world_spec.Formula, size: tuple[float, float], namespace: Na
         return None
     steps = [step / _FORMULA_SAMPLES - 0.5 for step in range(_FORMULA_SAMPLES + 1)]
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
-        found = _at(heights, {"x": x, "y": y})
-        if not (isinstance(found, Const) and abs(found.value) < _MAX_HEIGHT_M):
+        grid = _at(heights, {"x": x, "y": y})
+        if not (isinstance(grid, Const) and abs(grid.value) < _MAX_HEIGHT_M):
             place = f"at x = {x:g} m, y = {y:g} m"
-            if isinstance(found, Const) and math.isfinite(found.value):
-                headline, help = f"the ground is {found.value:g} m high {place}", "write heights between -10 km and 10 km"
+            if isinstance(grid, Const) and math.isfinite(grid.value):
+                headline = f"the ground is {grid.value:g} m high {place}"
+                help = "write heights between -10 km and 10 km"
             else:
                 headline = f"the height of the ground cannot be computed {place}"
-                help = "correct `heights`: the expression divides by zero, leaves the domain of a function, or gives too large a number"
+                help = (
+                    "correct `heights`: the expression divides by zero, leaves the domain of a function,"
+                    " or gives too large a number"
+                )
             values.add("DB105", text.span, headline, help)
             return None
     return Formula(heights, size)
@@ -294,30 +349,37 @@ _OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
 
 
 def bodies(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> list[ObjectBody]:
-    """The object, or every copy of a group; none after a finding about its shape. Figures that are drawn become variations."""
+    """The object, or every copy of a group; none after a finding about its shape. Figures that are drawn
+    become variations."""
     group = namespace.groups.get(name)
     names = group.copies if group else (name,)
     if isinstance(thing, world_spec.VariedObject):
-        variants = tuple(_variant(kind, given, thing, namespace) for kind, given in thing.one_of.items())
+        variants = tuple(_variant(kind, spec, thing, namespace) for kind, spec in thing.one_of.items())
         if None in variants or not variants:  # none is left where each of them has a finding
             return []
         forms = tuple(variant for variant in variants if variant is not None)
         return [_body(copy, thing, forms[0].shape, namespace, forms) for copy in names]
-    made = shape(thing, namespace)
+    body_shape = shape(thing, namespace)
     if not isinstance(thing, world_spec.Material):
         return []
-    if made is None:  # its other values are checked all the same
+    if body_shape is None:  # its other values are checked all the same
         _body(name, thing, Sphere(1.0), namespace)
         return []
-    return [replace(_body(copy, thing, made, namespace), pooled=group is not None) for copy in names]
+    return [replace(_body(copy, thing, body_shape, namespace), pooled=group is not None) for copy in names]
 
 
-def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespace, variants: tuple[Variant, ...] = ()) -> ObjectBody:
+def _body(
+    name: str,
+    thing: world_spec.Material,
+    body_shape: Shape,
+    namespace: Namespace,
+    variants: tuple[Variant, ...] = (),
+) -> ObjectBody:
     value, of = namespace.scalar_or_randomized, OfLink(name)
     return ObjectBody(
         name,
-        made,
-        mass=variants[0].mass if variants else _mass(thing, made, of, namespace),
+        body_shape,
+        mass=variants[0].mass if variants else _mass(thing, body_shape, of, namespace),
         color=(None if variants else namespace.color(thing, of)) or _DEFAULT_COLOR,
         fixed=bool(thing.fixed),
         solid=thing.solid is not False,
@@ -330,23 +392,32 @@ def _body(name: str, thing: world_spec.Material, made: Shape, namespace: Namespa
     )
 
 
-def _variant(kind: str, given: world_spec.ShapedBody, thing: world_spec.VariedObject, namespace: Namespace) -> Variant | None:
-    """A form that a body may take: what it does not say of itself, the object says for all; its values are fixed."""
+def _variant(
+    kind: str, spec: world_spec.ShapedBody, thing: world_spec.VariedObject, namespace: Namespace
+) -> Variant | None:
+    """A form that a body may take: what it does not say of itself, the object says for all; its values are
+    fixed."""
     for key in _OF_ALL:
-        if getattr(given, key) is not None:
+        if getattr(spec, key) is not None:
             help = f"write one `{key}` for all variants, next to `one_of`"
-            namespace.values.add_at_key("DB108", (*given.path, key), f"`{key}` of one variant is not supported yet", help)
-    made = shape(given, namespace)
-    massive, rough, painted, still = (given if getattr(given, key) is not None else thing for key in ("mass", "friction", "color", "fixed"))
+            namespace.values.add_at_key(
+                "DB108", (*spec.path, key), f"`{key}` of one variant is not supported yet", help
+            )
+    variant_shape = shape(spec, namespace)
+    massive, rough, painted, still = (
+        spec if getattr(spec, key) is not None else thing for key in ("mass", "friction", "color", "fixed")
+    )
     weight = namespace.fixed(massive, "mass", known=Known.EPISODE)
     grip = namespace.fixed(rough, "friction", known=Known.EPISODE)
     stays = bool(still.fixed)
-    if made is None:
+    if variant_shape is None:
         return None
     return Variant(
         kind,
-        made,
-        mass=_usual_mass(made, given, namespace, still=stays or thing.solid is False) if massive.mass is None else weight or 0.0,
+        variant_shape,
+        mass=_usual_mass(variant_shape, spec, namespace, still=stays or thing.solid is False)
+        if massive.mass is None
+        else weight or 0.0,
         color=namespace.color(painted) or _DEFAULT_COLOR,
         friction=1.0 if grip is None else grip,
         fixed=stays,
@@ -371,21 +442,23 @@ def shape(thing: world_spec.Material | world_spec.PlacedBody, namespace: Namespa
     return None
 
 
-def _mass(thing: world_spec.Material, made: Shape, of: OfLink, namespace: Namespace) -> float:
+def _mass(thing: world_spec.Material, body_shape: Shape, of: OfLink, namespace: Namespace) -> float:
     """The mass in kg."""
     still = bool(thing.fixed) or thing.solid is False
     if thing.mass is None:
-        return _usual_mass(made, thing, namespace, still=still)
+        return _usual_mass(body_shape, thing, namespace, still=still)
     if still:  # there is nothing that a drawn mass would change
         return namespace.fixed(thing, "mass", known=Known.EPISODE) or 0.0
     return namespace.scalar_or_randomized(thing, "mass", "mass", of, 0.0)
 
 
-def _usual_mass(made: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
+def _usual_mass(body_shape: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
     """The mass (kg) of the same volume of water; a mesh that can move needs a mass of its own."""
-    if isinstance(made, Mesh) and not still:
-        namespace.values.add_at_key("DB102", thing.path, "a movable mesh needs a `mass`", "add `mass`, or write `fixed: true`")
-    return _WATER_DENSITY * (volume(made) or 0.0)
+    if isinstance(body_shape, Mesh) and not still:
+        namespace.values.add_at_key(
+            "DB102", thing.path, "a movable mesh needs a `mass`", "add `mass`, or write `fixed: true`"
+        )
+    return _WATER_DENSITY * (volume(body_shape) or 0.0)
 
 
 # Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
@@ -394,29 +467,32 @@ _MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e
 
 def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
     """The world with `robots` and `painted` lines in it."""
-    values, given = namespace.values, namespace.scenario.world
-    timestep = namespace.fixed(given, "timestep")
+    values, spec = namespace.values, namespace.scenario.world
+    timestep = namespace.fixed(spec, "timestep")
     if timestep is None:
         values.mark_invalid("timestep")  # the stand-in below is nothing to measure periods by
     else:
-        _check_timestep(timestep, given, namespace)
-    parameters = _parameters(given, namespace)
+        _check_timestep(timestep, spec, namespace)
+    parameters = _parameters(spec, namespace)
     gravity = parameters.get("gravity")
     if gravity is not None and gravity[2] > 0:
-        span, downwards = values.field(given, "gravity").span, f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
+        span = values.field(spec, "gravity").span
+        downwards = f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
         fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)  # a draw says more
         values.add("DB505", span, "gravity that pulls upwards", f"z points up: write `{downwards}`", fix=fix)
-    objects = [body for name, thing in namespace.scenario.objects.items() for body in bodies(name, thing, namespace)]
+    objects = [
+        body for name, thing in namespace.scenario.objects.items() for body in bodies(name, thing, namespace)
+    ]
     pieces = walls(namespace)
     _check_bodies(len(robots), sum(thing.bodies for thing in objects), len(pieces), namespace)
     return WorldModel(
         timestep or 0.032,
-        given.substeps,
-        ground=_ground(given.ground, namespace) if given.terrain is None else None,
-        arena=None if given.arena is None else _arena(given.arena, namespace),
+        spec.substeps,
+        ground=_ground(spec.ground, namespace) if spec.terrain is None else None,
+        arena=None if spec.arena is None else _arena(spec.arena, namespace),
         robots=tuple(RobotBody(robot.name, robot.model, robot.spec.base == "fixed") for robot in robots),
         objects=(*pieces, *objects),
-        terrain=terrain(given.terrain, namespace) if given.terrain is not None else None,
+        terrain=terrain(spec.terrain, namespace) if spec.terrain is not None else None,
         lines=painted,
         **parameters,
     )
@@ -425,23 +501,28 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
 def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
     """The fields of `WorldModel` that the section gives, without fields that had a finding."""
     whats: tuple[WorldParameter, ...] = get_args(WorldParameter)
-    found = {what: namespace.vector_or_randomized(spec, what, what, OfWorld()) for what in whats}
-    return {what: numbers if len(numbers) > 1 else numbers[0] for what, numbers in found.items() if numbers}
+    values = {what: namespace.vector_or_randomized(spec, what, what, OfWorld()) for what in whats}
+    return {what: numbers if len(numbers) > 1 else numbers[0] for what, numbers in values.items() if numbers}
 
 
 def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespace) -> None:
-    code = (
-        None
-        if _SHORT_TIMESTEP_S <= timestep <= _LONG_TIMESTEP_S
-        else "DB505"
-        if _MIN_TIMESTEP_S <= timestep <= _MAX_TIMESTEP_S
-        else "DB105"
-    )
+    if _SHORT_TIMESTEP_S <= timestep <= _LONG_TIMESTEP_S:
+        code = None
+    elif _MIN_TIMESTEP_S <= timestep <= _MAX_TIMESTEP_S:
+        code = "DB505"
+    else:
+        code = "DB105"
     if code:
         text = namespace.values.field(spec, "timestep")
         written = re.fullmatch(r"\s*([0-9.]+)\s*s\s*", text.text)
-        meant = f"write `{written[1]} ms` if you mean milliseconds; " if written and timestep > _LONG_TIMESTEP_S else ""
-        namespace.values.add(code, text.span, f"the timestep is {timestep:g} s", f"{meant}a timestep of 10 to 100 ms is usual")
+        meant = (
+            f"write `{written[1]} ms` if you mean milliseconds; "
+            if written and timestep > _LONG_TIMESTEP_S
+            else ""
+        )
+        namespace.values.add(
+            code, text.span, f"the timestep is {timestep:g} s", f"{meant}a timestep of 10 to 100 ms is usual"
+        )
 
 
 def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) -> None:
@@ -449,22 +530,31 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
     counts: dict[NodePath, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
     if sum(counts.values()) > MAX_BODIES:
         most = max(counts, key=lambda section: counts[section])
-        headline = f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit is {MAX_BODIES}"
-        namespace.values.add_at_key("DB005", most, headline, "use fewer bodies: an engine would take minutes to build this world")
+        headline = (
+            f"the world has {sum(counts.values()):,} robots, objects and pieces of walls; the limit"
+            f" is {MAX_BODIES}"
+        )
+        namespace.values.add_at_key(
+            "DB005", most, headline, "use fewer bodies: an engine would take minutes to build this world"
+        )
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
     of, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "color"]
     whats = {field.name: "lateral_friction" if field.name == "friction" else field.name for field in contact}
-    found: dict[str, Any] = {
-        field.name: namespace.scalar_or_randomized(spec, field.name, cast("LinkParameter", whats[field.name]), of, field.default)
+    ground: dict[str, Any] = {
+        field.name: namespace.scalar_or_randomized(
+            spec, field.name, cast("LinkParameter", whats[field.name]), of, field.default
+        )
         for field in contact
     }
-    return Ground(**found, color=namespace.color(spec, of))
+    return Ground(**ground, color=namespace.color(spec, of))
 
 
 def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:
-    size, height, thickness = namespace.pair(spec, "size"), namespace.fixed(spec, "wall_height"), namespace.fixed(spec, "wall_thickness")
+    size = namespace.pair(spec, "size")
+    height = namespace.fixed(spec, "wall_height")
+    thickness = namespace.fixed(spec, "wall_thickness")
     friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(ARENA_WALLS), 1.0)
     if size is None or height is None or thickness is None:
         return None

@@ -1,10 +1,11 @@
 """Findings as data: a problem, its exact place, and the correction.
 
-A `Source` is a text with a name. A `Span` is a piece of it, given by two offsets, so a place inside a scalar is as
-easy to name as a whole line.
+A `Source` is a text with a name. A `Span` is a piece of it, given by two offsets, so a place inside a scalar
+is as easy to name as a whole line.
 
-A `Selection` chooses findings: `--select DB5,DB603 --ignore DB505`. The comment `# deepbots: ignore[DB603]` suppresses warnings on its
-line, or on the next line if it has a line of its own. A comment that suppresses nothing is itself a finding (DB901).
+A `Selection` chooses findings: `--select DB5,DB603 --ignore DB505`. The comment `# deepbots: ignore[DB603]`
+suppresses warnings on its line, or on the next line if it has a line of its own. A comment that suppresses
+nothing is itself a finding (DB901).
 """
 
 from __future__ import annotations
@@ -116,7 +117,8 @@ class Edit:
 class Fix:
     """Edits that remove a finding.
 
-    A `safe` fix keeps the meaning, or corrects a mistake that has only one possible meaning. Any other is a guess.
+    A `safe` fix keeps the meaning, or corrects a mistake that has only one possible meaning. Any other is a
+    guess.
     """
 
     edits: tuple[Edit, ...]
@@ -164,7 +166,9 @@ class Finding:
         return (self.span.source.name, self.span.start, self.span.end, self.code, self.headline)
 
 
-def exceptions_as_findings(what: str, source: Source, find: Callable[[], Iterable[Finding]]) -> Iterator[Finding]:
+def exceptions_as_findings(
+    what: str, source: Source, find: Callable[[], Iterable[Finding]]
+) -> Iterator[Finding]:
     """The findings of `find`; an exception ends them with a DB903 (see `failure`)."""
     try:
         yield from find()
@@ -173,7 +177,8 @@ def exceptions_as_findings(what: str, source: Source, find: Callable[[], Iterabl
 
 
 def exception_finding(what: str, source: Source, error: Exception) -> Finding:
-    """A DB903 at the start of `source` for an exception in `what`, such as `the rule DB705`; DEEPBOTS_DEBUG=1 raises it again."""
+    """A DB903 at the start of `source` for an exception in `what`, such as `the rule DB705`; DEEPBOTS_DEBUG=1
+    raises it again."""
     if os.environ.get("DEEPBOTS_DEBUG") == "1":
         raise error
     return internal_error_finding(what, source, describe_exception(error))
@@ -181,12 +186,16 @@ def exception_finding(what: str, source: Source, error: Exception) -> Finding:
 
 def internal_error_finding(what: str, source: Source, description: str) -> Finding:
     """The DB903 for `what`; `describe_exception` gives the description."""
-    help = "this is a bug in deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows the traceback)"
+    help = (
+        "this is a bug in deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows"
+        " the traceback)"
+    )
     return Finding("DB903", Span(source, 0, 0), f"{what} failed on this file: {description}", help)
 
 
 def describe_exception(error: BaseException) -> str:
-    """Type and message of an exception on one line, and the innermost place in deepbots of its traceback: `module:line`."""
+    """Type and message of an exception on one line, and the innermost place in deepbots of its traceback:
+    `module:line`."""
     place, trace = "", error.__traceback__
     while trace is not None:
         module = str(trace.tb_frame.f_globals.get("__name__"))
@@ -251,7 +260,9 @@ class Findings:
 
     def __repr__(self) -> str:
         """One line for each finding, since its source holds the whole text of a file."""
-        return f"Findings({[f'{finding.span.location}: {finding.code} {finding.headline}' for finding in self]})"
+        return (
+            f"Findings({[f'{finding.span.location}: {finding.code} {finding.headline}' for finding in self]})"
+        )
 
     @property
     def errors(self) -> list[Finding]:
@@ -264,7 +275,9 @@ _UNREADABLE = ("DB0", "DB1")
 """An error in the text or its shape hides most other findings, so no selection may hide it."""
 
 # `<!--` begins a comment in a robot file.
-_COMMENT = re.compile(r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[([^\]\r\n]*)\])?", re.MULTILINE)
+_COMMENT = re.compile(
+    r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[([^\]\r\n]*)\])?", re.MULTILINE
+)
 # Possessive: a line of 1 MiB may hold thousands of comments.
 _BLANK_TO_LINE_END = re.compile(r"[^\S\n]*+(?=\n|\Z)")
 _CODE = re.compile(r"[^\s,]+")
@@ -280,12 +293,13 @@ class RuleSelectors:
     source: Source
 
     def span(self, word: str) -> Span:
-        found = re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", self.source.text)
-        return Span(self.source, *(found.span() if found else (0, 0)))
+        match = re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", self.source.text)
+        return Span(self.source, *(match.span() if match else (0, 0)))
 
 
 class Selection:
-    """The findings chosen by `select` (default: all) and `ignore`, by code, by the beginning of codes, or by name.
+    """The findings chosen by `select` (default: all) and `ignore`, by code, by the beginning of codes, or by
+    name.
 
     Where two words fit a code, the longer one counts; of equal ones `ignore`.
 
@@ -303,7 +317,9 @@ class Selection:
         exploits: bool = False,
     ) -> None:
         if select is not None and not select.words:
-            raise UsageError(f"{select.source.name}: nothing is selected; leave 'select' out to select every rule")
+            raise UsageError(
+                f"{select.source.name}: nothing is selected; leave 'select' out to select every rule"
+            )
         self._select = None if select is None else _codes(select)
         self._ignore = _codes(ignore) if ignore else {}
         self._preview = preview
@@ -315,13 +331,15 @@ class Selection:
         return self._select is None and not self._ignore
 
     def selects(self, finding: Finding) -> bool:
-        """Whether the finding is shown: it is selected, or an error in text or shape, or a fault of deepbots."""
+        """Whether the finding is shown: it is selected, or an error in text or shape, or a fault of
+        deepbots."""
         unreadable = finding.severity == "error" and finding.code.startswith(_UNREADABLE)
         return unreadable or finding.is_internal_error or self._has(finding.code)
 
     def inactive_rules(self) -> list[Finding]:
-        """A DB902 for each rule that is selected by itself and does not run: it is in preview, or needs a simulation."""
-        found = []
+        """A DB902 for each rule that is selected by itself and does not run: it is in preview, or needs a
+        simulation."""
+        inactive = []
         for word in self._words.words if "DB902" not in self._ignore else ():
             entries = matching_rules(word)
             if len(entries) != 1 or not self._has(entries[0].code):
@@ -329,25 +347,27 @@ class Selection:
             rule, span = entries[0], self._words.span(word)
             if rule.preview and not self._preview:
                 help = "add --preview (`preview = true`), or remove the code"
-                found.append(Finding("DB902", span, f"{rule.code} is in preview and does not run", help=help))
+                inactive.append(
+                    Finding("DB902", span, f"{rule.code} is in preview and does not run", help=help)
+                )
             if not self._ran.get(rule.deep, True):
                 option = "--deep" if rule.deep == "only" else "--exploits"
                 headline = f"{rule.code} needs a simulation and does not run"
-                found.append(Finding("DB902", span, headline, help=f"add {option}, or remove the code"))
-        return found
+                inactive.append(Finding("DB902", span, headline, help=f"add {option}, or remove the code"))
+        return inactive
 
     def _has(self, code: str) -> bool:
         chosen = 0 if self._select is None else self._select.get(code, -1)
         return chosen > self._ignore.get(code, -1)
 
 
-def _codes(given: RuleSelectors) -> Mapping[str, int]:
+def _codes(selectors: RuleSelectors) -> Mapping[str, int]:
     """The codes that the words fit, each with the length of the longest word; a name is as long as a code."""
     fitting: dict[str, int] = {}
-    for word in given.words:
+    for word in selectors.words:
         entries = matching_rules(word)
         if not word.strip() or not entries:
-            raise UsageError(f"{given.source.name}: {unknown_rule_message(word)}")
+            raise UsageError(f"{selectors.source.name}: {unknown_rule_message(word)}")
         for entry in entries:
             length = min(len(word.strip()), len(entry.code))
             fitting[entry.code] = max(length, fitting.get(entry.code, 0))
@@ -365,9 +385,15 @@ class _Suppression:
 
 
 def suppress(
-    findings: Iterable[Finding], sources: Iterable[Source], *, preview: bool = False, deep: bool = False, exploits: bool = False
+    findings: Iterable[Finding],
+    sources: Iterable[Source],
+    *,
+    preview: bool = False,
+    deep: bool = False,
+    exploits: bool = False,
 ) -> tuple[list[Finding], list[Finding]]:
-    """The findings that no comment suppresses, and a DB901 for each comment in `sources` that suppresses nothing.
+    """The findings that no comment suppresses, and a DB901 for each comment in `sources` that suppresses
+    nothing.
 
     A comment on a rule that did not run, in preview or for want of a simulation, is not reported.
     """
@@ -387,7 +413,11 @@ def suppress(
             used.add(key)
         else:
             kept.append(finding)
-    unused += [_unused(entry) for key, entry in wanted.items() if key not in used and _could_be_found(entry.code, preview, deep, exploits)]
+    unused += [
+        _unused(entry)
+        for key, entry in wanted.items()
+        if key not in used and _could_be_found(entry.code, preview, deep, exploits)
+    ]
     return kept, sorted(unused, key=lambda finding: finding.sort_key)
 
 
@@ -402,7 +432,12 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
         codes = list(islice(_CODE.finditer(source.text, *comment.span(1)), _MAX_CODES)) if comment[1] else []
         if not codes:
             span = Span(source, *comment.span())
-            yield Finding("DB901", span, "the comment does not name the code to suppress", help="write the code: # deepbots: ignore[DB603]")
+            yield Finding(
+                "DB901",
+                span,
+                "the comment does not name the code to suppress",
+                help="write the code: # deepbots: ignore[DB603]",
+            )
         for code in codes:
             removal = _removal(source, comment, [other[0] for other in codes if other[0] != code[0]])
             yield _Suppression(code[0], Span(source, *code.span()), line + 1 if alone else line, removal)
@@ -415,7 +450,9 @@ def _could_be_found(code: str, preview: bool, deep: bool, exploits: bool) -> boo
         return True
     if rule.deep == "exploits":
         return exploits
-    return (preview or not rule.preview) and (rule.deep == "no" or (deep and (preview or not rule.deep_preview)))
+    return (preview or not rule.preview) and (
+        rule.deep == "no" or (deep and (preview or not rule.deep_preview))
+    )
 
 
 def _unused(entry: _Suppression) -> Finding:
@@ -432,7 +469,8 @@ def _unused(entry: _Suppression) -> Finding:
 
 
 def _removal(source: Source, comment: re.Match[str], others: list[str]) -> Edit:
-    """The edit that leaves only the `others` in the list, or removes the comment but not a reason behind it."""
+    """The edit that leaves only the `others` in the list, or removes the comment but not a reason behind
+    it."""
     if others:
         return Edit(Span(source, *comment.span(1)), ", ".join(others))
     rest = _BLANK_TO_LINE_END.match(source.text, comment.end())

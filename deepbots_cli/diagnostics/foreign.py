@@ -1,4 +1,5 @@
-"""What expressions of other languages are in this one, where the form shows it: conditionals, absolute values, calls through a dot."""
+"""What expressions of other languages are in this one, where the form shows it: conditionals, absolute
+values, calls through a dot."""
 
 from __future__ import annotations
 
@@ -21,11 +22,11 @@ def conditional(text: str) -> str | None:
     """`a if c else b` for `if (c) a else b`, `if c: a else: b` or `c ? a : b`; None for any other text."""
     if len(text) > _MAX_LENGTH:
         return None
-    found = _IF.fullmatch(text) or _TERNARY.fullmatch(text)
-    if found is None:
+    match = _IF.fullmatch(text) or _TERNARY.fullmatch(text)
+    if match is None:
         return None
-    condition = found.groupdict().get("group") or found["open"]
-    return f"{found['value']} if {condition.strip()} else {found['otherwise']}"
+    condition = match.groupdict().get("group") or match["open"]
+    return f"{match['value']} if {condition.strip()} else {match['otherwise']}"
 
 
 def without_bars(text: str) -> str | None:

@@ -15,7 +15,8 @@ from deepbots_cli.diagnostics.render import escaped, message, relative_name, sho
 class Case(NamedTuple):
     """A finding, a requirement or a test, with its output.
 
-    `fault` is the reason why it fails, empty if it passes. `attributes` are further ones, such as `time` in s.
+    `fault` is the reason why it fails, empty if it passes. `attributes` are further ones, such as `time` in
+    s.
     """
 
     name: str
@@ -58,7 +59,9 @@ def xml_report(
 
 def _element(parent: ElementTree.Element, tag: str, text: str = "", **attributes: str) -> ElementTree.Element:
     """A new element without the attributes that are empty."""
-    element = ElementTree.SubElement(parent, tag, {name: escaped(value) for name, value in attributes.items() if value})
+    element = ElementTree.SubElement(
+        parent, tag, {name: escaped(value) for name, value in attributes.items() if value}
+    )
     element.text = "\n".join(map(escaped, text.split("\n"))) or None
     return element
 
@@ -71,12 +74,14 @@ def _counts(part: ElementTree.Element) -> dict[str, str]:
 def junit(findings: Sequence[Finding], files: Sequence[str], failing: Collection[Severity]) -> str:
     """The report of `lint`: a suite for each file, a case for each finding; one that passes without findings.
 
-    `files` are the names of the linted scenarios. A finding is a failure if its severity is in `failing`, else
-    a case that passes with output; a DB903 is an error.
+    `files` are the names of the linted scenarios. A finding is a failure if its severity is in `failing`,
+    else a case that passes with output; a DB903 is an error.
     """
     names = sorted({*files, *(finding.span.source.name for finding in findings)})
     suites = {
-        relative_name(name): [_case(finding, failing) for finding in findings if finding.span.source.name == name]
+        relative_name(name): [
+            _case(finding, failing) for finding in findings if finding.span.source.name == name
+        ]
         or [Case("no findings", "", attributes={"time": "0"})]
         for name in names
     }
@@ -87,7 +92,8 @@ def _case(finding: Finding, failing: Collection[Severity]) -> Case:
     line, column = finding.span.start_position
     headline = shortened(finding.headline)
     return Case(
-        f"{finding.code} {finding.name} at {line}:{column}: {headline}",  # programs merge cases of the same name
+        # programs merge cases of the same name
+        f"{finding.code} {finding.name} at {line}:{column}: {headline}",
         message(finding),
         headline if finding.severity in failing or finding.is_internal_error else "",
         "error" if finding.is_internal_error else "failure",

@@ -28,22 +28,27 @@ class Replacement(NamedTuple):
 
 
 def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The `known` word most like `word`, ignoring case, or else the only one that begins with it; None if there is none."""
+    """The `known` word most like `word`, ignoring case, or else the only one that begins with it; None if
+    there is none."""
     from difflib import get_close_matches  # its import takes 4 ms, and only messages need it
 
     by_lower = {name.lower(): name for name in islice(known, _MAX_COMPARED)}
     close = get_close_matches(word[:_MAX_LENGTH].lower(), by_lower, 1, cutoff)
     if close:
         return by_lower[close[0]]
-    longer = [name for lower, name in by_lower.items() if lower.startswith(word.lower())] if len(word) >= _MIN_PREFIX else []
+    longer = (
+        [name for lower, name in by_lower.items() if lower.startswith(word.lower())]
+        if len(word) >= _MIN_PREFIX
+        else []
+    )
     return longer[0] if len(longer) == 1 else None
 
 
 def suggest_replacement(word: str, known: Iterable[str], *, of_language: bool = False) -> Replacement | None:
     """The nearest of the `known` words as a replacement.
 
-    It is certain only among words of the language (`of_language`), and only if exactly one of them is a slip away. Names that a
-    user chose may differ by a letter on purpose (`left_1`, `left_2`).
+    It is certain only among words of the language (`of_language`), and only if exactly one of them is a slip
+    away. Names that a user chose may differ by a letter on purpose (`left_1`, `left_2`).
     """
     words = tuple(islice(known, _MAX_COMPARED))
     near = nearest_word(word, words)
@@ -53,7 +58,8 @@ def suggest_replacement(word: str, known: Iterable[str], *, of_language: bool = 
 
 
 def is_typo(word: str, other: str) -> bool:
-    """Whether two words differ only by case, by underscores, or by one letter: replaced, missing, added, or two swapped."""
+    """Whether two words differ only by case, by underscores, or by one letter: replaced, missing, added, or
+    two swapped."""
     word, other = (text[:_MAX_LENGTH].lower().replace("_", "").replace("-", "") for text in (word, other))
     if word == other:
         return True
@@ -63,4 +69,6 @@ def is_typo(word: str, other: str) -> bool:
     at = next((i for i, (a, b) in enumerate(zip(short, long, strict=False)) if a != b), len(short))
     if len(short) < len(long):
         return short[at:] == long[at + 1 :]
-    return short[at + 1 :] == long[at + 1 :] or (short[at : at + 2] == long[at : at + 2][::-1] and short[at + 2 :] == long[at + 2 :])
+    return short[at + 1 :] == long[at + 1 :] or (
+        short[at : at + 2] == long[at : at + 2][::-1] and short[at + 2 :] == long[at + 2 :]
+    )

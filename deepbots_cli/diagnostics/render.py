@@ -1,4 +1,5 @@
-"""Findings as text: `full` with source lines for people, `concise` for logs, `json`, and the formats of GitHub and SARIF.
+"""Findings as text: `full` with source lines for people, `concise` for logs, `json`, and the formats of
+GitHub and SARIF.
 
 Files are untrusted, so their text is escaped before it reaches a terminal, a log or an XML report.
 """
@@ -20,10 +21,18 @@ from deepbots_cli.diagnostics.registry import RULES, Severity
 Format = Literal["full", "concise", "json"]
 
 _TAB = "    "
-_COLORS = {"error": "\x1b[1;31m", "warning": "\x1b[1;33m", "label": "\x1b[1;36m", "frame": "\x1b[1;34m", "bold": "\x1b[1m"}
+_COLORS = {
+    "error": "\x1b[1;31m",
+    "warning": "\x1b[1;33m",
+    "label": "\x1b[1;36m",
+    "frame": "\x1b[1;34m",
+    "bold": "\x1b[1m",
+}
 _MAX_SENTENCE = 600
 # Control characters, marks that reverse or hide the text after them, and characters that XML forbids.
-_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff\ufffe\uffff]")
+_UNSAFE = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff\ufffe\uffff]"
+)
 # Workflow commands: GitHub reads them at the beginning of a line, Azure and older GitHub anywhere.
 _COMMAND = re.compile(r"^([ \t]*):(?=:)|(#)(?=#(?:vso)?\[)", re.MULTILINE)
 
@@ -47,10 +56,17 @@ def escape_log_commands(text: str) -> str:
 
 def message(finding: Finding) -> str:
     """Headline, notes and help, each on a line."""
-    return "\n".join(map(shortened, [finding.headline, *finding.notes, *([f"help: {finding.help}"] if finding.help else [])]))
+    return "\n".join(
+        map(
+            shortened,
+            [finding.headline, *finding.notes, *([f"help: {finding.help}"] if finding.help else [])],
+        )
+    )
 
 
-def render(findings: Iterable[Finding], format: Format = "full", color: bool = False, width: int = 100) -> str:
+def render(
+    findings: Iterable[Finding], format: Format = "full", color: bool = False, width: int = 100
+) -> str:
     """The findings as text that ends with a line feed; empty if there are none, except for `json`.
 
     `full` crops source lines to `width` columns; only `full` uses `color`.
@@ -64,7 +80,9 @@ def render(findings: Iterable[Finding], format: Format = "full", color: bool = F
 
 def summary(findings: Iterable[Finding]) -> str:
     """How many there are: `2 errors, 1 warning`."""
-    parts = [f"{count} {word}{'s' if count > 1 else ''}" for word, count in _counts(findings).items() if count]
+    parts = [
+        f"{count} {word}{'s' if count > 1 else ''}" for word, count in _counts(findings).items() if count
+    ]
     return ", ".join(parts) or "no findings"
 
 
@@ -72,7 +90,9 @@ def display_width(text: str) -> int:
     """How many columns of a terminal `text` takes."""
     if text.isascii():
         return len(text)
-    return sum(0 if unicodedata.combining(c) else 2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)
+    return sum(
+        2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text if not unicodedata.combining(c)
+    )
 
 
 def _counts(findings: Iterable[Finding]) -> dict[Severity, int]:
@@ -84,13 +104,16 @@ def _counts(findings: Iterable[Finding]) -> dict[Severity, int]:
 
 def _concise(finding: Finding) -> str:
     help = f" ({shortened(finding.help)})" if finding.help else ""
-    return f"{escaped(finding.span.location)}: {finding.severity} {finding.code}[{finding.name}] {shortened(finding.headline)}{help}"
+    return (
+        f"{escaped(finding.span.location)}: {finding.severity} {finding.code}[{finding.name}]"
+        f" {shortened(finding.headline)}{help}"
+    )
 
 
 def _json(findings: list[Finding]) -> str:
     """One finding on each line; indentation takes 1.7 times as long."""
-    found = ",\n".join(f"  {json.dumps(_as_data(finding))}" for finding in findings)
-    listed = f"[\n{found}\n]" if found else "[]"
+    entries = ",\n".join(f"  {json.dumps(_as_data(finding))}" for finding in findings)
+    listed = f"[\n{entries}\n]" if entries else "[]"
     return f'{{"version": 1, "findings": {listed}, "counts": {json.dumps(_counts(findings))}}}\n'
 
 
@@ -105,12 +128,18 @@ def _as_data(finding: Finding) -> dict[str, object]:
         "help": finding.help,
         "notes": list(finding.notes),
         "also": [{**_place(label.span), "message": label.text} for label in finding.labels],
-        "fix": {"safe": fix.safe, "edits": [{**_place(edit.span), "text": edit.text} for edit in fix.edits]} if fix else None,
+        "fix": {"safe": fix.safe, "edits": [{**_place(edit.span), "text": edit.text} for edit in fix.edits]}
+        if fix
+        else None,
     }
 
 
 def _place(span: Span) -> dict[str, object]:
-    return {"file": span.source.name, "start": span.start_position._asdict(), "end": span.end_position._asdict()}
+    return {
+        "file": span.source.name,
+        "start": span.start_position._asdict(),
+        "end": span.end_position._asdict(),
+    }
 
 
 class _Painter:
@@ -127,10 +156,14 @@ class _Painter:
         lines = [f"{head}: {self.paint('bold', shortened(finding.headline))}"]
         for source in dict.fromkeys(label.span.source for label in labels):
             first = next(label.span for label in labels if label.span.source is source)
-            is_option = source.name.startswith("--set ")  # its text is a single value, in which a line says nothing
+            is_option = source.name.startswith(
+                "--set "
+            )  # its text is a single value, in which a line says nothing
             where = f"--set {shortened(source.text)}" if is_option else first.location
             lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {escaped(where)}")
-            lines.extend(f"{' ' * gutter}    included from {escaped(span.location)}" for span in source.inclusion_chain)
+            lines.extend(
+                f"{' ' * gutter}    included from {escaped(span.location)}" for span in source.inclusion_chain
+            )
             lines.extend(self.snippet(source, finding, gutter))
         frame = f"{' ' * gutter} {self.paint('frame', '=')} "
         lines.extend(f"{frame}note: {shortened(note)}" for note in finding.notes)
@@ -141,7 +174,10 @@ class _Painter:
     def snippet(self, source: Source, finding: Finding, gutter: int) -> Iterator[str]:
         """The lines of `source` with the finding or one of its labels, each with underlines below."""
         marked: dict[int, list[tuple[Span, str, str]]] = {}
-        for span, sign, text in [(finding.span, "^", ""), *((label.span, "-", label.text) for label in finding.labels)]:
+        for span, sign, text in [
+            (finding.span, "^", ""),
+            *((label.span, "-", label.text) for label in finding.labels),
+        ]:
             if span.source is source:
                 marked.setdefault(span.start_position.line, []).append((span, sign, text))
         bar = self.paint("frame", "|")
@@ -151,11 +187,18 @@ class _Painter:
             if previous is not None and number > previous + 1:
                 yield self.paint("frame", "...")
             previous = number
-            shown = _Line(source.line(number), min(span.start_position.column for span, _, _ in marked[number]), self.width - gutter - 3)
+            shown = _Line(
+                source.line(number),
+                min(span.start_position.column for span, _, _ in marked[number]),
+                self.width - gutter - 3,
+            )
             yield f"{self.paint('frame', str(number).rjust(gutter))} {bar} {shown.text}".rstrip()
             for span, sign, text in marked[number]:
                 marks = shown.marks(span, sign) + (f" {shortened(text)}" if text else "")
-                yield f"{' ' * gutter} {bar} {shown.indent(span)}{self.paint(finding.severity if sign == '^' else 'label', marks)}"
+                yield (
+                    f"{' ' * gutter} {bar}"
+                    f" {shown.indent(span)}{self.paint(finding.severity if sign == '^' else 'label', marks)}"
+                )
         yield f"{' ' * gutter} {bar}"
 
     def paint(self, what: str, text: str) -> str:
@@ -181,14 +224,20 @@ class _Line:
             if room < 0:
                 break
             self.cells.append(cell)
-        self.text = self.prefix + "".join(self.cells) + ("…" if self.first + len(self.cells) < len(line) else "")
+        self.text = (
+            self.prefix + "".join(self.cells) + ("…" if self.first + len(self.cells) < len(line) else "")
+        )
 
     def indent(self, span: Span) -> str:
         return " " * (len(self.prefix) + self._columns_to(span.start_position.column - 1))
 
     def marks(self, span: Span, sign: str) -> str:
         """The underline, at least one sign; it ends with the line if the span goes on."""
-        end = span.end_position.column - 1 if span.end_position.line == span.start_position.line else len(self.line)
+        end = (
+            span.end_position.column - 1
+            if span.end_position.line == span.start_position.line
+            else len(self.line)
+        )
         return sign * max(1, self._columns_to(end) - self._columns_to(span.start_position.column - 1))
 
     def _columns_to(self, column: int) -> int:
@@ -212,13 +261,19 @@ def relative_name(name: str) -> str:
 
 
 def github(findings: Iterable[Finding]) -> str:
-    """A workflow command for each finding; errors first, since a step shows ten errors and ten warnings at most."""
-    return "".join(f"{_command(finding)}\n" for finding in sorted(findings, key=lambda finding: finding.severity != "error"))
+    """A workflow command for each finding; errors first, since a step shows ten errors and ten warnings at
+    most."""
+    return "".join(
+        f"{_command(finding)}\n"
+        for finding in sorted(findings, key=lambda finding: finding.severity != "error")
+    )
 
 
 def _command(finding: Finding) -> str:
     begin, finish = finding.span.start_position, finding.span.end_position
-    file = _percent(shortened(relative_name(finding.span.source.name))).replace(":", "%3A").replace(",", "%2C")
+    file = (
+        _percent(shortened(relative_name(finding.span.source.name))).replace(":", "%3A").replace(",", "%2C")
+    )
     place = f"file={file},line={begin.line},endLine={finish.line}"
     if begin.line == finish.line:  # GitHub refuses columns for two lines
         place += f",col={begin.column},endColumn={finish.column}"
@@ -236,7 +291,13 @@ def sarif(findings: Sequence[Finding], explain: ExplainRule) -> str:
     """One run with all findings, their fixes and the rules that they break, as JSON."""
     codes = sorted({finding.code for finding in findings})
     run = {
-        "tool": {"driver": {"name": "deepbots", "version": __version__, "rules": [_rule(code, explain) for code in codes]}},
+        "tool": {
+            "driver": {
+                "name": "deepbots",
+                "version": __version__,
+                "rules": [_rule(code, explain) for code in codes],
+            }
+        },
         "columnKind": "unicodeCodePoints",
         "results": [_result(finding, codes.index(finding.code)) for finding in findings],
     }
@@ -284,7 +345,9 @@ def _fix(finding: Finding, fix: Fix) -> JsonObject:
         edits.setdefault(edit.span.source, []).append(change)
     return {
         "description": {"text": shortened(finding.help or f"fix {finding.code}")},
-        "artifactChanges": [{"artifactLocation": _file(source), "replacements": changes} for source, changes in edits.items()],
+        "artifactChanges": [
+            {"artifactLocation": _file(source), "replacements": changes} for source, changes in edits.items()
+        ],
         "properties": {"safe": fix.safe},
     }
 

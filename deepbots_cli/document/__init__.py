@@ -10,7 +10,18 @@ shipped.py  the scenarios and robots that come with deepbots
 """
 
 from deepbots_cli.document.load import Document, Permissions, load, loads
-from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, inline_text, to_data, walk
+from deepbots_cli.document.nodes import (
+    Entry,
+    MappingNode,
+    Node,
+    NodePath,
+    ScalarNode,
+    SequenceNode,
+    descend,
+    inline_text,
+    to_data,
+    walk,
+)
 
 __all__ = [
     "Document",

@@ -1,8 +1,8 @@
 """Which files a scenario may read, and their text.
 
-A scenario may come from anyone, so it can read only the files of its project, the shipped ones, and the folders of
-`--allow-path`. The text of a file keeps its line ends, so offsets count characters of the file; only a byte order mark
-is dropped.
+A scenario may come from anyone, so it can read only the files of its project, the shipped ones, and the
+folders of `--allow-path`. The text of a file keeps its line ends, so offsets count characters of the file;
+only a byte order mark is dropped.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ _MAX_DEPTH, _MAX_FOLDERS, _MAX_ENTRIES = 3, 200, 500
 _NOT_SEARCHED = frozenset({"runs", "node_modules", "__pycache__", "venv", "build", "dist"})
 _PROJECT_MARKERS = ("deepbots.toml", "pyproject.toml", ".git")
 # Outside YAML's printable characters, or a line end that editors and YAML count differently.
-FORBIDDEN_CHARACTERS = re.compile("[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)")
+FORBIDDEN_CHARACTERS = re.compile(
+    "[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)"
+)
 
 
 # Paths
@@ -56,7 +58,11 @@ class UnusableFile:
 
     @property
     def headline(self) -> str:
-        outside = "leads outside the project through a symbolic link" if self.through_link else "lies outside the project"
+        outside = (
+            "leads outside the project through a symbolic link"
+            if self.through_link
+            else "lies outside the project"
+        )
         problem = {"missing": "does not exist", "outside": outside, "irregular": "is not a regular file"}
         return f"`{self.reference}` {problem[self.reason]}"
 
@@ -67,9 +73,15 @@ class UnusableFile:
         if elsewhere := self._elsewhere():
             return f"did you mean {elsewhere}? Paths are relative to the file that contains them"
         if self.shipped_name:
-            return f"write `{self.shipped_name}`: this {self.library.noun if self.library else 'file'} is shipped with deepbots"
+            return (
+                f"write `{self.shipped_name}`: this {self.library.noun if self.library else 'file'} is"
+                " shipped with deepbots"
+            )
         if shipped.is_shipped_path(self.reference):
-            return "`deepbots new NAME --from SCENARIO` copies a shipped scenario with all its files; paths are relative to the file"
+            return (
+                "`deepbots new NAME --from SCENARIO` copies a shipped scenario with all its files; paths"
+                " are relative to the file"
+            )
         if self.reason == "outside":
             return self._help_outside()
         if near := _similar(self.path, self.by):
@@ -85,19 +97,27 @@ class UnusableFile:
         """What to write instead of a scenario that is not there."""
         others = [file.name for file in _beside(self.path, (".yaml", ".yml")) if file != self.by][:_MAX_SHOWN]
         there = f" ({', '.join(others)})" if others else ", or the name of a shipped one"
-        return f"remove this line, or write the path of a scenario that exists{there}; there is no {self.path}"
+        return (
+            f"remove this line, or write the path of a scenario that exists{there}; there is no {self.path}"
+        )
 
     def _help_outside(self) -> str:
         project, folder = self.roots[0] if self.roots else None, display_path(self.path.parent)
         if project is None or self.through_link:
-            return f"add `--allow-path {folder}` to the command, or copy the file into {project or 'the project'}"
-        copy = f"copy {folder} into {display_path(project)} and write `{self.path.parent.name}/{self.path.name}`"
+            return (
+                f"add `--allow-path {folder}` to the command, or copy the file into"
+                f" {project or 'the project'}"
+            )
+        copy = (
+            f"copy {folder} into {display_path(project)} and write `{self.path.parent.name}/{self.path.name}`"
+        )
         above = Path(os.path.commonpath((project, self.path)))
         if above in (Path(above.anchor), Path.home()):
             return f"add `--allow-path {folder}` to the command; or {copy}"
         marker = display_path(above / _PROJECT_MARKERS[0])
         return (
-            f"create the empty file {marker}, which makes its folder one project; or add `--allow-path {folder}` to the command; or {copy}"
+            f"create the empty file {marker}, which makes its folder one project; or add `--allow-path"
+            f" {folder}` to the command; or {copy}"
         )
 
     def _elsewhere(self) -> str | None:
@@ -105,13 +125,21 @@ class UnusableFile:
         project = self.roots[0] if self.roots else None
         if self.is_name or project is None or self.base is None or not self.path.suffix:
             return None
-        found = find_in(project, self.path.name)
-        return None if found is None or found == self.by else Path(os.path.relpath(found, self.base)).as_posix()
+        candidates = find_in(project, self.path.name)
+        return (
+            None
+            if candidates is None or candidates == self.by
+            else Path(os.path.relpath(candidates, self.base)).as_posix()
+        )
 
     @property
     def shipped_name(self) -> str | None:
         """The shipped file of exactly this name, which needs no path."""
-        return self.path.stem if self.library and not self.is_name and self.path.stem in self.library.names() else None
+        return (
+            self.path.stem
+            if self.library and not self.is_name and self.path.stem in self.library.names()
+            else None
+        )
 
     @property
     def is_name(self) -> bool:
@@ -120,7 +148,11 @@ class UnusableFile:
     @property
     def nearest_name(self) -> str | None:
         """The shipped file that was probably meant."""
-        return nearest_word(self.path.stem, self.library.names()) if self.library and self.reason == "missing" else None
+        return (
+            nearest_word(self.path.stem, self.library.names())
+            if self.library and self.reason == "missing"
+            else None
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -135,7 +167,9 @@ class UnusableFile:
 def _beside(path: Path, suffixes: Container[str]) -> list[Path]:
     """The files beside `path` with one of the suffixes, in the order of their names."""
     try:
-        return sorted(other for other in islice(path.parent.iterdir(), _MAX_ENTRIES) if other.suffix in suffixes)
+        return sorted(
+            other for other in islice(path.parent.iterdir(), _MAX_ENTRIES) if other.suffix in suffixes
+        )
     except OSError:
         return []
 
@@ -149,7 +183,8 @@ def _similar(path: Path, by: Path | None) -> str | None:
 
 
 def find_in(folder: Path, name: str, depth: int = _MAX_DEPTH) -> Path | None:
-    """The nearest file or folder called `name` in a folder or below it; hidden folders and the results of trainings are left out."""
+    """The nearest file or folder called `name` in a folder or below it; hidden folders and the results of
+    trainings are left out."""
     waiting, visited = [(folder, 0)], 0
     while waiting and visited < _MAX_FOLDERS:
         here, level = waiting.pop(0)
@@ -159,25 +194,38 @@ def find_in(folder: Path, name: str, depth: int = _MAX_DEPTH) -> Path | None:
                 return here / name
             entries = sorted(islice(here.iterdir(), _MAX_ENTRIES))
             if level < depth:
-                below = (entry for entry in entries if not entry.name.startswith(".") and entry.name not in _NOT_SEARCHED)
-                waiting += [(entry, level + 1) for entry in below if entry.is_dir() and not entry.is_symlink()]
+                below = (
+                    entry
+                    for entry in entries
+                    if not entry.name.startswith(".") and entry.name not in _NOT_SEARCHED
+                )
+                waiting += [
+                    (entry, level + 1) for entry in below if entry.is_dir() and not entry.is_symlink()
+                ]
         except OSError:
             continue
     return None
 
 
 def resolve_reference(
-    reference: str, base: Path, roots: Iterable[Path], library: Library | None = None, *, by: Path | None = None
+    reference: str,
+    base: Path,
+    roots: Iterable[Path],
+    library: Library | None = None,
+    *,
+    by: Path | None = None,
 ) -> Path | UnusableFile:
-    """The file for `reference`, written in the file `by` of the folder `base`: a path, or else the name of a file of the `library`.
+    """The file for `reference`, written in the file `by` of the folder `base`: a path, or else the name of a
+    file of the `library`.
 
-    Symbolic links are followed before the path is compared with the `roots`, whose links are already followed.
+    Symbolic links are followed before the path is compared with the `roots`, whose links are already
+    followed.
     """
-    found = _file_at(reference, base, tuple(roots))
-    if isinstance(found, Path):
-        return found
+    path = _file_at(reference, base, tuple(roots))
+    if isinstance(path, Path):
+        return path
     named = library.path(reference) if library else None
-    return named.resolve() if named else replace(found, library=library, base=base.resolve(), by=by)
+    return named.resolve() if named else replace(path, library=library, base=base.resolve(), by=by)
 
 
 def _file_at(reference: str, base: Path, roots: tuple[Path, ...]) -> Path | UnusableFile:
@@ -222,7 +270,9 @@ def read(path: Path) -> bytes:
     return read_at_most(path, MAX_BYTES + 1)
 
 
-def decode(data: bytes, name: str, findings: Findings, included_from: Span | None = None) -> tuple[Source, bool]:
+def decode(
+    data: bytes, name: str, findings: Findings, included_from: Span | None = None
+) -> tuple[Source, bool]:
     """The text of `data`, and whether it can be parsed; a finding gives the reason if not."""
     if len(data) > MAX_BYTES or data.startswith((b"\xff\xfe", b"\xfe\xff")):
         source = Source(name, "", included_from)
@@ -246,17 +296,18 @@ def decode(data: bytes, name: str, findings: Findings, included_from: Span | Non
 
 def check_characters(source: Source, findings: Findings) -> bool:
     """Whether a scenario may hold every character of the text; a finding names the first forbidden one."""
-    found = FORBIDDEN_CHARACTERS.search(source.text)
-    if found is None:
+    match = FORBIDDEN_CHARACTERS.search(source.text)
+    if match is None:
         return True
-    character = found.group()
+    character = match.group()
     number = f"U+{ord(character):04X}"
     if character == "\0":
         headline, help = "the file is binary", "a scenario is a YAML text file"
     elif character in "\r\x85\u2028\u2029":
-        headline, help = f"a line ends in an unusual character ({number})", "save the file with Unix line endings (LF)"
+        headline = f"a line ends in an unusual character ({number})"
+        help = "save the file with Unix line endings (LF)"
     else:
         headline = f"the character {number} is not allowed in YAML"
         help = 'remove it, or write it as an escape in double quotes, such as "\\x1b"'
-    findings.add("DB001", Span(source, *found.span()), headline, help)
+    findings.add("DB001", Span(source, *match.span()), headline, help)
     return False

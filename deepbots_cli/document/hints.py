@@ -1,7 +1,7 @@
 """YAML mistakes: the messages of syntax errors, and valid YAML that is probably a mistake.
 
-The message of the parser states only what it expected. It selects the case here, and the text around the place gives the
-correction.
+The message of the parser states only what it expected. It selects the case here, and the text around the
+place gives the correction.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ _MAX_LINES_ABOVE = 200
 
 
 class _Line(NamedTuple):
-    """A line with text: its offset, the number of spaces before it, its key, and whether it ends with the colon of the key."""
+    """A line with text: its offset, the number of spaces before it, its key, and whether it ends with the
+    colon of the key."""
 
     start: int
     indent: int
@@ -50,7 +51,8 @@ class _Line(NamedTuple):
 
 @dataclass(frozen=True)
 class _Problem:
-    """An error of the parser: the offset where it stopped (`at`), the start of the piece that it was reading (`since`), its message."""
+    """An error of the parser: the offset where it stopped (`at`), the start of the piece that it was reading
+    (`since`), its message."""
 
     source: Source
     at: int
@@ -74,7 +76,9 @@ class _Problem:
         if not words or words.startswith("#"):
             return None
         key = _LINE_KEY.match(words)
-        return _Line(start, len(text) - len(words), key[1] if key else "", key is not None and key.end() == len(words))
+        return _Line(
+            start, len(text) - len(words), key[1] if key else "", key is not None and key.end() == len(words)
+        )
 
     def line_above(self, start: int) -> _Line | None:
         """The nearest line with text above the one that begins at `start`."""
@@ -100,7 +104,13 @@ class _Problem:
         return any(word in self.problem or word in self.context for word in words)
 
     def finding(
-        self, headline: str, help: str, start: int, length: int = 1, fix: Fix | None = None, labels: tuple[Label, ...] = ()
+        self,
+        headline: str,
+        help: str,
+        start: int,
+        length: int = 1,
+        fix: Fix | None = None,
+        labels: tuple[Label, ...] = (),
     ) -> Finding:
         span = Span(self.source, start, min(start + length, len(self.source.text)))
         return Finding("DB001", span, headline, help, labels=labels, fix=fix)
@@ -126,22 +136,23 @@ def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
 def _tab(problem: _Problem) -> Finding | None:
     text = problem.source.text
     for start in (problem.line_start, text.rfind("\n", 0, problem.since) + 1):
-        if found := _TAB_INDENT.match(text, start):
+        if match := _TAB_INDENT.match(text, start):
             above = problem.line_above(start)
             line = problem.rest(start).strip()[:_MAX_SHOWN]
             spaces = "" if above is None else " " * (above.indent + 2 if above.opens else above.indent)
             help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
-            return problem.finding("a tab in the indentation", help, found.end() - 1)
+            return problem.finding("a tab in the indentation", help, match.end() - 1)
     return None
 
 
 def _exclamation_mark(problem: _Problem) -> Finding | None:
     """`!(a)`, which YAML reads as a tag."""
-    found = _NEGATED.search(problem.before)
-    if found is None:
+    match = _NEGATED.search(problem.before)
+    if match is None:
         return None
-    headline, help = "`!` does not negate: YAML reads it as the beginning of a tag", "write `not` to negate a condition"
-    return problem.finding(headline, help, problem.line_start + found.end() - 2, 2)
+    headline = "`!` does not negate: YAML reads it as the beginning of a tag"
+    help = "write `not` to negate a condition"
+    return problem.finding(headline, help, problem.line_start + match.end() - 2, 2)
 
 
 def _leading_sign(problem: _Problem) -> Finding | None:
@@ -157,7 +168,9 @@ def _leading_sign(problem: _Problem) -> Finding | None:
         return problem.finding("a tab where YAML allows only spaces", "use spaces", at)
     rest = problem.rest(at)
     if rest.startswith("? "):
-        return problem.finding("a value cannot start with `? `", "write `a if condition else b`, or put the value in quotes", at)
+        return problem.finding(
+            "a value cannot start with `? `", "write `a if condition else b`, or put the value in quotes", at
+        )
     if not rest:
         return problem.finding("a value is missing", "write a value", at)
     if rest.startswith("|") and (meant := foreign.without_bars(rest)):
@@ -172,7 +185,9 @@ def _quote(problem: _Problem) -> Finding | None:
         return None
     if "escape" in problem.problem:
         at = problem.source.text.rfind("\\", problem.since, problem.at + 1)
-        return problem.finding("an unknown escape in double quotes", "use single quotes, or double the backslash", at, 2)
+        return problem.finding(
+            "an unknown escape in double quotes", "use single quotes, or double the backslash", at, 2
+        )
     return problem.finding("this quote is not closed", "close it on the same line", problem.since)
 
 
@@ -194,7 +209,11 @@ def _brackets(problem: _Problem) -> Finding | None:
     if here in ("", ":", "-") or problem.line_start > opening:
         sign, closing = ("{", "}") if text[opening] == "{" else ("[", "]")
         return problem.finding(f"this `{sign}` is not closed", f"add the closing `{closing}`", opening)
-    return problem.finding(f"unexpected `{here}` between brackets", "separate items by commas, or put the value in quotes", problem.at)
+    return problem.finding(
+        f"unexpected `{here}` between brackets",
+        "separate items by commas, or put the value in quotes",
+        problem.at,
+    )
 
 
 def _second_colon(problem: _Problem, help: str) -> Finding:
@@ -203,7 +222,10 @@ def _second_colon(problem: _Problem, help: str) -> Finding:
     meant = foreign.conditional(line[key.end() :]) if key else None
     if key is not None and meant:
         return problem.finding(
-            "this condition is in the form of another language", f"write `{meant}`", problem.line_start + key.end(), len(line) - key.end()
+            "this condition is in the form of another language",
+            f"write `{meant}`",
+            problem.line_start + key.end(),
+            len(line) - key.end(),
         )
     help = "write `a if condition else b`" if " ? " in problem.before else help
     return problem.finding("a second colon in one value", help, problem.at)
@@ -230,12 +252,18 @@ def _colon(problem: _Problem) -> Finding | None:
 
 
 def _deeper_than_value(problem: _Problem, key: str) -> Finding:
-    """A key that is indented deeper than the key with a value above it: one of the two has the wrong indentation."""
+    """A key that is indented deeper than the key with a value above it: one of the two has the wrong
+    indentation."""
     at, length = problem.at - len(key), max(1, len(key))
     line, above = problem.line_at(problem.line_start), problem.line_above(problem.line_start)
     if line is None or above is None or not above.key or above.opens or line.indent <= above.indent:
-        help = "align it with the other keys of its section; a key has either a value or an indented block of keys"
-        return problem.finding("this line belongs to the value above, so it cannot begin with a key", help, at, length)
+        help = (
+            "align it with the other keys of its section; a key has either a value or an indented block"
+            " of keys"
+        )
+        return problem.finding(
+            "this line belongs to the value above, so it cannot begin with a key", help, at, length
+        )
     written = problem.rest(problem.line_start).strip()[:_MAX_SHOWN]
     holder = problem.line_above(above.start)
     if holder is not None and holder.opens and holder.indent >= above.indent:
@@ -243,13 +271,20 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
         value = problem.rest(above.start).strip()[:_MAX_SHOWN]
         headline = f"{above.name} is not indented below {holder.name}, but the next line is"
         help = f"indent it like the line below: `{' ' * line.indent}{value}`"
-        fix = Fix((Edit(Span(problem.source, above.start, above.start + above.indent), " " * line.indent),), safe=False)
+        fix = Fix(
+            (Edit(Span(problem.source, above.start, above.start + above.indent), " " * line.indent),),
+            safe=False,
+        )
         labels = (problem.label(line, _indented_by(line.indent)),)
         return problem.finding(headline, help, above.start + above.indent, len(above.key), fix, labels)
     headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
     help = f"indent it like the line above: `{' ' * above.indent}{written}`"
-    fix = Fix((Edit(Span(problem.source, line.start, line.start + line.indent), " " * above.indent),), safe=False)
-    return problem.finding(headline, help, at, length, fix, (problem.label(above, _indented_by(above.indent)),))
+    fix = Fix(
+        (Edit(Span(problem.source, line.start, line.start + line.indent), " " * above.indent),), safe=False
+    )
+    return problem.finding(
+        headline, help, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
+    )
 
 
 def _indented_by(spaces: int) -> str:
@@ -261,14 +296,20 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     help, edit = "write `key: value`, or indent the line if it belongs to the value above", None
     if line.startswith("//"):
         help, edit = "begin a comment with `#`", (0, 2, "#")
-    elif found := _GLUED.match(line):
-        help = f"put a space after the colon: `{line[: found.end()]} {line[found.end() :][:_MAX_SHOWN]}`"
-        edit = (found.end(), found.end(), " ")
-    elif found := _ASSIGNED.match(line):
-        help, edit = f"write a colon: `{found[1]}: {found[2][:_MAX_SHOWN]}`", (found.end(1), found.start(2), ": ")
-    elif found := _MISSING_COLON.match(line):
-        help, edit = f"write a colon after the key: `{f'{found[1]}: {found[2]}'.rstrip()}`", (found.end(1), found.end(1), ":")
-    fix = Fix((Edit(Span(problem.source, start + edit[0], start + edit[1]), edit[2]),), safe=False) if edit else None
+    elif match := _GLUED.match(line):
+        help = f"put a space after the colon: `{line[: match.end()]} {line[match.end() :][:_MAX_SHOWN]}`"
+        edit = (match.end(), match.end(), " ")
+    elif match := _ASSIGNED.match(line):
+        help = f"write a colon: `{match[1]}: {match[2][:_MAX_SHOWN]}`"
+        edit = (match.end(1), match.start(2), ": ")
+    elif match := _MISSING_COLON.match(line):
+        help = f"write a colon after the key: `{f'{match[1]}: {match[2]}'.rstrip()}`"
+        edit = (match.end(1), match.end(1), ":")
+    fix = (
+        Fix((Edit(Span(problem.source, start + edit[0], start + edit[1]), edit[2]),), safe=False)
+        if edit
+        else None
+    )
     return problem.finding(_NO_KEY, help, start, max(1, len(line)), fix)
 
 
@@ -282,9 +323,13 @@ def _behind_value(problem: _Problem) -> Finding | None:
         key = _KEY.match(problem.before)
         whole = problem.rest(problem.line_start + (key.end() if key else len(before) - len(before.lstrip())))
         quoted = f'"{whole[1:-1]}"' if re.fullmatch(r"'[^\"]*'", whole) else _quoted(whole)
-        return problem.finding("text after the end of a value", f"put the whole value in quotes: {quoted}", at, length)
+        return problem.finding(
+            "text after the end of a value", f"put the whole value in quotes: {quoted}", at, length
+        )
     if rest.startswith(("}", "]")):
-        return problem.finding(f"a closing `{rest[0]}` without an opening one", "remove it, or put the value in quotes", at)
+        return problem.finding(
+            f"a closing `{rest[0]}` without an opening one", "remove it, or put the value in quotes", at
+        )
     if rest.startswith(":"):
         return problem.finding("a key is missing before the colon", "write `key: value`", at)
     if rest.startswith("- ") or rest == "-":
@@ -318,7 +363,11 @@ def _levels_above(problem: _Problem) -> list[_Line]:
 
 def _quoted(text: str) -> str:
     """`text` in quotes that YAML reads back as it."""
-    return f"'{text}'" if '"' in text and "'" not in text else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return (
+        f"'{text}'"
+        if '"' in text and "'" not in text
+        else '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    )
 
 
 # Values cut by a comma, or emptied by a `#`
@@ -333,14 +382,16 @@ _COLOR = re.compile(r"#[0-9A-Fa-f]{6}")
 _NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
 _WHOLE_PART, _DECIMALS = re.compile(r"(?<![\w.])[0-9]+$"), re.compile(r",[0-9]")
 _THOUSANDS = re.compile(r",\d{3}(?!\d)")
-_COMMA_HELP = "inside brackets, a comma separates keys: write decimals with a point, group digits as in 100_000, and "
+_COMMA_HELP = (
+    "inside brackets, a comma separates keys: write decimals with a point, group digits as in 100_000, and "
+)
 
 
 def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Findings) -> list[Span]:
     """Report values that a comma inside `{...}` or `[...]` cuts in pieces, and return their spans.
 
-    `scalars` are those of the collection, in file order. In `{yaw: uniform(-1, 1)}`, `uniform(-1` has an open parenthesis
-    that `1)` closes.
+    `scalars` are those of the collection, in file order. In `{yaw: uniform(-1, 1)}`, `uniform(-1` has an open
+    parenthesis that `1)` closes.
     """
     cut: list[Span] = []
     start, balance = -1, 0
@@ -369,10 +420,13 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
     return cut
 
 
-def report_decimal_commas(pairs: Iterable[tuple[ScalarNode | None, Node | None]], findings: Findings) -> list[Span]:
+def report_decimal_commas(
+    pairs: Iterable[tuple[ScalarNode | None, Node | None]], findings: Findings
+) -> list[Span]:
     """Report numbers that a comma inside `{...}` cuts in two, and return the spans of their values.
 
-    `pairs` are the keys and values of the mapping, in file order. In `{y: 1,5 cm}`, the value of `y` is `1`, and the key `5 cm` has none.
+    `pairs` are the keys and values of the mapping, in file order. In `{y: 1,5 cm}`, the value of `y` is `1`,
+    and the key `5 cm` has none.
     """
     cut: list[Span] = []
     last: Span | None = None
@@ -382,7 +436,12 @@ def report_decimal_commas(pairs: Iterable[tuple[ScalarNode | None, Node | None]]
         if last and key and _DECIMALS.fullmatch(behind) and _WHOLE_PART.search(last.text):
             start = cut.pop().start if cut and cut[-1].end == last.end else last.start
             cut.append(Span(key.span.source, start, key.span.end))
-        last = key.span if key and is_empty else value.span if isinstance(value, ScalarNode) and value.style == "plain" else None
+        if key and is_empty:
+            last = key.span
+        elif isinstance(value, ScalarNode) and value.style == "plain":
+            last = value.span
+        else:
+            last = None
     for span in cut:
         text, fix = span.text.replace(",", "."), None
         help = f"write a decimal point: `{text}`"
@@ -401,7 +460,10 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
     following = _NEXT_LINE.match(text, end)
     help, fix = GIVE_A_VALUE, None
     if value.style != "plain":
-        help = f'a leading `{value.span.text[0]}` begins a block of text; put the value in quotes: "{value.span.text}"'
+        help = (
+            f"a leading `{value.span.text[0]}` begins a block of text; put the value in quotes:"
+            f' "{value.span.text}"'
+        )
     elif value.text:
         help = "remove the key: deepbots has no null value"
     elif is_flow and _GLUED.match(key.text):
@@ -418,7 +480,8 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
 
 
 def help_for_key(key: ScalarNode) -> str:
-    """The help for a key that is no text; a number without a colon is the rest of a value that a comma cuts."""
+    """The help for a key that is no text; a number without a colon is the rest of a value that a comma
+    cuts."""
     if not key.text:
         return "write `name: value`"
     if not _HAS_COLON.match(key.span.source.text, key.span.end):
@@ -433,7 +496,8 @@ _YAML11 = {
     **dict.fromkeys(("on", "On", "ON", "yes", "Yes", "YES"), "true"),
     **dict.fromkeys(("off", "Off", "OFF", "no", "No", "NO"), "false"),
 }
-# Common to all odd numbers, and quickly false for an expression such as `2 * x`. A text of more than 24 characters is no number.
+# Common to all odd numbers, and quickly false for an expression such as `2 * x`. A text of more than 24
+# characters is no number.
 _PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]{0,23}")
 _GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+")
 _LEADING_ZERO = re.compile(r"[-+]?0[0-9]+")
@@ -457,7 +521,9 @@ def report_unusual_value(scalar: ScalarNode, findings: Findings) -> None:
         if isinstance(scalar.value, str):
             help = f"{help}, or put it in quotes if you mean text"
             number = f'"{text}"'  # where a number is needed, a later pass reports an error with its own fix
-        findings.add("DB004", span, headline, help, fix=Fix((Edit(span, number),), safe=True) if number else None)
+        findings.add(
+            "DB004", span, headline, help, fix=Fix((Edit(span, number),), safe=True) if number else None
+        )
 
 
 def number_fix(span: Span) -> Fix | None:
@@ -467,20 +533,37 @@ def number_fix(span: Span) -> Fix | None:
 
 
 def _odd_number(text: str) -> tuple[str, str, str | None] | None:
-    """For a text that looks like a number, or is another number elsewhere: headline, help, and its only possible meaning."""
+    """For a text that looks like a number, or is another number elsewhere: headline, help, and its only
+    possible meaning."""
     if not _PERHAPS_ODD.fullmatch(text) or _GROUPED.fullmatch(text):
         return None
     if _LEADING_ZERO.fullmatch(text):
-        return f"`{text}` is {int(text)} here, but YAML 1.1 reads a leading zero as octal", f"write {int(text)}", str(int(text))
+        return (
+            f"`{text}` is {int(text)} here, but YAML 1.1 reads a leading zero as octal",
+            f"write {int(text)}",
+            str(int(text)),
+        )
     if _RADIX.fullmatch(text):
-        return f"`{text}` is read as text, because only decimal numbers are supported", f"write {int(text, 0)}", str(int(text, 0))
+        return (
+            f"`{text}` is read as text, because only decimal numbers are supported",
+            f"write {int(text, 0)}",
+            str(int(text, 0)),
+        )
     if decimal := _DECIMAL_COMMA.fullmatch(text):
         number = text.replace(",", ".")
         certain = len(decimal[1]) != 3  # `1,500` may be either
-        return f"`{text}` is read as text, because decimals need a point", f"write {number} for a decimal", number if certain else None
+        return (
+            f"`{text}` is read as text, because decimals need a point",
+            f"write {number} for a decimal",
+            number if certain else None,
+        )
     if _COMMAS.fullmatch(text):
         number = text.replace(",", "_")
-        return f"`{text}` is read as text, because decimals need a point", f"write {number}", number if _GROUPED.fullmatch(number) else None
+        return (
+            f"`{text}` is read as text, because decimals need a point",
+            f"write {number}",
+            number if _GROUPED.fullmatch(number) else None,
+        )
     if _SEXAGESIMAL.fullmatch(text):
         return (
             f"`{text}` is read as text, but YAML 1.1 reads it as a number in base 60",
@@ -489,5 +572,9 @@ def _odd_number(text: str) -> tuple[str, str, str | None] | None:
         )
     if _GROUPS.fullmatch(text):
         number = text.replace("_", "")
-        return f"`{text}` is read as text, because its digits are not grouped in threes", f"write {number}", number
+        return (
+            f"`{text}` is read as text, because its digits are not grouped in threes",
+            f"write {number}",
+            number,
+        )
     return None

@@ -1,8 +1,9 @@
 """Nodes and YAML text: the canonical layout of a file, a tree written as YAML, an entry removed or moved.
 
-The canonical layout changes white space between tokens, and nothing else. Two passes make it: `_spaced` sets the blanks
-within lines, `_indented` the indentation. The text inside a scalar moves with its line and stays as it is. Deliberate
-alignment stays: two blanks or more are kept where the token behind them stands below or above the beginning of another.
+The canonical layout changes white space between tokens, and nothing else. Two passes make it: `_spaced` sets
+the blanks within lines, `_indented` the indentation. The text inside a scalar moves with its line and stays
+as it is. Deliberate alignment stays: two blanks or more are kept where the token behind them stands below or
+above the beginning of another.
 """
 
 from __future__ import annotations
@@ -16,7 +17,17 @@ from typing import Any, NamedTuple
 import yaml
 
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Source, Span
-from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, ScalarNode, SequenceNode, descend, node_at, to_data
+from deepbots_cli.document.nodes import (
+    Entry,
+    MappingNode,
+    Node,
+    NodePath,
+    ScalarNode,
+    SequenceNode,
+    descend,
+    node_at,
+    to_data,
+)
 from deepbots_cli.document.parse import LOADER, parse
 
 _MAX_PASSES = 6
@@ -27,7 +38,8 @@ _BLOCKS = {"<block mapping start>": "map", "<block sequence start>": "list", "<b
 
 
 class Token(NamedTuple):
-    """A piece of YAML's syntax: a sign (`{`, `:`, `-`), `<scalar>`, or, without text, the `?` of a key, `map`, `list` and `end`."""
+    """A piece of YAML's syntax: a sign (`{`, `:`, `-`), `<scalar>`, or, without text, the `?` of a key,
+    `map`, `list` and `end`."""
 
     kind: str
     start: int
@@ -41,7 +53,8 @@ def _tokens(text: str) -> Iterator[Token]:
 
 
 def canonical_text(text: str) -> str | None:
-    """`text`, which must parse without findings, in the canonical layout; None if that would change its meaning.
+    """`text`, which must parse without findings, in the canonical layout; None if that would change its
+    meaning.
 
     All lines get the line end of the first.
     """
@@ -71,7 +84,9 @@ def _comments(text: str) -> list[str]:
 def _visible(text: str) -> list[Token]:
     """The tokens that have text, without the white space at their ends."""
     return [
-        token._replace(end=token.start + len(text[token.start : token.end].rstrip())) for token in _tokens(text) if token.end > token.start
+        token._replace(end=token.start + len(text[token.start : token.end].rstrip()))
+        for token in _tokens(text)
+        if token.end > token.start
     ]
 
 
@@ -116,7 +131,8 @@ def _blanks(gap: str, before: Token, behind: Token, columns: _Columns) -> str:
 
 
 def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
-    """The text between two tokens of different lines: a comment behind the first, blank lines, comments, the indentation."""
+    """The text between two tokens of different lines: a comment behind the first, blank lines, comments, the
+    indentation."""
     lines = gap.replace("\t", " ").split("\n")
     head, inner, indentation = lines[0], [line.rstrip() for line in lines[1:-1]], lines[-1]
     if head.strip() and not first:
@@ -126,7 +142,9 @@ def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
     joined = _BLANK_LINES.sub("\n\n", joined)
     if first:
         joined = joined.lstrip("\n")
-    return f"{(joined + indentation if indentation.strip() and last else joined).rstrip()}\n" if last else joined
+    return (
+        f"{(joined + indentation if indentation.strip() and last else joined).rstrip()}\n" if last else joined
+    )
 
 
 class _Columns:
@@ -140,7 +158,9 @@ class _Columns:
                 line, column = self._source.position(token.start)
                 self._columns.setdefault(line, set()).add(column)
         lines = sorted(self._columns)
-        self._neighbors = {line: {*lines[max(0, i - 1) : i], *lines[i + 1 : i + 2]} for i, line in enumerate(lines)}
+        self._neighbors = {
+            line: {*lines[max(0, i - 1) : i], *lines[i + 1 : i + 2]} for i, line in enumerate(lines)
+        }
 
     def aligned(self, offset: int) -> bool:
         """Whether a token of the line above or below begins in the same column."""
@@ -158,7 +178,9 @@ def _indented(text: str) -> str:
     shift = 0
     for number, line in enumerate(text.split("\n"), 1):
         shift = own = shifts.get(number, shift)
-        if number not in shifts and number not in inside and line.strip():  # a comment belongs to the entry below it
+        if (
+            number not in shifts and number not in inside and line.strip()
+        ):  # a comment belongs to the entry below it
             index = bisect_right(beginnings, number)
             own = shifts[beginnings[index]] if index < len(beginnings) else shift
         done.append(_shifted(line, own, dashes.get(number, ())))
@@ -175,7 +197,8 @@ def _shifted(line: str, shift: int, dashes: tuple[int, ...]) -> str:
 
 
 def _structure(text: str) -> tuple[dict[int, int], set[int], dict[int, tuple[int, ...]]]:
-    """By line number (from 1): how far the lines that begin an entry move, the lines inside a value, the dashes with text behind.
+    """By line number (from 1): how far the lines that begin an entry move, the lines inside a value, the
+    dashes with text behind.
 
     A line moves by blanks to the right; a dash is given by the number of blanks before it.
     """
@@ -184,7 +207,7 @@ def _structure(text: str) -> tuple[dict[int, int], set[int], dict[int, tuple[int
     inside: set[int] = set()
     dashes: dict[int, tuple[int, ...]] = {}
     levels: list[str] = []
-    flow, is_key, opened, known = 0, False, 1, 0
+    flow, is_key, opened, settled_to = 0, False, 1, 0
     for token in _tokens(text):
         line, column = source.position(token.start)
         blanks = column - 1
@@ -193,20 +216,30 @@ def _structure(text: str) -> tuple[dict[int, int], set[int], dict[int, tuple[int
             begins = token.kind == "-" or (is_key and token.end > token.start)
             if begins and line not in shifts and not text[token.start - blanks : token.start].strip():
                 shifts[line] = 2 * (len(levels) - 1) - blanks
-            if token.kind == "-" and text[token.end : token.end + 2].strip(" ") == "" and "\n" not in text[token.end : token.end + 2]:
+            if (
+                token.kind == "-"
+                and text[token.end : token.end + 2].strip(" ") == ""
+                and "\n" not in text[token.end : token.end + 2]
+            ):
                 dashes[line] = (*dashes.get(line, ()), blanks)
             opened = line
         is_key = token.kind == "?" or (is_key and token.end == token.start)
         flow += (token.kind in _OPENING) - (token.kind in _CLOSING)
         last = line + text.count("\n", token.start, token.start + len(text[token.start : token.end].rstrip()))
-        first = max(opened + 1, known) if flow else line if token.kind in _CLOSING else line + 1
+        if flow:
+            first = max(opened + 1, settled_to)
+        elif token.kind in _CLOSING:
+            first = line
+        else:
+            first = line + 1
         inside.update(range(first, last + 1))
-        known = last + 1  # the lines above are done
+        settled_to = last + 1  # the lines above are done
     return shifts, inside, dashes
 
 
 def _nest(levels: list[str], kind: str) -> None:
-    """Update `levels`, the open blocks. A list in the column of its key has no tokens for its beginning and end."""
+    """Update `levels`, the open blocks. A list in the column of its key has no tokens for its beginning and
+    end."""
     if kind in ("map", "list"):
         levels.append(kind)
     elif kind == "-" and levels and levels[-1] == "map":
@@ -244,7 +277,8 @@ def _under(head: str, value: Node, pad: str) -> Iterator[str]:
     """The lines of an entry; a scalar or an empty collection follows its key on the same line."""
     lines = list(_lines(value, f"{pad}  "))
     if isinstance(value, ScalarNode) or not lines:
-        yield f"{head} {lines[0].strip() if lines else '{}' if isinstance(value, MappingNode) else '[]'}"
+        empty = "{}" if isinstance(value, MappingNode) else "[]"
+        yield f"{head} {lines[0].strip() if lines else empty}"
     else:
         yield head
         yield from lines
@@ -266,7 +300,8 @@ _COMMA = re.compile(r"[ \t]*,[ \t]*")
 def removal_fix(root: Node, path: NodePath) -> Fix | None:
     """The fix that removes the entry at `path`, with its lines or with a comma beside it.
 
-    None for the only entry of its mapping, a list item, and an entry that shares its lines or its comma with other text.
+    None for the only entry of its mapping, a list item, and an entry that shares its lines or its comma with
+    other text.
     """
     holder, _, steps = descend(root, path[:-1])
     if steps < len(path) - 1 or not isinstance(holder, MappingNode) or len(holder.entries) < 2:
@@ -298,9 +333,14 @@ def move_fix(root: MappingNode, name: str, section: str, target: str) -> Fix | N
     """
     holder, new = root.entries.get(section), root.entries.get(target)
     entry = holder.value.entries.get(name) if holder and isinstance(holder.value, MappingNode) else None
-    if holder is None or entry is None or not entry.key.span.source is holder.key.span.source is holder.value.span.source:
+    if (
+        holder is None
+        or entry is None
+        or not entry.key.span.source is holder.key.span.source is holder.value.span.source
+    ):
         return None
-    source, is_only = holder.key.span.source, isinstance(holder.value, MappingNode) and len(holder.value.entries) == 1
+    source = holder.key.span.source
+    is_only = isinstance(holder.value, MappingNode) and len(holder.value.entries) == 1
     if new is not None and isinstance(new.value, MappingNode) and new.key.span.source is not source:
         new = None  # that of an extended file, to which a section of this one adds
     if new is None and is_only:
@@ -314,41 +354,63 @@ def move_fix(root: MappingNode, name: str, section: str, target: str) -> Fix | N
         return None
     removed = removal.edits[0].span
     in_block = removed.text.endswith("\n") and not holder.value.span.text.startswith("{")
-    lines = [removed.text] if in_block and not is_only else [f"  {source.text[entry.key.span.start : entry.value.span.end]}\n"]
+    lines = (
+        [removed.text]
+        if in_block and not is_only
+        else [f"  {source.text[entry.key.span.start : entry.value.span.end]}\n"]
+    )
     written = _insertion(source, lines[0], holder.key.span, target, new)
     return Fix((Edit(*written), *removal.edits), safe=False) if written else None
 
 
-def _insertion(source: Source, line: str, section: Span, target: str, new: Entry | None) -> tuple[Span, str] | None:
-    """Where the `line` of an entry is put, and how: below the last entry of a section, or in a new section above another one."""
+def _insertion(
+    source: Source, line: str, section: Span, target: str, new: Entry | None
+) -> tuple[Span, str] | None:
+    """Where the `line` of an entry is put, and how: below the last entry of a section, or in a new section
+    above another one."""
     text = source.text
     if new is None:
         start = text.rfind("\n", 0, section.start) + 1
         return (Span(source, start, start), f"{target}:\n{line}") if start == section.start else None
     entries = new.value.entries.values() if isinstance(new.value, MappingNode) else ()
-    ends = [entry.value.span.end for entry in entries if entry.key.span.source is entry.value.span.source is source]
+    ends = [
+        entry.value.span.end
+        for entry in entries
+        if entry.key.span.source is entry.value.span.source is source
+    ]
     if not ends or new.value.span.source is not source:
         return None
     if new.value.span.text.startswith("{"):
         plain = line.strip()
-        return None if _SPECIAL_IN_BRACKETS.search(plain.partition(": ")[2]) else (Span(source, max(ends), max(ends)), f", {plain}")
-    column = min(source.position(entry.key.span.start)[1] for entry in entries if entry.key.span.source is source) - 1
+        return (
+            None
+            if _SPECIAL_IN_BRACKETS.search(plain.partition(": ")[2])
+            else (Span(source, max(ends), max(ends)), f", {plain}")
+        )
+    column = (
+        min(source.position(entry.key.span.start)[1] for entry in entries if entry.key.span.source is source)
+        - 1
+    )
     is_aligned = len(line) - len(line.lstrip(" ")) == column
     if not is_aligned and line.count("\n") > 1:
         return None
     rest = _REST_OF_LINE.match(text, max(ends))
     end = rest.end() if rest else text.find("\n", max(ends)) + 1
-    return (Span(source, end, end), " " * column + line.lstrip(" ")) if end and text[end - 1] == "\n" else None
+    return (
+        (Span(source, end, end), " " * column + line.lstrip(" ")) if end and text[end - 1] == "\n" else None
+    )
 
 
 # Setting a value
 
 
 def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str, comment: str) -> str | None:
-    """The text of a file with another value at `path`, and a comment behind it on its line; everything else stays as it is.
+    """The text of a file with another value at `path`, and a comment behind it on its line; everything else
+    stays as it is.
 
-    A key that the file does not have, because it extends another one or has a default, is added to the innermost section that it has. A
-    comment that begins with the same word is replaced. None where the text does not allow it.
+    A key that the file does not have, because it extends another one or has a default, is added to the
+    innermost section that it has. A comment that begins with the same word is replaced. None where the text
+    does not allow it.
     """
     node, _, steps = descend(root, path)
     if steps == len(path) and node.span.source is source:
@@ -368,7 +430,8 @@ def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str,
             return None
         start, end, new = added
     text = source.text[:start] + new + source.text[end:]
-    line_start, line_end = text.rfind("\n", 0, start + len(new.rstrip())) + 1, _END_OF_LINE.search(text, start + len(new.rstrip()))
+    line_start = text.rfind("\n", 0, start + len(new.rstrip())) + 1
+    line_end = _END_OF_LINE.search(text, start + len(new.rstrip()))
     assert line_end is not None  # it also matches the end of the text
     line = re.sub(rf"\s+# {re.escape(comment.split()[0])} [^\n]*", "", text[line_start : line_end.start()])
     return f"{text[:line_start]}{line}  # {comment}{text[line_end.start() :]}"
@@ -380,7 +443,9 @@ _END_OF_LINE = re.compile(r"\r?\n|\Z")
 def _addition(source: Source, holder: MappingNode, entry: str) -> tuple[int, int, str] | None:
     """Where an entry is put into a mapping of a file, and how: behind its last entry."""
     own = [each for each in holder.entries.values() if each.key.span.source is source]
-    ends = [max(each.key.span.end, each.value.span.end if each.value.span.source is source else 0) for each in own]
+    ends = [
+        max(each.key.span.end, each.value.span.end if each.value.span.source is source else 0) for each in own
+    ]
     if holder.span.text.startswith("{"):
         at = max(ends, default=holder.span.start + 1)
         return at, at, f", {entry}" if ends else entry

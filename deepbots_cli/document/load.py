@@ -1,7 +1,7 @@
 """A scenario with the files that it extends and includes, `remove` and `--set`, as one tree of nodes.
 
-A file is read in this order: its own text, the `include`s in it, the file that it `extends` laid beneath, `remove`. The
-assignments of the command line are applied last, to the whole tree.
+A file is read in this order: its own text, the `include`s in it, the file that it `extends` laid beneath,
+`remove`. The assignments of the command line are applied last, to the whole tree.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class Permissions:
 
     Attributes:
         folders: Further folders from which it may read files.
-        code: Whether it may call functions of installed Python packages that it names. Set it only for packages that you trust.
+        code: Whether it may call functions of installed Python packages that it names. Set it only for
+            packages that you trust.
     """
 
     folders: Texts[str | Path] = ()
@@ -60,8 +61,8 @@ NO_DRAFTS: Drafts = {}
 class Document:
     """The merged tree, every file that it came from, and their findings.
 
-    `root` is None if a finding at error level left no tree. `files` maps the absolute path of each file to its text, the
-    main file first. The scenario may read from the folders `roots`. `overrides` are the
+    `root` is None if a finding at error level left no tree. `files` maps the absolute path of each file to
+    its text, the main file first. The scenario may read from the folders `roots`. `overrides` are the
     assignments of `--set` that were applied.
     """
 
@@ -103,8 +104,9 @@ def load(
 ) -> Document:
     """Read the scenario at `path` and apply the assignments `overrides` (`path=value`).
 
-    Problems in the files are findings of the document, reported under the name `display`. `drafts` replace the contents
-    of files. `project` is the folder that the scenario may read from; by default it is found by its markers.
+    Problems in the files are findings of the document, reported under the name `display`. `drafts` replace
+    the contents of files. `project` is the folder that the scenario may read from; by default it is found by
+    its markers.
 
     Raises:
         UsageError: The file does not exist or cannot be read.
@@ -143,9 +145,14 @@ def loads(
     return reader.document(source, base, overrides, base, (), readable=readable)
 
 
-def _roots(folder: Path, overrides: Texts[str], permissions: Permissions, project: Path | None = None) -> tuple[Path, ...]:
+def _roots(
+    folder: Path, overrides: Texts[str], permissions: Permissions, project: Path | None = None
+) -> tuple[Path, ...]:
     # A path in an assignment is the user's own, and relative to the working directory.
-    own = [project.resolve() if project else files.project_root(folder), *([files.project_root(Path.cwd())] if overrides else [])]
+    own = [
+        project.resolve() if project else files.project_root(folder),
+        *([files.project_root(Path.cwd())] if overrides else []),
+    ]
     return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(permissions.folders))))
 
 
@@ -176,7 +183,14 @@ class _Reader:
         self.size = 0  # bytes of the files that others name
 
     def document(
-        self, source: Source, base: Path, overrides: Texts[str], folder: Path, chain: tuple[Path, ...], *, readable: bool
+        self,
+        source: Source,
+        base: Path,
+        overrides: Texts[str],
+        folder: Path,
+        chain: tuple[Path, ...],
+        *,
+        readable: bool,
     ) -> Document:
         """The whole scenario in `source`, which lies in `folder`."""
         root = None
@@ -188,7 +202,9 @@ class _Reader:
         except TooManyFindings as too_many:
             root = None
             self.findings.report_limit(too_many)
-        return Document(root, source, self.files, self.findings, self.roots, base, self.permissions, tuple(overrides))
+        return Document(
+            root, source, self.files, self.findings, self.roots, base, self.permissions, tuple(overrides)
+        )
 
     def scenario(self, source: Source, folder: Path, chain: tuple[Path, ...]) -> MappingNode | None:
         """The tree of one file; None, with findings, if the file or one that it extends cannot be used."""
@@ -196,7 +212,12 @@ class _Reader:
         if root is None:
             return None
         if not isinstance(root, MappingNode):
-            self.findings.add("DB103", root.span, "the file is not a mapping", "write keys with values, such as `name: CartPole`")
+            self.findings.add(
+                "DB103",
+                root.span,
+                "the file is not a mapping",
+                "write keys with values, such as `name: CartPole`",
+            )
             return None
         has_includes = "include" in source.text or "\\" in source.text  # an escape may spell the key
         tree = self.expanded(root, folder, chain, 1) if has_includes else root
@@ -220,9 +241,14 @@ class _Reader:
             case ScalarNode():
                 return node
             case SequenceNode():
-                return SequenceNode(node.span, tuple(self.expanded(item, folder, chain, depth + 1) for item in node.items))
+                return SequenceNode(
+                    node.span, tuple(self.expanded(item, folder, chain, depth + 1) for item in node.items)
+                )
             case MappingNode():
-                below = {key: Entry(own, self.expanded(value, folder, chain, depth + 1)) for key, (own, value) in node.entries.items()}
+                below = {
+                    key: Entry(own, self.expanded(value, folder, chain, depth + 1))
+                    for key, (own, value) in node.entries.items()
+                }
                 include = below.pop("include", None)
                 if include is None:
                     return replace(node, entries=below)
@@ -240,7 +266,9 @@ class _Reader:
             headline = f"included values are nested more than {MAX_DEPTH} deep"
         else:
             return True
-        self.findings.add("DB005", entry.value.span, headline, "simplify the files; scenarios are far below this limit")
+        self.findings.add(
+            "DB005", entry.value.span, headline, "simplify the files; scenarios are far below this limit"
+        )
         return False
 
     def referenced(self, entry: Entry, folder: Path, chain: tuple[Path, ...]) -> MappingNode | None:
@@ -248,22 +276,35 @@ class _Reader:
         word, value = entry.key.text, entry.value
         if not isinstance(value, ScalarNode) or not isinstance(value.value, str):
             takes, example = (
-                ("the path or the name of one scenario", "cartpole") if word == "extends" else ("the path of one file", "file.yaml")
+                ("the path or the name of one scenario", "cartpole")
+                if word == "extends"
+                else ("the path of one file", "file.yaml")
             )
             self.findings.add("DB103", value.span, f"`{word}` takes {takes}", f"write `{word}: {example}`")
             return None
         library = shipped.SCENARIOS if word == "extends" else None
-        path = files.resolve_reference(value.text, folder, self.roots, library, by=chain[-1] if chain else None)
+        path = files.resolve_reference(
+            value.text, folder, self.roots, library, by=chain[-1] if chain else None
+        )
         if isinstance(path, files.UnusableFile):
             self.findings.add("DB204", value.span, path.headline, path.help, notes=path.notes)
             return None
         if path in chain:
             circle = " -> ".join(step.name for step in (*chain[chain.index(path) :], path))
-            self.findings.add("DB204", value.span, f"`{value.text}` includes itself", "remove one of these references", notes=(circle,))
+            self.findings.add(
+                "DB204",
+                value.span,
+                f"`{value.text}` includes itself",
+                "remove one of these references",
+                notes=(circle,),
+            )
             return None
         if len(chain) >= MAX_INCLUSION_DEPTH:
             self.findings.add(
-                "DB204", value.span, f"files include each other more than {MAX_INCLUSION_DEPTH} levels deep", "merge some of them"
+                "DB204",
+                value.span,
+                f"files include each other more than {MAX_INCLUSION_DEPTH} levels deep",
+                "merge some of them",
             )
             return None
         if path not in self.trees:
@@ -287,7 +328,8 @@ class _Reader:
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
     def pruned(self, tree: MappingNode, remove: Node, own: MappingNode) -> MappingNode:
-        """The tree without the paths listed under `remove`; DB205 where a path is in `own`, the tree of the same file."""
+        """The tree without the paths listed under `remove`; DB205 where a path is in `own`, the tree of the
+        same file."""
         example = "write `remove: [observation.speed]`"
         if not isinstance(remove, SequenceNode):
             self.findings.add("DB103", remove.span, "`remove` takes a list of paths", example)
@@ -300,11 +342,13 @@ class _Reader:
             steps, reached, rest = follow_dotted(tree, item.text)
             if not rest and steps:
                 paths.append(steps)
-                _, key, found = descend(own, steps)
-                if found == len(steps) and key is not None and key.span.source is item.span.source:
+                _, key, target = descend(own, steps)
+                if target == len(steps) and key is not None and key.span.source is item.span.source:
                     headline = f"`{item.text}` is both defined here and listed under `remove`"
                     help = "keep one of the two: a new value replaces the inherited one without `remove`"
-                    self.findings.add("DB205", key.span, headline, help, labels=(Label(item.span, "removed here"),))
+                    self.findings.add(
+                        "DB205", key.span, headline, help, labels=(Label(item.span, "removed here"),)
+                    )
             else:
                 here = item.part(len(item.text) - len(rest), len(item.text))
                 help = _listed(reached) if isinstance(reached, MappingNode) else "remove a path that exists"
@@ -321,7 +365,9 @@ def _listed(node: MappingNode) -> str:
 
 _KIND_KEYS = ("type", "shape", "algorithm")
 # Mappings from names that the user chose: a reward term may be called `shape`.
-_DEFINITIONS = frozenset(("parameters", "signals", "augment", "observation", "action", "reward", "success", "failure"))
+_DEFINITIONS = frozenset(
+    ("parameters", "signals", "augment", "observation", "action", "reward", "success", "failure")
+)
 _WHOLES = {"xyz": ("x", "y", "z"), "rpy": ("roll", "pitch", "yaw")}
 """Keys of a pose that replace the keys of its parts."""
 _OF_NAMES = _DEFINITIONS | frozenset(("set", "search", "emit", "apply", "receive", "poses", "choices"))
@@ -330,8 +376,9 @@ _OF_NAMES = _DEFINITIONS | frozenset(("set", "search", "emit", "apply", "receive
 def merge(base: MappingNode, over: MappingNode, name: str = "") -> MappingNode:
     """`over` laid upon `base`; both are the value of the key `name`.
 
-    Mappings merge by key in the order of `base`; lists and single values replace, and `xyz` replaces `x`, `y` and `z`. If the kind
-    changes (`type`, `shape`, `algorithm`), the settings of the old kind have no meaning, and `over` stands alone.
+    Mappings merge by key in the order of `base`; lists and single values replace, and `xyz` replaces `x`, `y`
+    and `z`. If the kind changes (`type`, `shape`, `algorithm`), the settings of the old kind have no meaning,
+    and `over` stands alone.
     """
     if name not in _OF_NAMES and any(_differ(base.get(key), over.get(key)) for key in _KIND_KEYS):
         return over
@@ -342,7 +389,9 @@ def merge(base: MappingNode, over: MappingNode, name: str = "") -> MappingNode:
         if isinstance(below, MappingNode) and isinstance(entry.value, MappingNode):
             entry = Entry(entry.key, merge(below, entry.value, key))
         entries[key] = entry
-    return MappingNode(over.span, entries, partial=base.partial or over.partial, keys_without_value=over.keys_without_value)
+    return MappingNode(
+        over.span, entries, partial=base.partial or over.partial, keys_without_value=over.keys_without_value
+    )
 
 
 def _differ(base: Node | None, over: Node | None) -> bool:
@@ -355,11 +404,14 @@ _BLANK_OR_COMMENT = re.compile(r"\s*(?:#.*)?")
 _CUTOFF = 0.75
 
 
-def apply_assignment(root: MappingNode, assignment: str, findings: Findings, budget: Budget | None = None) -> MappingNode:
+def apply_assignment(
+    root: MappingNode, assignment: str, findings: Findings, budget: Budget | None = None
+) -> MappingNode:
     """`root` after one assignment `path=value`; unchanged, with a finding, if it cannot be applied.
 
-    A bare name is a parameter if there is one of that name, else a key of the scenario. The value replaces the old one;
-    mappings are not merged. A section that the file leaves out is added. The text of the assignment is the source of its nodes.
+    A bare name is a parameter if there is one of that name, else a key of the scenario. The value replaces
+    the old one; mappings are not merged. A section that the file leaves out is added. The text of the
+    assignment is the source of its nodes.
     """
     source = Source(f"--set {assignment.partition('=')[0].strip() or assignment}", assignment)
     if not files.check_characters(source, findings):
@@ -370,8 +422,8 @@ def apply_assignment(root: MappingNode, assignment: str, findings: Findings, bud
         findings.add("DB102", whole, "there is no path before the `=`", "write --set path=value")
     elif not equals or _BLANK_OR_COMMENT.fullmatch(text):
         help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
-        if found := re.fullmatch(r"\s*([\w.]+)\s*[: ]\s*(\S.*)", assignment):
-            help = f"write an equals sign: --set {found[1]}={found[2]}"
+        if match := re.fullmatch(r"\s*([\w.]+)\s*[: ]\s*(\S.*)", assignment):
+            help = f"write an equals sign: --set {match[1]}={match[2]}"
         findings.add("DB107", whole, f"`{path}` is set to nothing", help)
     else:
         value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)
@@ -391,7 +443,9 @@ def with_settings_at(root: MappingNode, path: NodePath) -> MappingNode:
     return root
 
 
-def _set(root: MappingNode, path: ScalarNode, value: Node | None, whole: Span, findings: Findings) -> MappingNode:
+def _set(
+    root: MappingNode, path: ScalarNode, value: Node | None, whole: Span, findings: Findings
+) -> MappingNode:
     target = _target(root, path, findings)
     if target is None or value is None:
         return root
@@ -399,7 +453,9 @@ def _set(root: MappingNode, path: ScalarNode, value: Node | None, whole: Span, f
     for step in reversed(inner):
         value = MappingNode(whole, {step.text: Entry(step, value)})
     if isinstance(value, ScalarNode) and value.value is None:
-        findings.add("DB107", key.span, f"`{key.text}` is set to nothing", "the language has no null; write a value")
+        findings.add(
+            "DB107", key.span, f"`{key.text}` is set to nothing", "the language has no null; write a value"
+        )
         return root
     changed = nodes.with_entry(root, steps, Entry(key, value))
     return changed if isinstance(changed, MappingNode) else root
@@ -413,10 +469,14 @@ def setting_path(root: MappingNode, dotted: str) -> NodePath:
     return (*steps, *rest.split(".")) if rest else steps
 
 
-def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[NodePath, list[ScalarNode]] | None:
-    """The path to replace, and its last key as written, followed by the keys of a section that is added below it.
+def _target(
+    root: MappingNode, path: ScalarNode, findings: Findings
+) -> tuple[NodePath, list[ScalarNode]] | None:
+    """The path to replace, and its last key as written, followed by the keys of a section that is added below
+    it.
 
-    A key may be new. The mapping around it must exist, unless it is a section of the scenario, or directly inside one.
+    A key may be new. The mapping around it must exist, unless it is a section of the scenario, or directly
+    inside one.
     """
     dotted = path.text.strip()
     start = path.text.index(dotted)
@@ -432,7 +492,9 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
         if dotted not in root.entries and (near := nearest_word(dotted, parameters.entries, _CUTOFF)):
             span = path.part(start, end)
             fix = Fix.replacing(span, dotted, near, safe=False)
-            findings.add("DB201", span, f"there is no parameter `{dotted}`", f"did you mean `{near}`?", fix=fix)
+            findings.add(
+                "DB201", span, f"there is no parameter `{dotted}`", f"did you mean `{near}`?", fix=fix
+            )
             return None
     steps, reached, rest = follow_dotted(root, dotted)
     if not rest:
@@ -442,7 +504,12 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
     here = path.part(at, at + max(1, len(name)))
     inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
     if not isinstance(reached, MappingNode):
-        findings.add("DB201", here, f"there is no `{name}`{inside}, because it has no keys", "set the whole value instead")
+        findings.add(
+            "DB201",
+            here,
+            f"there is no `{name}`{inside}, because it has no keys",
+            "set the whole value instead",
+        )
         return None
     near = nearest_word(name, reached.entries, _CUTOFF)
     if name and not below:
@@ -455,7 +522,10 @@ def _target(root: MappingNode, path: ScalarNode, findings: Findings) -> tuple[No
         return (*steps, name), keys
     help = f"did you mean `{near}`?" if near else _listed(reached)
     if name and all(below) and not near:
-        help += f"; to add it, set it whole: `{dotted[: at - start]}{name}={{{': {'.join(below)}: ...{'}' * len(below)}`"
+        help += (
+            "; to add it, set it whole:"
+            f" `{dotted[: at - start]}{name}={{{': {'.join(below)}: ...{'}' * len(below)}`"
+        )
     findings.add("DB201", here, f"there is no `{name}`{inside}", help)
     return None
 

@@ -1,7 +1,7 @@
 """Nodes: YAML values that know their place.
 
-Later passes read a tree of nodes. Merging (`extends`, `include`, `--set`) builds new trees around old nodes, so each
-value keeps the place where it was written.
+Later passes read a tree of nodes. Merging (`extends`, `include`, `--set`) builds new trees around old nodes,
+so each value keeps the place where it was written.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _MAX_DOTTED = 1000
 class ScalarNode(NamedTuple):
     """A single value: its text after unquoting and folding, and its value in YAML 1.2.
 
-    `offsets[i]` is the offset in the source of character `i` of `text`, with one more for the end. It is None where the
-    text stands in the source unchanged from `span.start` on.
+    `offsets[i]` is the offset in the source of character `i` of `text`, with one more for the end. It is None
+    where the text stands in the source unchanged from `span.start` on.
     """
 
     span: Span
@@ -68,8 +68,8 @@ class Entry(NamedTuple):
 class MappingNode:
     """Keys in file order, each with its value.
 
-    `partial` marks a mapping that lost a key to a finding, so a missing key may be a consequence. `keys_without_value` are the keys
-    without a value.
+    `partial` marks a mapping that lost a key to a finding, so a missing key may be a consequence.
+    `keys_without_value` are the keys without a value.
     """
 
     span: Span
@@ -125,7 +125,11 @@ def inline_text(node: Node) -> str:
 
 def _item_on_line(node: Node) -> str:
     """An item of a collection; a quoted text keeps its quotes if it holds separators."""
-    quoted = isinstance(node, ScalarNode) and node.style in ("single", "double") and _NEEDS_QUOTES.search(node.text)
+    quoted = (
+        isinstance(node, ScalarNode)
+        and node.style in ("single", "double")
+        and _NEEDS_QUOTES.search(node.text)
+    )
     return " ".join(node.span.text.split()) if quoted else inline_text(node)
 
 
@@ -142,7 +146,8 @@ def count_and_depth(node: Node) -> tuple[int, int]:
 
 
 def enclosing_entry(node: Node, name: str, start: int, end: int) -> Span | None:
-    """The narrowest entry or list item that holds the piece `[start, end)` of the file `name`; None if there is none."""
+    """The narrowest entry or list item that holds the piece `[start, end)` of the file `name`; None if there
+    is none."""
     match node:
         case MappingNode():
             parts = [(entry.key.span, entry.value) for entry in node.entries.values()]
@@ -151,10 +156,12 @@ def enclosing_entry(node: Node, name: str, start: int, end: int) -> Span | None:
         case ScalarNode():
             return None
     for first, value in parts:
-        found = enclosing_entry(value, name, start, end)
-        if found:
-            return found
-        last = value.span if value.span.source is first.source else first  # an included value lies in another file
+        inner = enclosing_entry(value, name, start, end)
+        if inner:
+            return inner
+        last = (
+            value.span if value.span.source is first.source else first
+        )  # an included value lies in another file
         if first.source.name == name and first.start <= start and end <= max(first.end, last.end):
             return Span(first.source, first.start, max(first.end, last.end))
     return None
@@ -164,7 +171,8 @@ def enclosing_entry(node: Node, name: str, start: int, end: int) -> Span | None:
 
 
 def descend(node: Node, path: NodePath) -> tuple[Node, ScalarNode | None, int]:
-    """Follow `path` as far as it goes: the last node reached, its key if any, and the number of steps taken."""
+    """Follow `path` as far as it goes: the last node reached, its key if any, and the number of steps
+    taken."""
     key: ScalarNode | None = None
     for depth, step in enumerate(path):
         match node:
@@ -208,7 +216,13 @@ def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
             if isinstance(node, MappingNode) and piece in node.entries:
                 steps, node, rest = (*steps, piece), node.entries[piece].value, rest[end + 1 :]
                 break
-            if isinstance(node, SequenceNode) and piece.isascii() and piece.isdigit() and len(piece) < 6 and int(piece) < len(node.items):
+            if (
+                isinstance(node, SequenceNode)
+                and piece.isascii()
+                and piece.isdigit()
+                and len(piece) < 6
+                and int(piece) < len(node.items)
+            ):
                 steps, node, rest = (*steps, int(piece)), node.items[int(piece)], rest[end + 1 :]
                 break
         else:
@@ -245,11 +259,15 @@ def without_paths(node: Node, paths: Iterable[NodePath]) -> Node:
         case MappingNode():
             kept = {key: entry for key, entry in node.entries.items() if key not in removed}
             entries = {
-                key: Entry(entry.key, without_paths(entry.value, below[key])) if key in below else entry for key, entry in kept.items()
+                key: Entry(entry.key, without_paths(entry.value, below[key])) if key in below else entry
+                for key, entry in kept.items()
             }
             return dataclasses.replace(node, entries=entries)
         case SequenceNode():
             items = [(index, item) for index, item in enumerate(node.items) if index not in removed]
-            return SequenceNode(node.span, tuple(without_paths(item, below[index]) if index in below else item for index, item in items))
+            return SequenceNode(
+                node.span,
+                tuple(without_paths(item, below[index]) if index in below else item for index, item in items),
+            )
         case ScalarNode():
             return node

@@ -1,8 +1,8 @@
 """YAML text to nodes, built from the events of PyYAML.
 
-PyYAML's own composer recurses in C without a limit (100 000 brackets end the process), drops duplicate keys and expands
-aliases at any price. Its parser reads at most one token ahead, or 1024 characters where a key may begin, so it is safe
-to take its events one by one and to stop at the first limit.
+PyYAML's own composer recurses in C without a limit (100 000 brackets end the process), drops duplicate keys
+and expands aliases at any price. Its parser reads at most one token ahead, or 1024 characters where a key may
+begin, so it is safe to take its events one by one and to stop at the first limit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,17 @@ from yaml.events import AliasEvent, CollectionEndEvent, MappingStartEvent, Scala
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span
 from deepbots_cli.document import hints
-from deepbots_cli.document.nodes import Entry, MappingNode, Node, ScalarNode, SequenceNode, Style, Value, count_and_depth, to_data
+from deepbots_cli.document.nodes import (
+    Entry,
+    MappingNode,
+    Node,
+    ScalarNode,
+    SequenceNode,
+    Style,
+    Value,
+    count_and_depth,
+    to_data,
+)
 
 MAX_DEPTH = 64
 # The largest shipped scenario has 500.
@@ -29,7 +39,8 @@ MAX_NODES = 8_000
 MAX_EXPANDED = 8_000
 _TOO_DEEP = f"values are nested more than {MAX_DEPTH} deep"
 _TOO_DEEP_PROBLEM = "exceeded maximum nesting depth"
-"""What the parser says of 1,000 open brackets, from PyYAML 6.0.4 on: it reads them before it hands out an event."""
+"""What the parser says of 1,000 open brackets, from PyYAML 6.0.4 on: it reads them before it hands out an
+event."""
 _LIMIT_HELP = "simplify the file; ordinary scenarios are far below this limit"
 
 Event = Any  # the stubs of PyYAML allow events without marks
@@ -55,7 +66,9 @@ class Budget:
     expanded: int = MAX_EXPANDED
 
 
-def parse(source: Source, findings: Findings, budget: Budget | None = None, *, text: str | None = None) -> Node | None:
+def parse(
+    source: Source, findings: Findings, budget: Budget | None = None, *, text: str | None = None
+) -> Node | None:
     """The document in `source`; None, with a finding, if it cannot be used.
 
     `text` is parsed instead of the text of the source, whose offsets it must share.
@@ -90,7 +103,8 @@ def parse(source: Source, findings: Findings, budget: Budget | None = None, *, t
 
 
 def has_same_values(source: Source, text: str) -> bool:
-    """Whether another text of the document has the same values: text that looks like a comment may be part of a value."""
+    """Whether another text of the document has the same values: text that looks like a comment may be part of
+    a value."""
     before, after = (parse(each, Findings()) for each in (source, Source(source.name, text)))
     return before is not None and after is not None and to_data(before) == to_data(after)
 
@@ -121,7 +135,9 @@ class _Builder:
         next(self.events)  # the end of the document
         after = next(self.events)
         if not isinstance(after, StreamEndEvent):
-            self.findings.add("DB001", self.span(after), "a second document begins here", "write one document per file")
+            self.findings.add(
+                "DB001", self.span(after), "a second document begins here", "write one document per file"
+            )
             return None
         return root
 
@@ -136,7 +152,11 @@ class _Builder:
         elif depth >= MAX_DEPTH:
             self.stop(event, _TOO_DEEP)
         else:
-            node = self.mapping(event, depth) if isinstance(event, MappingStartEvent) else self.sequence(event, depth)
+            node = (
+                self.mapping(event, depth)
+                if isinstance(event, MappingStartEvent)
+                else self.sequence(event, depth)
+            )
         return self.anchored(event, node)
 
     def anchored(self, event: Event, node: Node | None) -> Node | None:
@@ -209,17 +229,26 @@ class _Builder:
         return None if cut or empty or len(kept) < len(items) else SequenceNode(span, kept)
 
     def mapping(self, start: Event, depth: int) -> MappingNode:
-        pairs = [(self.key(event, depth), self.node(next(self.events), depth + 1)) for event in self.children()]
+        pairs = [
+            (self.key(event, depth), self.node(next(self.events), depth + 1)) for event in self.children()
+        ]
         span = self.close(start)
         scalars = [part for pair in pairs for part in pair if isinstance(part, ScalarNode)]
         cut = []
         if start.flow_style:
-            cut = hints.report_values_cut_by_commas(scalars, self.findings) or hints.report_decimal_commas(pairs, self.findings)
+            cut = hints.report_values_cut_by_commas(scalars, self.findings) or hints.report_decimal_commas(
+                pairs, self.findings
+            )
         entries: dict[str, Entry] = {}
         keys_without_value: list[ScalarNode] = []
         seen: dict[str, ScalarNode] = {}
         for key, value in pairs:
-            if key is None or any(cut_at.start <= part.span.start < cut_at.end for cut_at in cut for part in (key, value) if part):
+            if key is None or any(
+                cut_at.start <= part.span.start < cut_at.end
+                for cut_at in cut
+                for part in (key, value)
+                if part
+            ):
                 continue
             if not isinstance(key.value, str):
                 headline = f"a key must be text, but this one is {_KINDS[type(key.value)]}"
@@ -228,13 +257,21 @@ class _Builder:
             first = seen.setdefault(key.text, key)
             if first is not key:
                 also = (Label(first.span, "first defined here"),)
-                self.findings.add("DB002", key.span, f"the key `{key.text}` is given twice", "keep one of the two", labels=also)
+                self.findings.add(
+                    "DB002",
+                    key.span,
+                    f"the key `{key.text}` is given twice",
+                    "keep one of the two",
+                    labels=also,
+                )
             elif isinstance(value, ScalarNode) and value.value is None:
                 hints.report_empty_value(key, value, self.findings, is_flow=start.flow_style)
                 keys_without_value.append(key)
             elif value is not None:
                 entries[key.text] = Entry(key, value)
-        return MappingNode(span, entries, partial=len(entries) < len(pairs), keys_without_value=tuple(keys_without_value))
+        return MappingNode(
+            span, entries, partial=len(entries) < len(pairs), keys_without_value=tuple(keys_without_value)
+        )
 
     def key(self, event: Event, depth: int) -> ScalarNode | None:
         """A key; None with a finding if it is no name."""
@@ -326,24 +363,27 @@ def _offsets(raw: str, start: int, text: str, style: Style) -> abc.Sequence[int]
     if quotes and raw[1:-1] == text:
         return range(start + 1, start + len(raw))
     places, written = array("I"), []
-    for place, character in _characters(raw, raw.find("\n") + 1 if style in _BLOCKS else quotes, len(raw) - quotes, style):
+    for place, character in _characters(
+        raw, raw.find("\n") + 1 if style in _BLOCKS else quotes, len(raw) - quotes, style
+    ):
         places.append(start + place)
         written.append(character)
     places.append(start + len(raw) - quotes)
-    found, at, last = array("I"), 0, len(written)
+    offsets, at, last = array("I"), 0, len(written)
     for character in text:
         if not character.isspace():
             while at < last - 1 and written[at] != character:
                 at += 1
-        found.append(places[at])
+        offsets.append(places[at])
         if at < last and (not character.isspace() or written[at].isspace()):
             at += 1
-    found.append(places[at])
-    return found
+    offsets.append(places[at])
+    return offsets
 
 
 def _characters(raw: str, position: int, end: int, style: Style) -> Iterator[tuple[int, str]]:
-    """Each character that was written, with its place; an escape is one character, an escaped line break none."""
+    """Each character that was written, with its place; an escape is one character, an escaped line break
+    none."""
     while position < end:
         character, width = raw[position], 1
         if style == "single" and character == "'":

@@ -1,6 +1,8 @@
-"""Scenarios and robots with a name: shipped with deepbots, in its wheel or beside it in a checkout, or added by plug-ins.
+"""Scenarios and robots with a name: shipped with deepbots, in its wheel or beside it in a checkout, or added
+by plug-ins.
 
-An entry point of the group `deepbots.scenarios` names a package whose folder holds `scenarios/*.yaml` and `robots/urdf/*.urdf`.
+An entry point of the group `deepbots.scenarios` names a package whose folder holds `scenarios/*.yaml` and
+`robots/urdf/*.urdf`.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ def data_dir() -> Path:
 @cache
 def _added_dirs() -> tuple[Path, ...]:
     """The folders of plug-ins; a folder with a name that is taken is left out."""
-    found: list[Path] = []
+    folders: list[Path] = []
     for entry in entry_points_of("deepbots.scenarios"):
         try:
             spec = find_spec(entry.value)
@@ -38,15 +40,15 @@ def _added_dirs() -> tuple[Path, ...]:
                 raise ModuleNotFoundError(f"there is no package {entry.value}")
             folder = Path(next(iter(spec.submodule_search_locations))).resolve()
             for kind in (_SCENARIOS, _ROBOTS):
-                known = {name for other in (data_dir(), *found) for name in _names((other,), kind)}
-                taken = sorted(known.intersection(_names((folder,), kind)))
+                names = {name for other in (data_dir(), *folders) for name in _names((other,), kind)}
+                taken = sorted(names.intersection(_names((folder,), kind)))
                 if taken:
                     raise ValueError(f"the name {taken[0]!r} is taken")
         except Exception as error:  # noqa: BLE001 - to look for a package may run the code of a plug-in
             warn_unavailable(entry, error)
         else:
-            found.append(folder)
-    return tuple(found)
+            folders.append(folder)
+    return tuple(folders)
 
 
 class Library(NamedTuple):
@@ -71,7 +73,8 @@ ROBOTS = Library("robot", _ROBOTS)
 
 
 def is_shipped_path(reference: str) -> bool:
-    """Whether a relative path, as a shipped scenario writes it, leads to a shipped file: `../robots/epuck.yaml`."""
+    """Whether a relative path, as a shipped scenario writes it, leads to a shipped file:
+    `../robots/epuck.yaml`."""
     steps = [step for step in re.split(r"[/\\]", reference) if step not in ("", ".", "..")]
     try:
         return bool(steps) and steps[0] in ("scenarios", "robots") and data_dir().joinpath(*steps).is_file()
@@ -81,7 +84,11 @@ def is_shipped_path(reference: str) -> bool:
 
 def data_roots() -> tuple[Path, ...]:
     """The folders that any scenario may read from, links followed."""
-    return tuple((folder / part).resolve() for folder in (data_dir(), *_added_dirs()) for part in ("scenarios", "robots"))
+    return tuple(
+        (folder / part).resolve()
+        for folder in (data_dir(), *_added_dirs())
+        for part in ("scenarios", "robots")
+    )
 
 
 def scenario_names() -> list[str]:

@@ -3,10 +3,12 @@
 pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
 mujoco/        the only package that imports MuJoCo: the same, and exact snapshots
 kinematics.py  inverse kinematics of chains of joints
-objects.py     objects and walls as robots of one link; bodies by name, and pooled ones in one of several forms
+objects.py     objects and walls as robots of one link; bodies by name, and pooled ones in one of several
+               forms
 
-An engine is imported when it is first used. `deepbots_cli.engine_kinds` has the table of engines. Other packages add theirs as an entry
-point of the group `deepbots.engines`: a name, and the `module:attribute` of an `EngineFactory`.
+An engine is imported when it is first used. `deepbots_cli.engine_kinds` has the table of engines. Other
+packages add theirs as an entry point of the group `deepbots.engines`: a name, and the `module:attribute` of
+an `EngineFactory`.
 """
 
 from __future__ import annotations
@@ -50,15 +52,24 @@ def create(name: str, world: WorldModel) -> Engine:
         engine = _factory(name)(_with_masses(world))
     except ModuleNotFoundError as error:
         kind = ENGINES.get(name)
-        if kind is not None and error.name == kind.library and any(other.is_installed for other in ENGINES.values()):
+        if (
+            kind is not None
+            and error.name == kind.library
+            and any(other.is_installed for other in ENGINES.values())
+        ):
             raise UsageError(f"the engine '{name}' cannot be used: {kind.missing}; {kind.remedy}") from error
         if error.name in _OF_EXTRA_SIM:
             raise MissingExtraError("sim", "running a scenario") from error
         raise
-    follower = next((f"'{joint}' of '{robot.name}'" for robot in world.robots for joint in robot.model.followers), None)
+    follower = next(
+        (f"'{joint}' of '{robot.name}'" for robot in world.robots for joint in robot.model.followers), None
+    )
     if follower is not None and "mimic" not in engine.capabilities:
         engine.close()
-        raise EngineError(f"the engine '{name}' does not move joints that follow others (<mimic>), such as {follower}; {OTHER_ENGINES}")
+        raise EngineError(
+            f"the engine '{name}' does not move joints that follow others (<mimic>), such as {follower};"
+            f" {OTHER_ENGINES}"
+        )
     return engine
 
 
@@ -86,7 +97,9 @@ def _with_masses(world: WorldModel) -> WorldModel:
         return world
     from deepbots_cli.geometry import with_masses
 
-    return replace(world, robots=tuple(replace(robot, model=with_masses(robot.model)) for robot in world.robots))
+    return replace(
+        world, robots=tuple(replace(robot, model=with_masses(robot.model)) for robot in world.robots)
+    )
 
 
 def _factory(name: str) -> EngineFactory:

@@ -1,7 +1,8 @@
 """Inverse kinematics of a chain of joints: damped least squares, within the ranges of the joints.
 
-The rule is that of Levenberg and Marquardt on the error of position (m) and attitude (rad, counted as `METERS_PER_RAD` m each):
-a step is (J^T J + c 1)^-1 J^T e, and c falls after steps that help and grows after steps that do not.
+The rule is that of Levenberg and Marquardt on the error of position (m) and attitude (rad, counted as
+`METERS_PER_RAD` m each): a step is (J^T J + c 1)^-1 J^T e, and c falls after steps that help and grows after
+steps that do not.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ MAX_STEP = 0.5  # rad or m; of a joint in one round
 
 
 class Segment(NamedTuple):
-    """From one link to the next: a fixed frame, then a joint, at `place` among all moving joints of the chain, or None."""
+    """From one link to the next: a fixed frame, then a joint, at `place` among all moving joints of the
+    chain, or None."""
 
     frame: Frame
     axis: Triple
@@ -41,7 +43,8 @@ class Segment(NamedTuple):
 
 
 class Chain:
-    """From the root of a robot to one of its links. `moving_joints` names the joints on the way, of which `driven` may be solved for."""
+    """From the root of a robot to one of its links. `moving_joints` names the joints on the way, of which
+    `driven` may be solved for."""
 
     def __init__(self, model: RobotModel, link: str, driven: Sequence[str]) -> None:
         path = _path(model, link)
@@ -50,7 +53,12 @@ class Chain:
         if strange:
             raise EngineError(f"joint '{strange[0]}' does not move link '{link}' of '{model.name}'")
         self._segments = [
-            Segment(frames.frame(j.origin), j.axis, j.type != "prismatic", self.moving_joints.index(j.name) if j.moves else None)
+            Segment(
+                frames.frame(j.origin),
+                j.axis,
+                j.type != "prismatic",
+                self.moving_joints.index(j.name) if j.moves else None,
+            )
             for j in path
         ]
         self._driven = [self.moving_joints.index(name) for name in driven]
@@ -59,25 +67,29 @@ class Chain:
             for place, name in enumerate(self.moving_joints)
             if (mimic := model.followers.get(name)) is not None and mimic.joint in driven
         ]
-        """The followers of driven joints: their place, that of the leader among the driven joints, and how they follow."""
+        """The followers of driven joints: their place, that of the leader among the driven joints, and how
+        they follow."""
         ranges = [_range(model.joint(name)) for name in driven]
         self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
 
-    def solve(self, root: Frame, positions: Sequence[float], target: Triple, attitude: Quaternion | None) -> list[float]:
+    def solve(
+        self, root: Frame, positions: Sequence[float], target: Triple, attitude: Quaternion | None
+    ) -> list[float]:
         """Positions of the driven joints that bring the link's origin there, or as near as the search gets.
 
-        `root` is the pose of the root link, `positions` are those of all `moving_joints`. The search begins there, and
-        once more in the middle of the ranges if that ends elsewhere: an arm that is stretched out finds no way to bend.
+        `root` is the pose of the root link, `positions` are those of all `moving_joints`. The search begins
+        there, and once more in the middle of the ranges if that ends elsewhere: an arm that is stretched out
+        finds no way to bend.
         """
         inward = frames.inverse(root[1])
         goal = frames.rotate(inward, frames.subtract(target, root[0]))
         turned = None if attitude is None else frames.multiply(inward, frames.normalized(attitude))
-        found, missing = self._search(list(positions), goal, turned)
+        solution, missing = self._search(list(positions), goal, turned)
         if missing > TOLERANCE_M * TOLERANCE_M:
             other, still_missing = self._search(self._middle(positions), goal, turned)
             if still_missing < missing:
-                found = other
-        return [found[place] for place in self._driven]
+                solution = other
+        return [solution[place] for place in self._driven]
 
     def _middle(self, positions: Sequence[float]) -> list[float]:
         """These positions, with the driven joints in the middle of their ranges, where they have any."""
@@ -87,7 +99,9 @@ class Chain:
                 middle[place] = (low + high) / 2
         return middle
 
-    def _search(self, joints: list[float], goal: Triple, turned: Quaternion | None) -> tuple[list[float], float]:
+    def _search(
+        self, joints: list[float], goal: Triple, turned: Quaternion | None
+    ) -> tuple[list[float], float]:
         """Where the search from these positions ends, and the square of the error that it leaves."""
         error, jacobian = self._linearized(joints, goal, turned)
         damping, missing, idle = 1e-4, float(error @ error), 0
@@ -98,7 +112,9 @@ class Chain:
             normal = jacobian.T @ jacobian + damping * np.eye(len(now))
             step = np.clip(np.linalg.solve(normal, jacobian.T @ error), -MAX_STEP, MAX_STEP)
             tried = list(joints)
-            for place, value in zip(self._driven, np.clip(now + step, self._lower, self._upper).tolist(), strict=True):
+            for place, value in zip(
+                self._driven, np.clip(now + step, self._lower, self._upper).tolist(), strict=True
+            ):
                 tried[place] = value
             new_error, new_jacobian = self._linearized(tried, goal, turned)
             left = float(new_error @ new_error)
@@ -110,17 +126,17 @@ class Chain:
                 damping *= 10.0
         return joints, missing
 
-    def _linearized(self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None) -> tuple[FloatArray, FloatArray]:
+    def _linearized(
+        self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None
+    ) -> tuple[FloatArray, FloatArray]:
         """The error at these positions, and how it shrinks with each driven joint."""
         joints = list(joints)
         for follower, leader, mimic in self._followers:
             joints[follower] = mimic.position(joints[self._driven[leader]])
-        here, axes, pivots, turns = (
-            IDENTITY_FRAME,
-            [IDENTITY_FRAME[0]] * len(joints),
-            [IDENTITY_FRAME[0]] * len(joints),
-            [True] * len(joints),
-        )
+        here = IDENTITY_FRAME
+        axes = [IDENTITY_FRAME[0]] * len(joints)
+        pivots = [IDENTITY_FRAME[0]] * len(joints)
+        turns = [True] * len(joints)
         for frame, axis, turning, place in self._segments:
             here = frames.compose(here, frame)
             if place is not None:
@@ -131,10 +147,15 @@ class Chain:
                     here = frames.add(here[0], frames.scaled(axes[place], joints[place])), here[1]
         error = list(frames.subtract(goal, here[0]))
         places = [*self._driven, *(follower for follower, _, _ in self._followers)]
-        columns = [frames.cross(axes[i], frames.subtract(here[0], pivots[i])) if turns[i] else axes[i] for i in places]
+        columns = [
+            frames.cross(axes[i], frames.subtract(here[0], pivots[i])) if turns[i] else axes[i]
+            for i in places
+        ]
         if attitude is None:
             return np.array(error), self._with_followers(np.array(columns)).T
-        error += frames.scaled(_rotation_vector(frames.multiply(attitude, frames.inverse(here[1]))), METERS_PER_RAD)
+        error += frames.scaled(
+            _rotation_vector(frames.multiply(attitude, frames.inverse(here[1]))), METERS_PER_RAD
+        )
         full = [
             (*column, *(frames.scaled(axes[i], METERS_PER_RAD) if turns[i] else IDENTITY_FRAME[0]))
             for i, column in zip(places, columns, strict=True)

@@ -1,4 +1,5 @@
-"""Objects and walls as robots of one link, which engines load like robots; bodies by name, and pooled ones in one of several forms."""
+"""Objects and walls as robots of one link, which engines load like robots; bodies by name, and pooled ones in
+one of several forms."""
 
 from __future__ import annotations
 
@@ -10,11 +11,29 @@ from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame
 from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOR, Arena, ObjectBody
-from deepbots_cli.robots.model import Box, Friction, Geometry, Inertial, Link, Pose, RobotModel, homogeneous_inertial, with_link
+from deepbots_cli.robots.model import (
+    Box,
+    Friction,
+    Geometry,
+    Inertial,
+    Link,
+    Pose,
+    RobotModel,
+    homogeneous_inertial,
+    with_link,
+)
 
 # Of links that state no color, in turn.
-LINK_COLORS = ((0.84, 0.44, 0.24, 1.0), (0.27, 0.45, 0.66, 1.0), (0.30, 0.32, 0.36, 1.0), (0.86, 0.70, 0.32, 1.0), (0.42, 0.60, 0.46, 1.0))
-ROOT_MASS_FRACTION = 1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
+LINK_COLORS = (
+    (0.84, 0.44, 0.24, 1.0),
+    (0.27, 0.45, 0.66, 1.0),
+    (0.30, 0.32, 0.36, 1.0),
+    (0.86, 0.70, 0.32, 1.0),
+    (0.42, 0.60, 0.46, 1.0),
+)
+ROOT_MASS_FRACTION = (
+    1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
+)
 
 
 def is_movable(body: ObjectBody) -> bool:
@@ -25,12 +44,16 @@ def is_movable(body: ObjectBody) -> bool:
 def forms_of(body: ObjectBody) -> dict[str, ObjectBody]:
     """The object in each of its variants, by their names; by its own if it has none."""
     fields = ("shape", "mass", "color", "friction", "fixed")
-    shown = {v.name: replace(body, variants=(), **{what: getattr(v, what) for what in fields}) for v in body.variants}
+    shown = {
+        v.name: replace(body, variants=(), **{what: getattr(v, what) for what in fields})
+        for v in body.variants
+    }
     return shown or {body.name: body}
 
 
 def as_robot(body: ObjectBody) -> RobotModel:
-    """The object as a robot of one link with the object's name; the inertia of a mesh is 0, for the engine to find."""
+    """The object as a robot of one link with the object's name; the inertia of a mesh is 0, for the engine to
+    find."""
     seen = Geometry(body.shape, color=body.color)
     link = Link(
         name=body.name,
@@ -43,7 +66,8 @@ def as_robot(body: ObjectBody) -> RobotModel:
 
 
 def arena_walls(arena: Arena) -> tuple[ObjectBody, ...]:
-    """Four fixed boxes around the inner size of the arena. Four, not one of four parts: an engine sorts out far boxes cheaply."""
+    """Four fixed boxes around the inner size of the arena. Four, not one of four parts: an engine sorts out
+    far boxes cheaply."""
     (x, y), height, thick = arena.size, arena.wall_height, arena.wall_thickness
     sides = (
         ((x + thick) / 2, 0.0, thick, y + 2 * thick),
@@ -84,31 +108,44 @@ def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> Robo
     """The model with a mass on each link: 0 where the file states none, for which a loader would invent 1 kg.
 
     Raises:
-        EngineError: A joint or a free base moves nothing that has mass, or a joint is of a kind that is not supported.
+        EngineError: A joint or a free base moves nothing that has mass, or a joint is of a kind that is not
+            supported.
     """
     subtree_mass = model.subtree_mass()
     for joint in model.joints:
         if joint.type in ("floating", "planar"):
-            raise EngineError(f"the engine does not support {joint.type} joints, such as '{joint.name}' of '{name}'")
+            raise EngineError(
+                f"the engine does not support {joint.type} joints, such as '{joint.name}' of '{name}'"
+            )
         if joint.moves and subtree_mass[joint.child] <= 0.0:
-            raise EngineError(f"joint '{joint.name}' of '{name}' moves no mass; add an <inertial> with a mass to link '{joint.child}'")
+            raise EngineError(
+                f"joint '{joint.name}' of '{name}' moves no mass; add an <inertial> with a mass to link"
+                f" '{joint.child}'"
+            )
     root = model.link(model.root).inertial
     if not fixed_base and (root is None or root.mass <= 0.0):
         model = _with_heavy_root(name, model)
-    return replace(model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links))
+    return replace(
+        model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links)
+    )
 
 
 def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
-    """The model whose root is a mere frame, as `base_footprint` is, with a trace of what fixed joints hold to it.
+    """The model whose root is a mere frame, as `base_footprint` is, with a trace of what fixed joints hold to
+    it.
 
     The engine would take a free root without mass for one that is bolted to the world.
     """
     links = [model.link(link).inertial for link in rigid_group(model, model.root)]
-    mass = sum(known.mass for known in links if known)
+    mass = sum(link_mass.mass for link_mass in links if link_mass)
     if mass <= 0.0:
-        raise EngineError(f"root link '{model.root}' of '{name}' has no mass; add an <inertial>, or write `base: fixed`")
+        raise EngineError(
+            f"root link '{model.root}' of '{name}' has no mass; add an <inertial>, or write `base: fixed`"
+        )
     trace = ROOT_MASS_FRACTION * mass
-    return with_link(model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace)))
+    return with_link(
+        model, replace(model.link(model.root), inertial=Inertial(trace, ixx=trace, iyy=trace, izz=trace))
+    )
 
 
 # Bodies by name

@@ -15,7 +15,15 @@ from typing import NamedTuple, TypeVar
 from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, suggest_replacement
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, prefixed_unit, suggest_unit
-from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, OPERATORS, Family, Form, Function, Param
+from deepbots_cli.expressions.functions import (
+    ALLOWED_FAMILIES,
+    FUNCTIONS,
+    OPERATORS,
+    Family,
+    Form,
+    Function,
+    Param,
+)
 from deepbots_cli.expressions.intervals import TRUTH, Interval, hull, single
 from deepbots_cli.expressions.types import (
     MAX_SIZE,
@@ -56,23 +64,42 @@ A = TypeVar("A")
 B = TypeVar("B")
 
 _ARITHMETIC = {"+": "add", "-": "sub", "*": "mul", "/": "div", "^": "pow"}
-COMPARISONS = {"<": "less", "<=": "less_equal", ">": "greater", ">=": "greater_equal", "==": "equal", "!=": "not_equal"}
+COMPARISONS = {
+    "<": "less",
+    "<=": "less_equal",
+    ">": "greater",
+    ">=": "greater_equal",
+    "==": "equal",
+    "!=": "not_equal",
+}
 _MAX_EXPONENT = 12
 # Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
 _MAX_DENOMINATOR = 4
-_STATIC_HELP = "use a number or a parameter; the state of the world and messages are known only during an episode"
+_STATIC_HELP = (
+    "use a number or a parameter; the state of the world and messages are known only during an episode"
+)
 _FAMILY_HELP = {
     Family.DRAW: "define the draw under `parameters`, and use its name here",
     Family.STATEFUL: "define it under `signals`, and use the signal where signals are available",
-    Family.MESSAGE: "define the value under `receive`, and use its name here; only the supervisor receives messages of robots",
-    Family.WORLD: "define the value under `receive`, and use its name here; a robot knows only its sensors and the values that it receives",
+    Family.MESSAGE: "define the value under `receive`, and use its name here; only the supervisor receives"
+    " messages of robots",
+    Family.WORLD: "define the value under `receive`, and use its name here; a robot knows only its sensors"
+    " and the values that it receives",
 }
 _STATIC_PLACES = (Context.FIXED, Context.PARAMETER, Context.FIELD, Context.OBSERVATION, Context.RESET)
 _CONTEXT_HELP = {
-    **{(Context.FORBID, family): "define the value under `augment`, and use its name here" for family in Family},
-    **{(place, family): _STATIC_HELP for place in _STATIC_PLACES for family in (Family.WORLD, Family.MESSAGE)},
+    **{
+        (Context.FORBID, family): "define the value under `augment`, and use its name here"
+        for family in Family
+    },
+    **{
+        (place, family): _STATIC_HELP for place in _STATIC_PLACES for family in (Family.WORLD, Family.MESSAGE)
+    },
     (Context.EMIT, Family.WORLD): "define the value under `augment`; a robot knows only its sensors",
-    (Context.EMIT, Family.MESSAGE): "define the value under `augment`; only the supervisor receives messages of robots",
+    (
+        Context.EMIT,
+        Family.MESSAGE,
+    ): "define the value under `augment`; only the supervisor receives messages of robots",
     (Context.FIXED, Family.DRAW): "write one number for all episodes",
     (Context.SCRIPT, Family.STATEFUL): "define the value under `signals`, and use its name here",
     (Context.TEST, Family.STATEFUL): "define the value under `signals`, and use its name here",
@@ -137,28 +164,36 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typ
     if not checker.draws:
         help = "put a draw such as `uniform(a .. b)` before `every` or `each step`"
         report("DB401", tree.value.end, tree.end, "there is no draw to repeat", help)
-    return TypedExpression(value._replace(type=value.type._replace(known=Known.STEP)), Redraw(periods[0] if periods else None))
+    return TypedExpression(
+        value._replace(type=value.type._replace(known=Known.STEP)), Redraw(periods[0] if periods else None)
+    )
 
 
 @none_after_finding
-def check_range(tree: syntax.Node, scope: Scope, report: FindingReporter, *, falling: bool = False) -> TypedRange:
+def check_range(
+    tree: syntax.Node, scope: Scope, report: FindingReporter, *, falling: bool = False
+) -> TypedRange:
     """The typed ends of a text `low .. high`; with `falling`, the first may be above the second."""
     if not isinstance(tree, syntax.Range):
-        raise report_at(report, "DB401", tree, "expected a range, found a single value", "write both ends: `low .. high`")
+        raise report_at(
+            report, "DB401", tree, "expected a range, found a single value", "write both ends: `low .. high`"
+        )
     checker = _Checker(scope, report)
     low, high = checker.each(checker.whole, (tree.low, tree.high))
-    found = TypedRange(low, high, tree.start, tree.end)
+    typed = TypedRange(low, high, tree.start, tree.end)
     require_kind((low, high), report)
     dimension_of((low, high), tree, report)
     components_of((low, high), tree, report)
     if not falling:
-        _require_rising(found, report)
-    return found
+        _require_rising(typed, report)
+    return typed
 
 
-def _require_rising(found: TypedRange, report: FindingReporter) -> None:
-    if found.low.type.interval.low > found.high.type.interval.high:
-        raise report_at(report, "DB105", found, "a range whose low end is above its high end", "write the low end first")
+def _require_rising(typed: TypedRange, report: FindingReporter) -> None:
+    if typed.low.type.interval.low > typed.high.type.interval.high:
+        raise report_at(
+            report, "DB105", typed, "a range whose low end is above its high end", "write the low end first"
+        )
 
 
 def _summed(tree: syntax.Node) -> Iterator[syntax.Node]:
@@ -190,8 +225,13 @@ class _Checker:
             self._paid = frozenset(map(id, _summed(tree)))
         value = self.visit(tree)
         if value.type.has_group_components:
-            help = "combine the values with `min`, `max`, `sum`, `norm`, `any` or `all`, because the number of copies varies"
-            raise self._fault("DB404", tree, "expected a single value, found one value for each copy of a group", help)
+            help = (
+                "combine the values with `min`, `max`, `sum`, `norm`, `any` or `all`, because the number"
+                " of copies varies"
+            )
+            raise self._fault(
+                "DB404", tree, "expected a single value, found one value for each copy of a group", help
+            )
         if size(value) > MAX_SIZE:
             headline = f"the expression has more than {MAX_SIZE} operations on single numbers"
             raise self._fault("DB005", tree, headline, "define parts of it as signals or parameters")
@@ -205,7 +245,11 @@ class _Checker:
                 return self._constant(node, (node,), None)
             case syntax.Binary():
                 left, right = self.each(self.visit, (node.left, node.right))
-                return self._when(node, left, right) if node.operator == "when" else self._binary(node, left, right)
+                return (
+                    self._when(node, left, right)
+                    if node.operator == "when"
+                    else self._binary(node, left, right)
+                )
             case syntax.Call():
                 return self._call(node)
             case syntax.Conditional():  # in Python's order, in which states and draws are numbered
@@ -225,15 +269,15 @@ class _Checker:
     @staticmethod
     def each(visit: Callable[[A], B], items: Sequence[A]) -> list[B]:
         """The result for every item: the faults of all of them are reported before the check stops."""
-        found: list[B] = []
+        values: list[B] = []
         for item in items:
             try:  # 0.1 us, with `contextlib.suppress` 1.4 us; called for every operator
-                found.append(visit(item))
+                values.append(visit(item))
             except StopChecking:
                 continue
-        if len(found) < len(items):
+        if len(values) < len(items):
             raise StopChecking
-        return found
+        return values
 
     # names
 
@@ -254,7 +298,8 @@ class _Checker:
         raise self._no_value(node)
 
     def _pick(self, value: Typed, member: str, node: syntax.Node, before: str | None = None) -> Typed:
-        """One component by its name, or several by single letters (`.xy`); the text of the value stands `before`, where it is a name."""
+        """One component by its name, or several by single letters (`.xy`); the text of the value stands
+        `before`, where it is a name."""
         components = value.type.components
         if components is None:
             raise self._fault("DB402", node, f"`.{member}` of a single value", "only vectors have components")
@@ -278,17 +323,27 @@ class _Checker:
         is_invalid = symbol is not None and symbol.type is None and symbol.refusal is None
         if is_invalid or (subject is not None and subject.kind is Kind.BROKEN):
             raise StopChecking
-        fitting = [known for known in dict.fromkeys(scope.subjects()) if (other := scope.subject(known, kinds)) and other.kind in kinds]
+        fitting = [
+            fitting_name
+            for fitting_name in dict.fromkeys(scope.subjects())
+            if (other := scope.subject(fitting_name, kinds)) and other.kind in kinds
+        ]
         if subject is None and symbol is None:
             raise self._unknown("name", name, fitting, node)
-        found = subject.kind.description if subject is not None else "a value"
+        description = subject.kind.description if subject is not None else "a value"
         help = _known(fitting, f"the scenario does not have {wanted}")
         if subject is not None and subject.kind is Kind.OBJECTS and fitting:
             help = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {help}"
         if kinds == {Kind.CAMERA}:
-            found = f"{found} of another type" if found == Kind.SENSOR.description else found
-            help = help if fitting else f"add a sensor with `type: camera` to a robot, and write its name in place of `{name}`"
-        raise self._fault("DB203", node, f"`{name}` is {found}, but `{function}` needs {wanted}", help)
+            description = (
+                f"{description} of another type" if description == Kind.SENSOR.description else description
+            )
+            help = (
+                help
+                if fitting
+                else f"add a sensor with `type: camera` to a robot, and write its name in place of `{name}`"
+            )
+        raise self._fault("DB203", node, f"`{name}` is {description}, but `{function}` needs {wanted}", help)
 
     def _no_value(self, node: syntax.Name) -> StopChecking:
         """A name that is no value: a part of the world, a function, or unknown."""
@@ -298,20 +353,32 @@ class _Checker:
             help = f"use one of its values, as in `{_FUNCTION_OF_KIND.get(subject.kind, 'position')}({name})`"
             is_invalid = subject.kind is Kind.BROKEN
             return (
-                StopChecking() if is_invalid else self._fault("DB203", node, f"`{name}` is {subject.kind.description}, not a value", help)
+                StopChecking()
+                if is_invalid
+                else self._fault("DB203", node, f"`{name}` is {subject.kind.description}, not a value", help)
             )
         if name in FUNCTIONS:
-            return self._fault("DB402", node, f"`{name}` is a function", f"call it: `{FUNCTIONS[name].signature}`")
+            return self._fault(
+                "DB402", node, f"`{name}` is a function", f"call it: `{FUNCTIONS[name].signature}`"
+            )
         if asked := self._asked_of_a_body(node):
             help = f"read values of the world with a function: `{asked}`"
             return self._fault("DB402", node, f"unknown name `{name}`", help, Replacement(asked, safe=False))
-        return self._unknown("name", name, scope.names(), node, also=_NAME_HELP.get(name.lower(), _CONTEXT_NAME_HELP.get(scope.context)))
+        return self._unknown(
+            "name",
+            name,
+            scope.names(),
+            node,
+            also=_NAME_HELP.get(name.lower(), _CONTEXT_NAME_HELP.get(scope.context)),
+        )
 
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
         """`position(cart).x` for `cart.position.x` and for `cart.x`."""
         for length in range(len(node.parts) - 1, 0, -1):
             body, (asked, *rest) = ".".join(node.parts[:length]), node.parts[length:]
-            subject = self._scope.subject(body) if Family.WORLD in ALLOWED_FAMILIES[self._scope.context] else None
+            subject = (
+                self._scope.subject(body) if Family.WORLD in ALLOWED_FAMILIES[self._scope.context] else None
+            )
             if subject is not None and subject.kind in (Kind.ROBOT, Kind.LINK, Kind.OBJECT, Kind.WALL):
                 function = FUNCTIONS.get(asked)
                 if function is not None and function.family is Family.WORLD and len(function.params) == 1:
@@ -320,32 +387,49 @@ class _Checker:
         return None
 
     def _unknown(
-        self, what: str, name: str, known: Iterable[str], place: syntax.Node, before: str | None = "", also: str | None = None
+        self,
+        what: str,
+        name: str,
+        known: Iterable[str],
+        place: syntax.Node,
+        before: str | None = "",
+        also: str | None = None,
     ) -> StopChecking:
         """DB402 with the nearest of the known names, and a list of them.
 
-        `before` and the name are the text of `place`; None says that it cannot be written again. The help `also` is for
-        names that are like none of the known.
+        `before` and the name are the text of `place`; None says that it cannot be written again. The help
+        `also` is for names that are like none of the known.
         """
         names = sorted(known)
         owned = with_owner(name, names)
         near = owned or suggest_replacement(name, names)
         listed = "; ".join(filter(None, (_known(names, "no name can be used here"), None if near else also)))
-        is_clear = near is not None and len(names) > MAX_BESIDE and (owned is not None or is_typo(name, near.text))
-        help = " ".join(filter(None, (f"did you mean `{near.text}`?" if near else "", "" if is_clear else listed)))
+        is_clear = (
+            near is not None and len(names) > MAX_BESIDE and (owned is not None or is_typo(name, near.text))
+        )
+        help = " ".join(
+            filter(None, (f"did you mean `{near.text}`?" if near else "", "" if is_clear else listed))
+        )
         fix = near._replace(text=f"{before}{near.text}") if near and before is not None else None
         return self._fault("DB402", place, f"unknown {what} `{name}`", help, fix)
 
     # literals
 
-    def _constant(self, node: syntax.Number | syntax.Vector, items: Sequence[syntax.Number], components: Components | None) -> Constant:
+    def _constant(
+        self,
+        node: syntax.Number | syntax.Vector,
+        items: Sequence[syntax.Number],
+        components: Components | None,
+    ) -> Constant:
         """Numbers in the unit of `node`, which stands behind the last of them."""
         unit = node.unit
         values = tuple(unit.to_si(item.value) if unit else item.value for item in items)
         if not all(map(math.isfinite, values)):
             raise self._fault("DB401", node, "a quantity too large for a number")
-        known = Type(unit.dimension if unit else NUMBER, components).with_intervals(map(single, values))
-        return Constant(known, node.start, node.end, values, unit)
+        constant_type = Type(unit.dimension if unit else NUMBER, components).with_intervals(
+            map(single, values)
+        )
+        return Constant(constant_type, node.start, node.end, values, unit)
 
     def _vector(self, node: syntax.Vector) -> Typed:
         if isinstance(node.items[-1], syntax.Name):
@@ -356,8 +440,12 @@ class _Checker:
         items = self.each(self.visit, node.items)
         require_kind(items, self._report)
         components = self._gathered(items)
-        result = Type(dimension_of(items, node, self._report), components, known=max(item.type.known for item in items))
-        return Vector(result.with_intervals(item.type.interval for item in items), node.start, node.end, tuple(items))
+        result = Type(
+            dimension_of(items, node, self._report), components, known=max(item.type.known for item in items)
+        )
+        return Vector(
+            result.with_intervals(item.type.interval for item in items), node.start, node.end, tuple(items)
+        )
 
     def _gathered(self, values: Sequence[Typed]) -> Components:
         """The components of single values side by side."""
@@ -367,7 +455,8 @@ class _Checker:
         return _positions(len(values))
 
     def _require_item(self, node: syntax.Vector, name: syntax.Name) -> None:
-        """The name behind the numbers must be their last item; otherwise it is a misspelled unit, or an operator is missing."""
+        """The name behind the numbers must be their last item; otherwise it is a misspelled unit, or an
+        operator is missing."""
         written = name.dotted
         symbol = self._scope.lookup(name.parts[0]) or self._scope.lookup(written)
         if symbol is None:
@@ -393,7 +482,11 @@ class _Checker:
         components = components_of((value, condition), node, self._report)
         nothing = Constant(Type(interval=single(0.0)), node.end, node.end, (0.0,))
         known = max(value.type.known, condition.type.known)
-        result = _ranged(Type(value.type.dimension, components, known=known), lambda known: hull((known, single(0.0))), (value.type,))
+        result = _ranged(
+            Type(value.type.dimension, components, known=known),
+            lambda known: hull((known, single(0.0))),
+            (value.type,),
+        )
         return Operation(result, node.start, node.end, "where", (condition, value, nothing))
 
     def _conditional(self, node: syntax.Conditional, condition: Typed, values: Sequence[Typed]) -> Typed:
@@ -405,7 +498,9 @@ class _Checker:
         known = max(value.type.known for value in (condition, *values))
         result = Type(dimension, components, boolean, TRUTH, known)
         if not boolean:
-            result = _ranged(result, OPERATORS["where"].interval, [part.type for part in (condition, *values)])
+            result = _ranged(
+                result, OPERATORS["where"].interval, [part.type for part in (condition, *values)]
+            )
         return Operation(result, node.start, node.end, "where", (condition, *values))
 
     def _unary(self, node: syntax.Unary, operand: Typed) -> Typed:
@@ -414,7 +509,9 @@ class _Checker:
             return Operation(operand.type, node.start, node.end, "not", (operand,))
         result = _ranged(operand.type, OPERATORS["neg"].interval, (operand.type,))
         if isinstance(operand, Constant):
-            return operand._replace(type=result, start=node.start, values=tuple(-value for value in operand.values))
+            return operand._replace(
+                type=result, start=node.start, values=tuple(-value for value in operand.values)
+            )
         return Operation(result, node.start, node.end, "neg", (operand,))
 
     def _binary(self, node: syntax.Binary, left: Typed, right: Typed) -> Typed:
@@ -428,7 +525,9 @@ class _Checker:
             result = _ranged(result, OPERATORS[operator].interval, (left.type, right.type))
             # A division by zero gives an interval that is not single.
             overflows = result.interval.is_single and not result.interval.is_finite
-            if overflows and all(value.type.interval.is_finite and value.type.interval.is_single for value in both):
+            if overflows and all(
+                value.type.interval.is_finite and value.type.interval.is_single for value in both
+            ):
                 self._fault("DB406", node, "a result too large for a number")
             return Operation(result, node.start, node.end, operator, both)
         if node.operator not in COMPARISONS:
@@ -459,7 +558,9 @@ class _Checker:
                     if float(near) == known.low:
                         return base ** (near if near.denominator > 1 else int(near))
                 help = "divide by a unit first, because only a plain number can have any exponent"
-                raise self._fault("DB503", right, f"the exponent of {base.description} must be a fixed, simple number", help)
+                raise self._fault(
+                    "DB503", right, f"the exponent of {base.description} must be a fixed, simple number", help
+                )
             case _:
                 return dimension_of((left, right), node, self._report, is_paid=id(node) in self._paid)
 
@@ -469,14 +570,23 @@ class _Checker:
         b = next((b for _, b in columns if b.is_finite and 0.0 in b), None)
         if operator == "/" and b is not None:
             between = f"the divisor is between {b.low:g} and {b.high:g}, and can be zero"
-            self._fault("DB405", node.right, "a division by zero" if b.is_single else between, _no_zero(right))
+            self._fault(
+                "DB405", node.right, "a division by zero" if b.is_single else between, _no_zero(right)
+            )
         if operator == "^":
             powers = [(a, b) for a, b in columns if a.is_finite]
             low = min((a.low for a, b in powers if b.is_single and not b.low.is_integer()), default=0.0)
             if low < 0.0:
-                self._fault("DB406", node.left, f"a fractional power of a value that can be as low as {low:g}", _keep_above(0.0))
+                self._fault(
+                    "DB406",
+                    node.left,
+                    f"a fractional power of a value that can be as low as {low:g}",
+                    _keep_above(0.0),
+                )
             if any(0.0 in a and b.high < 0.0 for a, b in powers):
-                self._fault("DB405", node.left, "a negative power of a value that can be zero", _no_zero(left))
+                self._fault(
+                    "DB405", node.left, "a negative power of a value that can be zero", _no_zero(left)
+                )
 
     # calls
 
@@ -510,14 +620,22 @@ class _Checker:
             return Vector(result, node.start, node.end, values)
         return Invocation(result, node.start, node.end, function.name, subjects, values, occurrence)
 
-    def _arguments(self, node: syntax.Call, function: Function) -> tuple[tuple[Subject, ...], list[tuple[Param, Typed]]]:
+    def _arguments(
+        self, node: syntax.Call, function: Function
+    ) -> tuple[tuple[Subject, ...], list[tuple[Param, Typed]]]:
         """The subjects, and each value with its parameter: both ends of a range have the same."""
-        params, given = function.params, len(node.args)
+        params, count = function.params, len(node.args)
         fewest = sum(not param.optional for param in params)
-        if given < fewest or (given > len(params) and not params[-1].variadic):
-            wanted = f"at least {fewest}" if params[-1].variadic else " or ".join(str(n) for n in sorted({fewest, len(params)}))
+        if count < fewest or (count > len(params) and not params[-1].variadic):
+            wanted = (
+                f"at least {fewest}"
+                if params[-1].variadic
+                else " or ".join(str(n) for n in sorted({fewest, len(params)}))
+            )
             noun = "argument" if wanted == "1" else "arguments"
-            raise self._fault("DB401", node, f"`{function.name}` takes {wanted} {noun}, not {given}", _usage(function))
+            raise self._fault(
+                "DB401", node, f"`{function.name}` takes {wanted} {noun}, not {count}", _usage(function)
+            )
 
         def argument(index: int) -> tuple[list[Subject], list[tuple[Param, Typed]]]:
             param, arg = params[min(index, len(params) - 1)], node.args[index]
@@ -525,24 +643,39 @@ class _Checker:
                 return [self._subject(arg, param.kinds, function.name)], []
             return [], [(param, value) for value in self.each(self.visit, self._parts(param, arg, function))]
 
-        found = self.each(argument, range(given))
-        return tuple(subject for subjects, _ in found for subject in subjects), [pair for _, pairs in found for pair in pairs]
+        values = self.each(argument, range(count))
+        return tuple(subject for subjects, _ in values for subject in subjects), [
+            pair for _, pairs in values for pair in pairs
+        ]
 
     def _parts(self, param: Param, arg: syntax.Node, function: Function) -> Sequence[syntax.Node]:
         """The values in one argument: one, both ends of a range, or all options."""
         match param.form, arg:
             case Form.VALUE, syntax.Range() | syntax.Spread() | syntax.Options():
-                raise self._fault("DB401", arg, "expected a single value, found a range or a draw", _usage(function))
+                raise self._fault(
+                    "DB401", arg, "expected a single value, found a range or a draw", _usage(function)
+                )
             case Form.VALUE, _:
                 return (arg,)
-            case (Form.RANGE, syntax.Range()) | (Form.SPREAD, syntax.Spread()) | (Form.OPTIONS, syntax.Options()):
+            case (
+                (Form.RANGE, syntax.Range())
+                | (Form.SPREAD, syntax.Spread())
+                | (Form.OPTIONS, syntax.Options())
+            ):
                 return syntax.children(arg)
         raise self._fault("DB401", arg, f"`{function.name}` needs `{param}` here", _usage(function))
 
-    def _result(self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[tuple[Param, Typed]]) -> Type:
+    def _result(
+        self,
+        node: syntax.Call,
+        function: Function,
+        subjects: tuple[Subject, ...],
+        bound: list[tuple[Param, Typed]],
+    ) -> Type:
         """The type of the value of a call."""
         values = [value for _, value in bound]
-        truths, others = [value for param, value in bound if param.boolean], [value for param, value in bound if not param.boolean]
+        truths = [value for param, value in bound if param.boolean]
+        others = [value for param, value in bound if not param.boolean]
         any_truth = function.accepts_truths and any(value.type.boolean for value in others)
         require_kind(truths, self._report, boolean=True)
         require_kind(others, self._report, boolean=any_truth)
@@ -552,7 +685,9 @@ class _Checker:
             if param.dimension is not None:
                 require_dimension(value, param.dimension, f"the argument of `{function.name}`", self._report)
         shared = [value for param, value in bound if param.dimension is None and not param.boolean]
-        measured = subjects[0].dimension if subjects and not shared else dimension_of(shared, node, self._report)
+        measured = (
+            subjects[0].dimension if subjects and not shared else dimension_of(shared, node, self._report)
+        )
 
         components = self._components(node, function, subjects, bound)
         count = len(values[0].type.components or ()) if values else 0
@@ -576,18 +711,29 @@ class _Checker:
         return _ranged(result, function.interval, (*subjects, *(value.type for value in values)))
 
     def _components(
-        self, node: syntax.Call, function: Function, subjects: tuple[Subject, ...], bound: list[tuple[Param, Typed]]
+        self,
+        node: syntax.Call,
+        function: Function,
+        subjects: tuple[Subject, ...],
+        bound: list[tuple[Param, Typed]],
     ) -> Components | None:
         """The components of the result; DB404 where the arguments have others than they must."""
         values = [value for _, value in bound]
         for param, value in bound:
             if param.components and value.type.components != param.components:
-                raise self._fault("DB404", value, f"expected a vector of x, y, z, found {value.type.shape_description}")
+                raise self._fault(
+                    "DB404", value, f"expected a vector of x, y, z, found {value.type.shape_description}"
+                )
         if function.components is not None:
             return function.components
         if function.name == "vector":
             if len(values) not in (len(PLANE), len(SPACE)):
-                raise self._fault("DB404", node, f"a vector of {len(values)} values", "`vector` takes two (x, y) or three (x, y, z)")
+                raise self._fault(
+                    "DB404",
+                    node,
+                    f"a vector of {len(values)} values",
+                    "`vector` takes two (x, y) or three (x, y, z)",
+                )
             return self._gathered(values)
         if function.reduction is not None and len(values) == 1:
             (vector,) = values
@@ -595,15 +741,23 @@ class _Checker:
                 help = "use `min`, `max`, `sum`, `norm`, `any` or `all`, because a group may be empty"
                 raise self._fault("DB404", node, f"`{function.name}` cannot be used on a group", help)
             if vector.type.components is None:
-                raise self._fault("DB404", vector, f"`{function.name}` needs a vector, not a single value", _usage(function))
+                raise self._fault(
+                    "DB404", vector, f"`{function.name}` needs a vector, not a single value", _usage(function)
+                )
             return None
         groups = [subject.components for subject in subjects if subject.components is not None]
         if len(groups) > 1:
-            raise self._fault("DB404", node, "only one of the two arguments can be a group", "write a single body for the other one")
+            raise self._fault(
+                "DB404",
+                node,
+                "only one of the two arguments can be a group",
+                "write a single body for the other one",
+            )
         return groups[0] if groups else components_of(values, node, self._report)
 
     def _warn(self, function: Function, bound: list[tuple[Param, Typed]]) -> None:
-        """DB504 for angles beyond a turn, DB406 for an argument out of the domain, DB105 for a draw from a falling range."""
+        """DB504 for angles beyond a turn, DB406 for an argument out of the domain, DB105 for a draw from a
+        falling range."""
         for param, value in bound:
             if param.dimension == ANGLE and function.result(ANGLE) != ANGLE:
                 warn_of_degrees(value, self._report)
@@ -618,15 +772,19 @@ class _Checker:
                 _require_rising(TypedRange(low, high, low.start, high.end), self._report)
 
 
-def _columns(given: Sequence[Type | Subject]) -> list[tuple[Interval, ...]]:
-    """The intervals of values for each component; for all at once, where those of single components are not known."""
-    count = max((len(value.intervals) for value in given), default=0) or 1
-    return [tuple(value.intervals[at] if value.intervals else value.interval for value in given) for at in range(count)]
+def _columns(arguments: Sequence[Type | Subject]) -> list[tuple[Interval, ...]]:
+    """The intervals of values for each component; for all at once, where those of single components are not
+    known."""
+    count = max((len(value.intervals) for value in arguments), default=0) or 1
+    return [
+        tuple(value.intervals[at] if value.intervals else value.interval for value in arguments)
+        for at in range(count)
+    ]
 
 
-def _ranged(result: Type, rule: Callable[..., Interval], given: Sequence[Type | Subject]) -> Type:
+def _ranged(result: Type, rule: Callable[..., Interval], arguments: Sequence[Type | Subject]) -> Type:
     """The result with the interval that `rule` makes of those given, for each component."""
-    return result.with_intervals(rule(*column) for column in _columns(given))
+    return result.with_intervals(rule(*column) for column in _columns(arguments))
 
 
 def _usage(function: Function) -> str:
@@ -659,10 +817,14 @@ def _one_of(kinds: frozenset[Kind]) -> str:
 
 def _keep_above(low: float) -> str:
     """The help for a value that can be below a domain, which begins at 0 or just above it."""
-    return "keep it above 0 with `max(..., 0.001)`" if low > 0.0 else "keep it at or above 0 with `max(..., 0)`"
+    return (
+        "keep it above 0 with `max(..., 0.001)`" if low > 0.0 else "keep it at or above 0 with `max(..., 0)`"
+    )
 
 
 def _no_zero(value: Typed) -> str:
     """The help for a value that can be zero: a bound in its unit."""
     dimension = value.type.dimension
-    return f"keep it away from zero, as in `max(..., {'0.01' if dimension == NUMBER else f'0.01 {dimension}'})`"
+    return (
+        f"keep it away from zero, as in `max(..., {'0.01' if dimension == NUMBER else f'0.01 {dimension}'})`"
+    )

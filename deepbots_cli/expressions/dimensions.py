@@ -1,7 +1,7 @@
 """Dimensions of quantities, and the units that may stand behind a number.
 
-Angle is a dimension: an angular velocity times a radius is a speed only after division by a radian. Unit names are
-reserved: no parameter or signal may take one. A unit name without a number is one of the unit.
+Angle is a dimension: an angular velocity times a radius is a speed only after division by a radian. Unit
+names are reserved: no parameter or signal may take one. A unit name without a number is one of the unit.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ PRESSURE = FORCE / LENGTH**2
 class PhysicalQuantity(NamedTuple):
     """The words of messages about a dimension.
 
-    `unit` replaces a combination of base units. Values beyond `plausible_limit` (SI) get a warning: their unit or exponent is
-    probably wrong.
+    `unit` replaces a combination of base units. Values beyond `plausible_limit` (SI) get a warning: their
+    unit or exponent is probably wrong.
     """
 
     dimension: Dimension
@@ -144,15 +144,31 @@ class Unit(NamedTuple):
         return value * self.divisor / self.scale
 
     def times(self, other: Unit) -> Unit:
-        return Unit(f"{self.text}*{other.text}", self.dimension * other.dimension, self.scale * other.scale, self.divisor * other.divisor)
+        return Unit(
+            f"{self.text}*{other.text}",
+            self.dimension * other.dimension,
+            self.scale * other.scale,
+            self.divisor * other.divisor,
+        )
 
     def per(self, other: Unit) -> Unit:
-        return Unit(f"{self.text}/{other.text}", self.dimension / other.dimension, self.scale * other.divisor, self.divisor * other.scale)
+        return Unit(
+            f"{self.text}/{other.text}",
+            self.dimension / other.dimension,
+            self.scale * other.divisor,
+            self.divisor * other.scale,
+        )
 
     def to_power(self, exponent: int) -> Unit:
-        """The unit raised to `exponent`, which the parser keeps small enough for the factors to stay finite."""
+        """The unit raised to `exponent`, which the parser keeps small enough for the factors to stay
+        finite."""
         scale, divisor = (self.scale, self.divisor) if exponent >= 0 else (self.divisor, self.scale)
-        return Unit(f"{self.text}^{exponent}", self.dimension**exponent, scale ** abs(exponent), divisor ** abs(exponent))
+        return Unit(
+            f"{self.text}^{exponent}",
+            self.dimension**exponent,
+            scale ** abs(exponent),
+            divisor ** abs(exponent),
+        )
 
 
 ONE = Unit("1", NUMBER)
@@ -217,14 +233,16 @@ _PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6
 
 def suggest_unit(name: str) -> Replacement | None:
     """The unit that the unknown `name` probably means; safe where `name` is the unit written out."""
-    known = name if name in _WRITTEN_OUT else name.lower()
-    if known in _WRITTEN_OUT:
-        return Replacement(_WRITTEN_OUT[known], known not in _AMBIGUOUS)
+    spelling = name if name in _WRITTEN_OUT else name.lower()
+    if spelling in _WRITTEN_OUT:
+        return Replacement(_WRITTEN_OUT[spelling], spelling not in _AMBIGUOUS)
     if prefixed_unit(name) is not None:
         return None  # the unit without its prefix would be another value
-    if len(name) > 1 and known in UNITS:
-        return Replacement(known, safe=False)
-    from difflib import get_close_matches  # only on the way to a finding: its import costs 4 ms; case matters here: m, M
+    if len(name) > 1 and spelling in UNITS:
+        return Replacement(spelling, safe=False)
+    from difflib import (
+        get_close_matches,
+    )  # only on the way to a finding: its import costs 4 ms; case matters here: m, M
 
     close = get_close_matches(name, UNITS, n=1)
     return Replacement(close[0], safe=False) if close else None

@@ -1,10 +1,10 @@
 """The functions of the language: one entry per function, in one table.
 
-Checking, intervals, folding, generated code, arrays, completion, hover and the reference page read the entries
-and nothing else, so one entry makes a function. `OPERATORS` holds the operators in the same form.
+Checking, intervals, folding, generated code, arrays, completion, hover and the reference page read the
+entries and nothing else, so one entry makes a function. `OPERATORS` holds the operators in the same form.
 
-Other packages add functions of the family `PURE` by an entry point of the group `deepbots.functions`, which names
-a `Function` or a list of them:
+Other packages add functions of the family `PURE` by an entry point of the group `deepbots.functions`, which
+names a `Function` or a list of them:
 
     [project.entry-points."deepbots.functions"]
     more = "my_package.functions:FUNCTIONS"
@@ -27,7 +27,16 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Op, Scalar, State
-from deepbots_cli.expressions.types import QUATERNION, SPACE, Components, Context, Invocation, Kind, Typed, walk
+from deepbots_cli.expressions.types import (
+    QUATERNION,
+    SPACE,
+    Components,
+    Context,
+    Invocation,
+    Kind,
+    Typed,
+    walk,
+)
 from deepbots_cli.plugins import PluginTable
 
 ENTRY_POINT_GROUP = "deepbots.functions"
@@ -81,8 +90,8 @@ class Form(Enum):
 class Param(NamedTuple):
     """One argument. `dimension` None means: any, but the same for all such arguments of the call.
 
-    `components` demands a vector of exactly these; `kinds` are the parts of the world it may name. `variadic` lets the
-    last argument be given once or more often.
+    `components` demands a vector of exactly these; `kinds` are the parts of the world it may name. `variadic`
+    lets the last argument be given once or more often.
     """
 
     name: str
@@ -95,15 +104,22 @@ class Param(NamedTuple):
     variadic: bool = False
 
     def __str__(self) -> str:
-        shown = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- std", Form.OPTIONS: "a | b | ..."}.get(self.form, self.name)
-        return f"[{shown}]" if self.optional else f"{shown}, ..." if self.variadic else shown
+        shown = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- std", Form.OPTIONS: "a | b | ..."}.get(
+            self.form, self.name
+        )
+        if self.optional:
+            return f"[{shown}]"
+        if self.variadic:
+            return f"{shown}, ..."
+        return shown
 
 
 class Reduction(NamedTuple):
-    """How a vector becomes a single value: by an operation on all components, perhaps divided by their number.
+    """How a vector becomes a single value: by an operation on all components, perhaps divided by their
+    number.
 
-    `empty` is the value of no component at all, which absent copies of a group take; None refuses such vectors.
-    `interval` maps the interval of the components and their number to that of the result.
+    `empty` is the value of no component at all, which absent copies of a group take; None refuses such
+    vectors. `interval` maps the interval of the components and their number to that of the result.
     """
 
     operation: str
@@ -130,24 +146,29 @@ class Function(NamedTuple):
         interval: Maps the intervals of the arguments (subjects first, vectors once) to that of the value.
         components: Those of the value, where they do not follow from the arguments.
         boolean: The value is a truth value.
-        accepts_truths: The arguments without a dimension of their own may be truth values; the value is then one, too.
+        accepts_truths: The arguments without a dimension of their own may be truth values; the value is then
+            one, too.
         domain: The first argument must stay within; otherwise DB406.
 
     The meaning of a pure function is one of these, or both:
-        python: An expression over the names of the arguments (`low` and `high` of a range, `*x` of many), the module
-            `math`, `abs`, `min` and `max`. It holds each argument once. Generated code prints it, folding evaluates
-            it. An operator of many arguments combines them from left to right.
-        helper: The function of `runtime.formulas` that generated code calls instead: it reads better, and does the same to the bit.
-        array: The same over numpy arrays: names of the arguments, `np`, `reduce`, `math`'s. Empty where `python` does.
+        python: An expression over the names of the arguments (`low` and `high` of a range, `*x` of many), the
+            module `math`, `abs`, `min` and `max`. It holds each argument once. Generated code prints it,
+            folding evaluates it. An operator of many arguments combines them from left to right.
+        helper: The function of `runtime.formulas` that generated code calls instead: it reads better, and
+            does the same to the bit.
+        array: The same over numpy arrays: names of the arguments, `np`, `reduce`, `math`'s. Empty where
+            `python` does.
         reduction: The meaning for a single argument that is a vector.
 
     That of a function of the world is a reading of the engine, unless it has a `tree`:
-        tree: Makes the scalar tree from the full names of the subjects; generated code calls the function of the same name in
-            `runtime.formulas` with the poses of the subjects, which computes the same to the bit.
+        tree: Makes the scalar tree from the full names of the subjects; generated code calls the function of
+            the same name in `runtime.formulas` with the poses of the subjects, which computes the same to the
+            bit.
         reads_link_pose: The subject is read at the link that stands for it; a robot is read at its base link.
         pieces_operator: The operation that joins the values for a wall with several segments.
 
-    memory: The class of `runtime.formulas` that is the meaning of a stateful function: called with the arguments in every
+    memory: The class of `runtime.formulas` that is the meaning of a stateful function: called with the
+    arguments in every
         timestep, whether or not the value is used. An absent `start` is the first argument.
     """
 
@@ -177,8 +198,13 @@ class Function(NamedTuple):
 
     @property
     def arguments(self) -> tuple[str, ...]:
-        """The names of the single values that the function takes; the last with a star where it takes the rest."""
-        names = [name for param in self.params for name in (("low", "high") if param.form is Form.RANGE else (param.name,))]
+        """The names of the single values that the function takes; the last with a star where it takes the
+        rest."""
+        names = [
+            name
+            for param in self.params
+            for name in (("low", "high") if param.form is Form.RANGE else (param.name,))
+        ]
         takes_rest = self.params[-1].variadic and f"*{names[-1]}" in self.python
         return (*names[:-1], f"*{names[-1]}") if takes_rest else tuple(names)
 
@@ -215,7 +241,8 @@ def _power(base: float, exponent: float) -> float:
     return math.pow(base, exponent) if whole is None else float(base) ** whole
 
 
-# Scalar trees of functions of the world, over readings of the engine: the same on every engine. World frame, z up.
+# Scalar trees of functions of the world, over readings of the engine: the same on every engine. World frame,
+# z up.
 
 
 def _op(name: str, *args: Scalar) -> Op:
@@ -338,11 +365,15 @@ _SENDER = _subject("sender", Kind.ROBOT, Kind.SENSOR, Kind.CAMERA)
 _ENTRIES = (
     Function("abs", _PURE, (_X,), "The absolute value of x.", "abs(joint_velocity(rover.left_wheel))",
              interval=iv.absolute, python="abs(x)"),
-    Function("sqrt", _PURE, (_X,), "The square root of x. Its unit is the square root of the unit of x.", "sqrt(distance(rover, ball) / m)",
-             lambda d: d ** Fraction(1, 2), iv.square_root, domain=iv.POSITIVE, python="sqrt(x)", array="np.sqrt(x)"),
-    Function("exp", _PURE, (_PLAIN,), "The exponential function of a plain number.", "exp(-distance(rover, ball) / m)",
+    Function("sqrt", _PURE, (_X,), "The square root of x. Its unit is the square root of the unit of"
+                                   " x.", "sqrt(distance(rover, ball) / m)",
+             lambda d: d ** Fraction(1, 2), iv.square_root, domain=iv.POSITIVE, python="sqrt(x)",
+             array="np.sqrt(x)"),
+    Function("exp", _PURE, (_PLAIN,), "The exponential function of a plain number.", "exp(-distance(rover,"
+                                                                                     " ball) / m)",
              _NUMBER, lambda x: iv.apply_monotone(math.exp, x), python="exp(x)", array="np.exp(x)"),
-    Function("log", _PURE, (_PLAIN,), "The natural logarithm of a plain number.", "log(1 + distance(rover, ball) / m)",
+    Function("log", _PURE, (_PLAIN,), "The natural logarithm of a plain number.", "log(1 + distance(rover,"
+                                                                                  " ball) / m)",
              _NUMBER, iv.logarithm, domain=Interval(math.ulp(0.0), INF), python="log(x)", array="np.log(x)"),
     Function("sin", _PURE, (_TURN,), "The sine of an angle.", "sin(yaw(rover))",
              _NUMBER, iv.sine, python="sin(angle)", array="np.sin(angle)"),
@@ -351,138 +382,189 @@ _ENTRIES = (
     Function("tan", _PURE, (_TURN,), "The tangent of an angle.", "tan(tilt(rover) / 2)",
              _NUMBER, iv.tangent, python="tan(angle)", array="np.tan(angle)"),
     Function("atan2", _PURE, (_Y, _X), "The angle of the point (x, y), between -180 and 180 deg.",
-             "atan2(velocity(rover).y, velocity(rover).x)", _ANGLE, iv.atan2, python="atan2(y, x)", array="np.arctan2(y, x)"),
+             "atan2(velocity(rover).y, velocity(rover).x)", _ANGLE, iv.atan2, python="atan2(y, x)",
+             array="np.arctan2(y, x)"),
     # numpy's own hypot rounds differently and takes two arguments; this one costs 0.1 us per value.
     Function("hypot", _PURE, (_X, Param("y", variadic=True)), "The root of the sum of squares.",
              "hypot(position(rover).x, position(rover).y)",
-             interval=iv.hypot, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y), 1)(x, *y), float)"),
-    Function("clamp", _PURE, (_X, _RANGE), "x, limited to the range.", "clamp(distance(rover, ball), 0 .. 0.5 m)",
+             interval=iv.hypot, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y),"
+                                                             " 1)(x, *y), float)"),
+    Function("clamp", _PURE, (_X, _RANGE), "x, limited to the range.", "clamp(distance(rover, ball), 0 .."
+                                                                       " 0.5 m)",
              interval=iv.clamp, python="min(max(x, low), high)", helper="clamp",
              array="np.minimum(np.maximum(x, low), high)"),
-    Function("wrap", _PURE, (_TURN,), "The same angle, wrapped to more than -180 and up to 180 deg.", "wrap(yaw(rover) - 90 deg)",
+    Function("wrap", _PURE, (_TURN,), "The same angle, wrapped to more than -180 and up to 180"
+                                      " deg.", "wrap(yaw(rover) - 90 deg)",
              _ANGLE, iv.wrap_angle, python="pi - (pi - angle) % tau", helper="wrap_angle"),
-    Function("min", _PURE, (Param("x", variadic=True),), "The smallest component of one vector, or of several values.", "min(rover.near)",
-             interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)", reduction=Reduction("min", INF)),
-    Function("max", _PURE, (Param("x", variadic=True),), "The largest component of one vector, or of several values.",
+    Function("min", _PURE, (Param("x", variadic=True),), "The smallest component of one vector, or of"
+                                                         " several values.", "min(rover.near)",
+             interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)",
+             reduction=Reduction("min", INF)),
+    Function("max", _PURE, (Param("x", variadic=True),), "The largest component of one vector, or of several"
+                                                         " values.",
              "max(abs(gas), abs(turn))",
-             interval=iv.maximum, python="max(*x)", array="reduce(np.maximum, x)", reduction=Reduction("max", -INF)),
+             interval=iv.maximum, python="max(*x)", array="reduce(np.maximum, x)",
+             reduction=Reduction("max", -INF)),
     Function("sum", _PURE, (_V,), "The sum of the components.", "sum(joint_velocity(rover.wheels)^2)",
              reduction=Reduction("add", 0.0, iv.multiply_by_count)),
     Function("mean", _PURE, (_V,), "The mean of the components.", "mean(joint_velocity(rover.wheels))",
              reduction=Reduction("add", None, mean=True)),
-    Function("norm", _PURE, (_V,), "The length of a vector: the root of the sum of squares.", "norm(velocity(rover).xy)",
+    Function("norm", _PURE, (_V,), "The length of a vector: the root of the sum of squares.",
+             "norm(velocity(rover).xy)",
              reduction=Reduction("hypot", 0.0, _norm)),
-    Function("any", _PURE, (Param("v", boolean=True),), "Whether at least one component is true.", "any(rover.near < 0.1 m)",
+    Function("any", _PURE, (Param("v", boolean=True),), "Whether at least one component is true.",
+             "any(rover.near < 0.1 m)",
              _NUMBER, boolean=True, reduction=Reduction("or", False)),
     Function("all", _PURE, (Param("v", boolean=True),), "Whether every component is true.",
-             "all(abs(joint_velocity(rover.wheels)) < 1 rad/s)", _NUMBER, boolean=True, reduction=Reduction("and", True)),
-    Function("vector", _PURE, (_X, Param("y", variadic=True)), "A vector of two (x, y) or three (x, y, z) values.",
+             "all(abs(joint_velocity(rover.wheels)) < 1 rad/s)", _NUMBER, boolean=True,
+             reduction=Reduction("and", True)),
+    Function("vector", _PURE, (_X, Param("y", variadic=True)), "A vector of two (x, y) or three (x, y, z)"
+                                                               " values.",
              "vector(gas * 10 cm, turn * 10 cm, 0 m)", interval=_hull),
     Function("length", _PURE, (_LINE,), "The length of a line.", "length(track)", _LENGTH, _first),
-    Function("position", _OF_WORLD, (_BODY,), "The position of the origin of a body or link, in the world frame.",
+    Function("position", _OF_WORLD, (_BODY,), "The position of the origin of a body or link, in the world"
+                                              " frame.",
              "position(rover.left_wheel)",
              _LENGTH, components=SPACE, reads_link_pose=True),
-    Function("velocity", _OF_WORLD, (_BODY,), "The velocity of the origin of a body or link, in the world frame.", "velocity(ball)",
+    Function("velocity", _OF_WORLD, (_BODY,), "The velocity of the origin of a body or link, in the world"
+                                              " frame.", "velocity(ball)",
              _always(LENGTH / TIME), components=SPACE, reads_link_pose=True),
-    Function("angular_velocity", _OF_WORLD, (_BODY,), "The angular velocity of a body or link, in the world frame.",
+    Function("angular_velocity", _OF_WORLD, (_BODY,), "The angular velocity of a body or link, in the world"
+                                                      " frame.",
              "angular_velocity(rover).z", _always(ANGLE / TIME), components=SPACE, reads_link_pose=True),
-    Function("orientation", _OF_WORLD, (_BODY,), "The orientation of a body or link in the world as a quaternion (x, y, z, w).",
+    Function("orientation", _OF_WORLD, (_BODY,), "The orientation of a body or link in the world as a"
+                                                 " quaternion (x, y, z, w).",
              "orientation(rover)",
              _NUMBER, _known(iv.SIGNED_UNIT), components=QUATERNION, reads_link_pose=True),
-    Function("roll", _OF_WORLD, (_BODY,), "The roll angle of a body or link: its rotation about the forward axis.", "roll(rover)",
+    Function("roll", _OF_WORLD, (_BODY,), "The roll angle of a body or link: its rotation about the forward"
+                                          " axis.", "roll(rover)",
              _ANGLE, _known(iv.TURN), tree=_roll, reads_link_pose=True),
     Function("pitch", _OF_WORLD, (_BODY,),
-             "The pitch angle of a body or link: its rotation about the sideways axis; nose down is positive.", "pitch(rover)",
+             "The pitch angle of a body or link: its rotation about the sideways axis; nose down is"
+             " positive.", "pitch(rover)",
              _ANGLE, _known(iv.QUARTER_TURNS), tree=_pitch, reads_link_pose=True),
-    Function("yaw", _OF_WORLD, (_BODY,), "The yaw angle of a body or link: its rotation about the vertical axis; left is positive.",
+    Function("yaw", _OF_WORLD, (_BODY,), "The yaw angle of a body or link: its rotation about the vertical"
+                                         " axis; left is positive.",
              "yaw(rover)",
              _ANGLE, _known(iv.TURN), tree=_yaw, reads_link_pose=True),
-    Function("tilt", _OF_WORLD, (_BODY,), "The angle between the z axis of a body or link and the vertical: 0 if it is upright.",
+    Function("tilt", _OF_WORLD, (_BODY,), "The angle between the z axis of a body or link and the vertical:"
+                                          " 0 if it is upright.",
              "tilt(rover)",
              _ANGLE, _known(iv.HALF_TURN), tree=_tilt, reads_link_pose=True),
     Function("to_body_frame", _OF_WORLD, (_BODY, Param("v", components=SPACE)),
              "A vector of the world frame, rotated into the frame of a body.",
              "to_body_frame(rover, velocity(rover))", components=SPACE, reads_link_pose=True),
-    Function("distance", _OF_WORLD, (_BODY, _OTHER), "The distance between the origins of two bodies or links.", "distance(rover, ball)",
+    Function("distance", _OF_WORLD, (_BODY, _OTHER), "The distance between the origins of two bodies or"
+                                                     " links.", "distance(rover, ball)",
              _LENGTH, _known(iv.POSITIVE), tree=_distance, reads_link_pose=True),
-    Function("ground_distance", _OF_WORLD, (_BODY, _OTHER), "The horizontal distance between the origins of two bodies or links.",
-             "ground_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE), tree=_ground_distance, reads_link_pose=True),
+    Function("ground_distance", _OF_WORLD, (_BODY, _OTHER), "The horizontal distance between the origins of"
+                                                            " two bodies or links.",
+             "ground_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE), tree=_ground_distance,
+             reads_link_pose=True),
     Function("bearing", _OF_WORLD, (_BODY, _OTHER),
              "The horizontal angle from the forward axis of a body to another body; left is positive.",
              "bearing(rover, ball)", _ANGLE, _known(iv.TURN), tree=_bearing, reads_link_pose=True),
-    Function("clearance", _OF_WORLD, (_SURFACE, _OTHER_SURFACE), "The smallest distance between the surfaces of two bodies.",
+    Function("clearance", _OF_WORLD, (_SURFACE, _OTHER_SURFACE), "The smallest distance between the surfaces"
+                                                                 " of two bodies.",
              "clearance(rover, ball)",
              _LENGTH, _known(iv.POSITIVE), pieces_operator="min"),
-    Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest path around solid objects.",
+    Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest path around solid"
+                                                          " objects.",
              "path_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE)),
     Function("path_bearing", _OF_WORLD, (_BODY, _OTHER),
-             "The horizontal angle from the forward axis of a body to where the shortest path leads; left is positive.",
+             "The horizontal angle from the forward axis of a body to where the shortest path leads; left is"
+             " positive.",
              "path_bearing(rover, ball)", _ANGLE, _known(iv.TURN)),
-    Function("reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a path around solid objects.", "reachable(rover, ball)",
+    Function("reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a path around solid"
+                                                      " objects.", "reachable(rover, ball)",
              _NUMBER, boolean=True),
-    Function("visible", _OF_WORLD, (_CAMERA, _SEEN), "Whether the newest image of a camera shows a body.", "visible(rover.eye, ball)",
+    Function("visible", _OF_WORLD, (_CAMERA, _SEEN), "Whether the newest image of a camera shows a"
+                                                     " body.", "visible(rover.eye, ball)",
              _NUMBER, boolean=True),
     Function("contact", _OF_WORLD, (_BODIES, _TOUCHED),
-             "Whether two bodies touched in this timestep. A robot counts with all of its links. It is always false for two links of "
+             "Whether two bodies touched in this timestep. A robot counts with all of its links. It is"
+             " always false for two links of "
              "the same robot.",
              "contact(ball, ground)", _NUMBER, boolean=True),
-    Function("collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything other than the ground in this timestep.",
+    Function("collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything other than the ground in"
+                                                " this timestep.",
              "collided(rover)",
              _NUMBER, boolean=True),
-    Function("joint_position", _OF_WORLD, (_JOINT,), "The position of a joint: an angle or a length.", "joint_position(rover.left_wheel)",
+    Function("joint_position", _OF_WORLD, (_JOINT,), "The position of a joint: an angle or a"
+                                                     " length.", "joint_position(rover.left_wheel)",
              interval=_first),
-    Function("joint_velocity", _OF_WORLD, (_JOINT,), "The velocity of a joint.", "joint_velocity(rover.wheels)", lambda d: d / TIME),
-    Function("joint_torque", _OF_WORLD, (_JOINT,), "The torque or force of a joint's actuator.", "joint_torque(rover.wheels)",
+    Function("joint_velocity", _OF_WORLD, (_JOINT,), "The velocity of a joint.",
+             "joint_velocity(rover.wheels)", lambda d: d / TIME),
+    Function("joint_torque", _OF_WORLD, (_JOINT,), "The torque or force of a joint's actuator.",
+             "joint_torque(rover.wheels)",
              lambda d: FORCE if d == LENGTH else TORQUE),
-    Function("cross_track_error", _OF_WORLD, (_BODY, _LINE), "The signed distance of a body from a line; left of the line is positive.",
+    Function("cross_track_error", _OF_WORLD, (_BODY, _LINE), "The signed distance of a body from a line;"
+                                                             " left of the line is positive.",
              "cross_track_error(rover, track)", _LENGTH, reads_link_pose=True),
     Function("arc_length", _OF_WORLD, (_BODY, _LINE),
-             "The distance that a body has traveled along a line since the reset; backward travel is subtracted.",
+             "The distance that a body has traveled along a line since the reset; backward travel is"
+             " subtracted.",
              "arc_length(rover, track)", _LENGTH, reads_link_pose=True),
     Function("age", Family.MESSAGE, (_SENDER,),
-             "The age of the newest values that arrived from a robot or a sensor: the time since they were measured.", "age(rover)",
+             "The age of the newest values that arrived from a robot or a sensor: the time since they were"
+             " measured.", "age(rover)",
              _TIME, _known(iv.POSITIVE)),
-    Function("message_received", Family.MESSAGE, (_EMITTER,), "Whether a message from the robot arrived in this timestep.",
+    Function("message_received", Family.MESSAGE, (_EMITTER,), "Whether a message from the robot arrived in"
+                                                              " this timestep.",
              "message_received(rover)", _NUMBER, boolean=True),
     Function("delta", _STATEFUL, (_X, _START),
-             "The change of x since the previous timestep; 0 at a reset. With start, the first change is measured from start.",
+             "The change of x since the previous timestep; 0 at a reset. With start, the first change is"
+             " measured from start.",
              "delta(arc_length(rover, track))",
              interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
              memory="Delta"),
-    Function("previous", _STATEFUL, (_X, _START), "The value of x in the previous timestep.", "previous(gas, 0)",
+    Function("previous", _STATEFUL, (_X, _START), "The value of x in the previous timestep.", "previous(gas,"
+                                                                                              " 0)",
              interval=_hull, accepts_truths=True, memory="Previous"),
-    Function("running_max", _STATEFUL, (_X,), "The largest value of x since the reset.", "running_max(arc_length(rover, track))",
+    Function("running_max", _STATEFUL, (_X,), "The largest value of x since the reset.",
+             "running_max(arc_length(rover, track))",
              interval=_first, memory="RunningMax"),
-    Function("running_min", _STATEFUL, (_X,), "The smallest value of x since the reset.", "running_min(distance(rover, ball))",
+    Function("running_min", _STATEFUL, (_X,), "The smallest value of x since the reset.",
+             "running_min(distance(rover, ball))",
              interval=_first, memory="RunningMin"),
     Function("hold", _STATEFUL, (_X, _CONDITION),
-             "The value of x at the last timestep in which the condition was true; until it is true for the first time, the value of x at"
+             "The value of x at the last timestep in which the condition was true; until it is true for the"
+             " first time, the value of x at"
              " the reset.",
              "hold(position(rover), contact(rover, ball))",
              interval=_first, accepts_truths=True, memory="Hold"),
     # Backward Euler: stable for every time constant, and the complementary filter's own formula.
-    Function("low_pass", _STATEFUL, (_X, Param("tau", dimension=TIME)), "A first-order low-pass filter with the time constant tau.",
+    Function("low_pass", _STATEFUL, (_X, Param("tau", dimension=TIME)), "A first-order low-pass filter with"
+                                                                        " the time constant tau.",
              "low_pass(velocity(rover).x, 0.2 s)",
              interval=_first,
              memory="LowPass"),
-    Function("integral", _STATEFUL, (_X,), "The integral of x over time since the reset.", "integral(abs(cross_track_error(rover, track)))",
+    Function("integral", _STATEFUL, (_X,), "The integral of x over time since the reset.",
+             "integral(abs(cross_track_error(rover, track)))",
              lambda d: d * TIME, memory="Integral"),
     Function("accumulate", _STATEFUL, (Param("increment"), _RANGE, Param("start")),
              "The running sum of increments, limited to the range.", "accumulate(0.1 * gas, 0 .. 1, 0.5)",
              interval=lambda _increment, low, high, _start: Interval(low.low, high.high),
              memory="Accumulate"),
-    Function("duration", _STATEFUL, (_CONDITION,), "The time for which the condition has been true without interruption.",
+    Function("duration", _STATEFUL, (_CONDITION,), "The time for which the condition has been true without"
+                                                   " interruption.",
              "duration(abs(cross_track_error(rover, track)) < 2 cm)",
              _TIME, _known(iv.POSITIVE),
              memory="Duration"),
-    Function("rising_edge", _STATEFUL, (_CONDITION,), "Whether the condition has just become true.", "rising_edge(contact(rover, ball))",
+    Function("rising_edge", _STATEFUL, (_CONDITION,), "Whether the condition has just become"
+                                                      " true.", "rising_edge(contact(rover, ball))",
              _NUMBER, boolean=True,
              memory="RisingEdge"),
-    Function("uniform", _DRAW, (_RANGE,), "A number drawn uniformly from a range.", "uniform(-10 .. 10 cm)", interval=_hull),
-    Function("integer", _DRAW, (_RANGE._replace(dimension=NUMBER),), "A whole number drawn uniformly from a range, both ends included.",
+    Function("uniform", _DRAW, (_RANGE,), "A number drawn uniformly from a range.", "uniform(-10 .. 10"
+                                                                                    " cm)", interval=_hull),
+    Function("integer", _DRAW, (_RANGE._replace(dimension=NUMBER),), "A whole number drawn uniformly from a"
+                                                                     " range, both ends included.",
              "integer(1 .. 6)", _NUMBER, _hull),
-    Function("normal", _DRAW, (Param("spread", Form.SPREAD),), "A number drawn from a normal distribution.", "normal(0 +- 2 deg)"),
-    Function("choice", _DRAW, (Param("options", Form.OPTIONS),), "One of the options, drawn uniformly.", "choice(-30 deg | 0 deg | 30 deg)",
+    Function("normal", _DRAW, (Param("spread", Form.SPREAD),), "A number drawn from a normal"
+                                                               " distribution.", "normal(0 +- 2 deg)"),
+    Function("choice", _DRAW, (Param("options", Form.OPTIONS),), "One of the options, drawn"
+                                                                 " uniformly.", "choice(-30 deg | 0 deg | 30"
+                                                                                " deg)",
              interval=_hull, accepts_truths=True),
 )  # fmt: skip
 
@@ -490,7 +572,9 @@ _A, _B = Param("a"), Param("b")
 _VARIADIC_PARAMS = (_A, Param("b", variadic=True))
 
 
-def _operator(name: str, params: tuple[Param, ...], python: str, interval: Callable[..., Interval], array: str = "") -> Function:
+def _operator(
+    name: str, params: tuple[Param, ...], python: str, interval: Callable[..., Interval], array: str = ""
+) -> Function:
     return Function(name, _PURE, params, interval=interval, python=python, array=array)
 
 
@@ -512,14 +596,16 @@ OPERATORS: Mapping[str, Function] = {
         _operator("not", (_A,), "not a", lambda a: iv.subtract(iv.ALWAYS, a), "np.logical_not(a)"),
         _operator("and", _VARIADIC_PARAMS, "a and b", iv.minimum, "np.logical_and(a, b)"),
         _operator("or", _VARIADIC_PARAMS, "a or b", iv.maximum, "np.logical_or(a, b)"),
-        _operator("where", (_CONDITION, _A, _B), "a if condition else b", iv.where, "np.where(condition, a, b)"),
+        _operator(
+            "where", (_CONDITION, _A, _B), "a if condition else b", iv.where, "np.where(condition, a, b)"
+        ),
     )
 }
 """The operators of scalar trees; they are no functions of the language."""
 
 
-def _read(_name: str, found: object) -> Iterator[tuple[str, Function]]:
-    for function in [found] if isinstance(found, Function) else list(found):  # type: ignore[call-overload]
+def _read(_name: str, entry: object) -> Iterator[tuple[str, Function]]:
+    for function in [entry] if isinstance(entry, Function) else list(entry):  # type: ignore[call-overload]
         _require_usable(function)
         yield function.name, function
 
@@ -553,11 +639,17 @@ def _require_usable(function: object) -> None:
     with suppress(ArithmeticError, ValueError):  # it may have no value there
         function.compiled(function.python, {**vars(math)})(*[0.5] * len(arguments))
     intervals = [function.interval(*[sample] * len(arguments)) for sample in (EVERYTHING, iv.TRUTH)]
-    if not all(isinstance(found, Interval) for found in intervals) or not isinstance(function.result(LENGTH), Dimension):
-        raise ValueError(f"{name!r} needs an interval that gives an Interval, and a result that gives a Dimension")
+    if not all(isinstance(interval, Interval) for interval in intervals) or not isinstance(
+        function.result(LENGTH), Dimension
+    ):
+        raise ValueError(
+            f"{name!r} needs an interval that gives an Interval, and a result that gives a Dimension"
+        )
 
 
-FUNCTIONS: Mapping[str, Function] = PluginTable(ENTRY_POINT_GROUP, {function.name: function for function in _ENTRIES}, _read)
+FUNCTIONS: Mapping[str, Function] = PluginTable(
+    ENTRY_POINT_GROUP, {function.name: function for function in _ENTRIES}, _read
+)
 
 
 def function_named(name: str) -> Function:
@@ -571,11 +663,14 @@ def function_named(name: str) -> Function:
 
 def contains_draw(tree: Typed) -> bool:
     """Whether an expression holds a random draw; one behind a name does not count."""
-    return any(isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(tree))
+    return any(
+        isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(tree)
+    )
 
 
 def interval_of(node: Scalar, of: Callable[[Scalar], Interval]) -> Interval:
-    """The interval of a scalar tree, from the intervals `of` its arguments; a name or a reading of the world may be anything.
+    """The interval of a scalar tree, from the intervals `of` its arguments; a name or a reading of the world
+    may be anything.
 
     Truth values are 0 and 1: [0, 0] is never true, [1, 1] always.
     """

@@ -87,7 +87,9 @@ def subtract(a: Interval, b: Interval) -> Interval:
 def multiply(a: Interval, b: Interval) -> Interval:
     (p, q), (r, s) = a, b
     corners = (p * r, p * s, q * r, q * s)
-    if math.isnan(sum(corners)):  # 0 times infinity is 0 here; the sum is also NaN for infinities of both signs, which stay
+    if math.isnan(
+        sum(corners)
+    ):  # 0 times infinity is 0 here; the sum is also NaN for infinities of both signs, which stay
         corners = (_times(p, r), _times(p, s), _times(q, r), _times(q, s))
     return Interval(min(corners), max(corners))
 
@@ -122,7 +124,10 @@ def absolute(a: Interval) -> Interval:
 
 def apply_monotone(function: Callable[[float], float], a: Interval) -> Interval:
     """The image under a function that never falls; infinite where the function overflows."""
-    return Interval(evaluate_with_default(function, a.low, beyond=-INF if a.low < 0.0 else INF), evaluate_with_default(function, a.high))
+    return Interval(
+        evaluate_with_default(function, a.low, beyond=-INF if a.low < 0.0 else INF),
+        evaluate_with_default(function, a.high),
+    )
 
 
 def square_root(a: Interval) -> Interval:
@@ -138,7 +143,9 @@ def sine(a: Interval) -> Interval:
     if not a.is_finite or a.high - a.low >= 2 * math.pi or max(abs(a.low), abs(a.high)) > 1e6:
         return SIGNED_UNIT
     ends = (math.sin(a.low), math.sin(a.high))
-    return Interval(-1.0 if _passes(a, -math.pi / 2) else min(ends), 1.0 if _passes(a, math.pi / 2) else max(ends))
+    return Interval(
+        -1.0 if _passes(a, -math.pi / 2) else min(ends), 1.0 if _passes(a, math.pi / 2) else max(ends)
+    )
 
 
 def cosine(a: Interval) -> Interval:
@@ -173,7 +180,11 @@ def clamp(a: Interval, low: Interval, high: Interval) -> Interval:
 
 def where(condition: Interval, a: Interval, b: Interval) -> Interval:
     """`a` where the condition holds, otherwise `b`."""
-    return a if condition.low > 0.0 else b if condition.high <= 0.0 else hull((a, b))
+    if condition.low > 0.0:
+        return a
+    if condition.high <= 0.0:
+        return b
+    return hull((a, b))
 
 
 def multiply_by_count(a: Interval, count: int) -> Interval:
@@ -183,7 +194,10 @@ def multiply_by_count(a: Interval, count: int) -> Interval:
 def hypot(*parts: Interval) -> Interval:
     """The square root of a sum of squares."""
     sizes = [absolute(part) for part in parts]
-    return Interval(evaluate_with_default(math.hypot, *(s.low for s in sizes)), evaluate_with_default(math.hypot, *(s.high for s in sizes)))
+    return Interval(
+        evaluate_with_default(math.hypot, *(s.low for s in sizes)),
+        evaluate_with_default(math.hypot, *(s.high for s in sizes)),
+    )
 
 
 def atan2(y: Interval, x: Interval) -> Interval:
@@ -196,7 +210,11 @@ def atan2(y: Interval, x: Interval) -> Interval:
 
 
 def _truth(sure: bool, out: bool) -> Interval:
-    return ALWAYS if sure else NEVER if out else TRUTH
+    if sure:
+        return ALWAYS
+    if out:
+        return NEVER
+    return TRUTH
 
 
 def less(a: Interval, b: Interval) -> Interval:

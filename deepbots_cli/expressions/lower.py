@@ -1,7 +1,9 @@
-"""Typed tree to scalar trees, one per component: SI numbers, no units, no vectors, constants folded; and scalar trees to Python text.
+"""Typed tree to scalar trees, one per component: SI numbers, no units, no vectors, constants folded; and
+scalar trees to Python text.
 
-The text holds no more parentheses than it needs, and computes what the tree says: the order of sums is kept. A `Target` says how each
-operation is written: on plain floats (`SCALAR`), or on whatever else a column of the function table is for.
+The text holds no more parentheses than it needs, and computes what the tree says: the order of sums is kept.
+A `Target` says how each operation is written: on plain floats (`SCALAR`), or on whatever else a column of the
+function table is for.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ from deepbots_cli.expressions.types import (
 
 Scalars = tuple[Scalar, ...]
 
-# The right or left argument that leaves the other as it is: x + 0, x - 0, x * 1, x / 1, x ^ 1. Units become such factors.
+# The right or left argument that leaves the other as it is: x + 0, x - 0, x * 1, x / 1, x ^ 1. Units become
+# such factors.
 _NEUTRAL_RIGHT = {"add": 0.0, "sub": 0.0, "mul": 1.0, "div": 1.0, "pow": 1.0}
 _NEUTRAL_LEFT = {"add": 0.0, "mul": 1.0}
 _UNCHANGED_IF_SINGLE = frozenset({"add", "min", "max", "and", "or"})
@@ -50,8 +53,8 @@ _UNCHANGED_IF_SINGLE = frozenset({"add", "min", "max", "and", "or"})
 def fold_operation(name: str, *args: Scalar) -> Scalar:
     """The operation, or its value where that is known now.
 
-    An operation without a value (a division by zero, an overflow, an argument out of the domain) stays, and fails where
-    it runs.
+    An operation without a value (a division by zero, an overflow, an argument out of the domain) stays, and
+    fails where it runs.
     """
     if len(args) == 1 and name in _UNCHANGED_IF_SINGLE:
         return args[0]
@@ -81,8 +84,8 @@ def lower(value: Typed, owner: str, per_component: Components | None = None) -> 
     """One scalar per component, or a single one.
 
     Args:
-        owner: The path of the item in the scenario. Slots of states and streams of draws are named after it, `owner#0`
-            and so on, so that a new item changes no other item's draws.
+        owner: The path of the item in the scenario. Slots of states and streams of draws are named after it,
+            `owner#0` and so on, so that a new item changes no other item's draws.
         per_component: Gives one scalar for each of these components; a single draw is drawn anew for each.
     """
     if per_component is None:
@@ -92,19 +95,21 @@ def lower(value: Typed, owner: str, per_component: Components | None = None) -> 
 
 
 def stream_name(name: str) -> str:
-    """The name of the stream of a draw that is called `name` after its place in the scenario; `runtime.streams` says where they differ."""
+    """The name of the stream of a draw that is called `name` after its place in the scenario;
+    `runtime.streams` says where they differ."""
     return re.sub(r"\.color(?=:)", ".colour", re.sub(r"^reset\.joints\.", "reset.set.", name))
 
 
 def constant_values(value: Typed) -> tuple[float | bool, ...] | None:
     """The SI values where they are known now; None for what is drawn, varies or cannot be computed."""
     scalars = lower(value, "")
-    found = tuple(scalar.value for scalar in scalars if isinstance(scalar, Const))
-    return found if len(found) == len(scalars) else None
+    values = tuple(scalar.value for scalar in scalars if isinstance(scalar, Const))
+    return values if len(values) == len(scalars) else None
 
 
 class Lowering:
-    """Lowers the trees of one item; its states and draws are named after `owner`, and those for one component after `target` too."""
+    """Lowers the trees of one item; its states and draws are named after `owner`, and those for one component
+    after `target` too."""
 
     def __init__(self, owner: str, target: str = "") -> None:
         self._owner = owner
@@ -138,15 +143,24 @@ class Lowering:
                 return self._world(value, function)
             case Family.STATEFUL:
                 columns = self._columns(value, value.args)
-                return tuple(State(function.name, args, self._slot_name(value, index)) for index, args in enumerate(columns))
+                return tuple(
+                    State(function.name, args, self._slot_name(value, index))
+                    for index, args in enumerate(columns)
+                )
             case Family.DRAW:
                 columns = self._columns(value, value.args)
                 target = "" if value.type.components else self._target
                 names = (stream_name(self._slot_name(value, index) + target) for index in range(len(columns)))
-                return tuple(Draw(function.name, args, name) for args, name in zip(columns, names, strict=True))
+                return tuple(
+                    Draw(function.name, args, name) for args, name in zip(columns, names, strict=True)
+                )
         if function.name == "length":  # of a line, known before anything runs
             return (Const(value.type.interval.low),)
-        if function.reduction is not None and value.type.components is None and value.args[0].type.components is not None:
+        if (
+            function.reduction is not None
+            and value.type.components is None
+            and value.args[0].type.components is not None
+        ):
             return (self._reduced(value.args[0], function.reduction),)
         return tuple(fold_operation(function.name, *column) for column in self._columns(value, value.args))
 
@@ -163,10 +177,15 @@ class Lowering:
         names = [_named(subject, function) for subject in value.subjects]
         if value.args:  # `to_body_frame`: the transposed rotation matrix times the vector
             vector, body = self.scalars(value.args[0]), names[0][0]
-            rows = [[fold_operation("mul", rotation(body, row, column), vector[row]) for row in range(3)] for column in range(3)]
+            rows = [
+                [fold_operation("mul", rotation(body, row, column), vector[row]) for row in range(3)]
+                for column in range(3)
+            ]
             return tuple(fold_operation("add", *row) for row in rows)
         if function.components is not None:
-            return tuple(EngineRead(function.name, (names[0][0],), component) for component in function.components)
+            return tuple(
+                EngineRead(function.name, (names[0][0],), component) for component in function.components
+            )
         count = len(components or ("",))
         pairs = [tuple(group[index if len(group) > 1 else 0] for group in names) for index in range(count)]
         pieces = {subject.name: subject.pieces for subject in value.subjects if subject.pieces}
@@ -203,7 +222,8 @@ def _reference(value: Reference) -> Scalars:
 
 
 def _named(subject: Subject, function: Function) -> tuple[str, ...]:
-    """The full names to read: those of the members of a group, or that of the link that stands for the subject."""
+    """The full names to read: those of the members of a group, or that of the link that stands for the
+    subject."""
     if subject.members:
         return subject.members
     return (subject.link if subject.link is not None and function.reads_link_pose else subject.name,)
@@ -212,8 +232,8 @@ def _named(subject: Subject, function: Function) -> tuple[str, ...]:
 def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
     """The value for every piece of a wall, joined: the least clearance, whether any is touched or seen."""
     read = function.tree or (lambda *bodies: EngineRead(function.name, bodies))
-    found = [read(*each) for each in product(*(pieces.get(name, (name,)) for name in names))]
-    return found[0] if len(found) == 1 else fold_operation(function.pieces_operator, *found)
+    reads = [read(*each) for each in product(*(pieces.get(name, (name,)) for name in names))]
+    return reads[0] if len(reads) == 1 else fold_operation(function.pieces_operator, *reads)
 
 
 # Scalar trees to Python text
@@ -248,7 +268,8 @@ class Code(NamedTuple):
 
 
 class Target(NamedTuple):
-    """The kind of values that generated code computes with: `function_code` gives the Python of an operation over its arguments."""
+    """The kind of values that generated code computes with: `function_code` gives the Python of an operation
+    over its arguments."""
 
     name: str
     function_code: Callable[[Function], str]
@@ -269,7 +290,8 @@ _ON_COLUMNS = {
     "min": "minimum(*x)",
     "max": "maximum(*x)",
 }
-"""What has a function of its own in `runtime.columns`; numpy rounds many of these otherwise than `math` does."""
+"""What has a function of its own in `runtime.columns`; numpy rounds many of these otherwise than `math`
+does."""
 
 
 def _on_columns(function: Function) -> str:
@@ -282,7 +304,8 @@ def _on_columns(function: Function) -> str:
 
 
 def _is_same_on_columns(node: ast.AST) -> bool:
-    """Whether a part of a function's Python means the same for a column: arithmetic, comparisons and `abs`."""
+    """Whether a part of a function's Python means the same for a column: arithmetic, comparisons and
+    `abs`."""
     if isinstance(node, ast.Call):
         return isinstance(node.func, ast.Name) and node.func.id == "abs"
     return not isinstance(node, (ast.IfExp, ast.BoolOp, ast.Not, ast.Starred))
@@ -304,7 +327,9 @@ def number_code(value: float | bool) -> Code:
     return Code(code, Precedence.SIGN if negative else Precedence.ATOM)
 
 
-def operation_code(name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: Target = SCALAR) -> Code:
+def operation_code(
+    name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: Target = SCALAR
+) -> Code:
     """The code of an operation on arguments with this code; `scalars` are the trees of the arguments."""
     function = function_named(name)
     whole = whole_exponent(scalars[1].value) if name == "pow" and isinstance(scalars[1], Const) else None
@@ -315,7 +340,9 @@ def operation_code(name: str, args: Sequence[Code], scalars: Sequence[Scalar], t
     text = target.function_code(function)
     if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
         if isinstance(_template(text), ast.Call):
-            return operation_code(name, [operation_code(name, args[:-1], scalars[:-1], target), args[-1]], scalars[:2], target)
+            return operation_code(
+                name, [operation_code(name, args[:-1], scalars[:-1], target), args[-1]], scalars[:2], target
+            )
         return _infix(_template(text).op, args)  # type: ignore[attr-defined]
     if names[-1].startswith("*"):
         rest = len(names) - 1
@@ -327,7 +354,8 @@ def require_printable(function: Function) -> None:
     """Try the Python of a function.
 
     Raises:
-        ValueError: It holds more than names, numbers, operators, comparisons of two, calls and `a if c else b`.
+        ValueError: It holds more than names, numbers, operators, comparisons of two, calls and `a if c else
+            b`.
     """
     if function.python:
         _printed(_template(function.python), dict.fromkeys(function.arguments, Code("x")))
@@ -344,7 +372,8 @@ def _code(scalar: Scalar, leaf: Leaf, target: Target) -> Code:
 
 
 def _is_product(exponent: int, scalar: Scalar) -> bool:
-    """Whether a power is written as a product; the C library's pow may round a square otherwise than a product does."""
+    """Whether a power is written as a product; the C library's pow may round a square otherwise than a
+    product does."""
     return exponent == 2 and isinstance(scalar, (Name, State, Const))
 
 
@@ -394,28 +423,36 @@ def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             return Code(f"np.{name}({', '.join(_printed(part, args).text for part in parts)})")
         case ast.Starred(value=ast.Name(id=name)):
             return args[f"*{name}"]
-        case ast.BinOp(op=sign, left=left, right=right) | ast.Compare(ops=[sign], left=left, comparators=[right]) if type(sign) in _SIGNS:
+        case (
+            ast.BinOp(op=sign, left=left, right=right)
+            | ast.Compare(ops=[sign], left=left, comparators=[right])
+        ) if type(sign) in _SIGNS:
             return _infix(sign, [_printed(left, args), _printed(right, args)])
         case ast.BoolOp(op=sign, values=parts):
             return _infix(sign, [_printed(part, args) for part in parts])
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             negated = _printed(inner, args)
             return Code(
-                f"-({negated.text})" if negated.precedence is Precedence.POWER else f"-{negated.within(Precedence.SIGN)}", Precedence.SIGN
+                f"-({negated.text})"
+                if negated.precedence is Precedence.POWER
+                else f"-{negated.within(Precedence.SIGN)}",
+                Precedence.SIGN,
             )
         case ast.UnaryOp(op=ast.Not(), operand=inner):
             return Code(f"not {_printed(inner, args).within(Precedence.NOT)}", Precedence.NOT)
         case ast.IfExp(test=test, body=a, orelse=b):
             condition = _printed(test, args).within(Precedence.OR)
             return Code(
-                f"{_printed(a, args).within(Precedence.OR)} if {condition} else {_printed(b, args).within(Precedence.TERNARY)}",
+                f"{_printed(a, args).within(Precedence.OR)} if {condition} else"
+                f" {_printed(b, args).within(Precedence.TERNARY)}",
                 Precedence.TERNARY,
             )
     raise ValueError(f"{ast.unparse(node)[:60]!r} is not part of the Python of functions")
 
 
 def _infix(operator: ast.AST, codes: Sequence[Code]) -> Code:
-    """Operators group to the left, so the right sides bind more tightly; Python chains comparisons, so both sides do."""
+    """Operators group to the left, so the right sides bind more tightly; Python chains comparisons, so both
+    sides do."""
     sign, bind = _SIGNS[type(operator)]
     left = codes[0].within(bind + 1 if bind is Precedence.COMPARISON else bind)
     return Code(f" {sign} ".join([left, *(code.within(bind + 1) for code in codes[1:])]), bind)

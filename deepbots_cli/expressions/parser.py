@@ -43,27 +43,60 @@ from deepbots_cli.expressions.syntax import (
 from deepbots_cli.expressions.types import FindingReporter
 
 KEYWORDS = frozenset({"and", "or", "not", "when", "every", "each", "if", "else", "is", "in", "lambda"})
-# Python allows 1000 frames: the parser takes eight per level of nesting, later passes three per level of the tree.
+# Python allows 1000 frames: the parser takes eight per level of nesting, later passes three per level of the
+# tree.
 MAX_NESTING = 64
 MAX_DEPTH = 128
 _MAX_DOTS = 8
 _MAX_SHOWN_CHARACTERS = 80
 _MAX_FACTORS = 8
 
-_PRECEDENCE = {"or": 1, "and": 2, "<": 4, "<=": 4, ">": 4, ">=": 4, "==": 4, "!=": 4, "+": 5, "-": 5, "*": 6, "/": 6}
+_PRECEDENCE = {
+    "or": 1,
+    "and": 2,
+    "<": 4,
+    "<=": 4,
+    ">": 4,
+    ">=": 4,
+    "==": 4,
+    "!=": 4,
+    "+": 5,
+    "-": 5,
+    "*": 6,
+    "/": 6,
+}
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
 _NEVER_CLOSED = "a parenthesis that is not closed"
 _TOO_DEEP_HELP = "define parts of the expression as signals or parameters"
 _CONDITIONAL_WORDS = frozenset({"if", "else"})
 _CONDITIONAL_SIGNS = _CONDITIONAL_WORDS | {"?", ":", "{"}
-_SLOT_ENDS = {"", ",", ")", "..", "+-", "|", "when", "every", "each", "if", "else"}  # the first is the end of the text
+_SLOT_ENDS = {
+    "",
+    ",",
+    ")",
+    "..",
+    "+-",
+    "|",
+    "when",
+    "every",
+    "each",
+    "if",
+    "else",
+}  # the first is the end of the text
 _OPERATOR_WORDS = {"when", "and", "or", "not", "every", "if", "else"}
 
 
 def parse(text: str, report: FindingReporter) -> Node | None:
-    """The tree of an expression, literal or range; None after exactly one finding (DB401, DB005, or DB402 for `where`)."""
+    """The tree of an expression, literal or range; None after exactly one finding (DB401, DB005, or DB402 for
+    `where`)."""
     if len(text) > MAX_LENGTH:
-        report("DB005", 0, len(text), f"an expression of {len(text)} characters", f"the limit is {MAX_LENGTH} characters")
+        report(
+            "DB005",
+            0,
+            len(text),
+            f"an expression of {len(text)} characters",
+            f"the limit is {MAX_LENGTH} characters",
+        )
         return None
     try:
         if len(text) <= _MAX_SHOWN_CHARACTERS:
@@ -83,7 +116,8 @@ def parse(text: str, report: FindingReporter) -> Node | None:
 
 @lru_cache(maxsize=1024)
 def _parse_cached(text: str) -> Node:
-    """The tree of a short text. Trees are values and know no file; two thirds of the texts in 200 files occur more than once."""
+    """The tree of a short text. Trees are values and know no file; two thirds of the texts in 200 files occur
+    more than once."""
     return _Parser(text).text()
 
 
@@ -91,7 +125,13 @@ class _SyntaxError(Exception):
     """Carries the finding to `parse`, which reports it."""
 
     def __init__(
-        self, start: int, end: int, headline: str, help: str | None = None, replacement: Replacement | None = None, code: str = "DB401"
+        self,
+        start: int,
+        end: int,
+        headline: str,
+        help: str | None = None,
+        replacement: Replacement | None = None,
+        code: str = "DB401",
     ) -> None:
         super().__init__(headline)
         self.finding = (code, start, end, headline, help, replacement)
@@ -130,10 +170,10 @@ class _Parser:
 
     def _separated_list(self, item: Callable[[], Node], sign: str) -> tuple[Node, ...]:
         """One item or more, with the sign between them."""
-        found = [item()]
+        items = [item()]
         while self._take(sign):
-            found.append(item())
-        return tuple(found)
+            items.append(item())
+        return tuple(items)
 
     # numbers and units
 
@@ -141,10 +181,17 @@ class _Parser:
         token = self._next()
         value = float(token.text.replace("_", ""))
         if value == float("inf"):
-            raise _SyntaxError(token.start, token.end, "a number that is too large", "the largest number is about 1.8e308")
+            raise _SyntaxError(
+                token.start, token.end, "a number that is too large", "the largest number is about 1.8e308"
+            )
         behind = self._peek
         if behind.start == token.end and behind.text[:1] == "_":
-            raise _SyntaxError(token.start, behind.end, "an underscore that does not group three digits", "write `100_000` or `100000`")
+            raise _SyntaxError(
+                token.start,
+                behind.end,
+                "an underscore that does not group three digits",
+                "write `100_000` or `100000`",
+            )
         return Number(token.start, token.end, value)
 
     def _unit(self) -> Unit | None:
@@ -163,7 +210,9 @@ class _Parser:
         while self._peek.text in ("*", "/") and self._unit_at(self._at + 1):
             factors += 1
             if factors > _MAX_FACTORS:
-                raise _SyntaxError(self._peek.start, self._peek.end, f"a unit of more than {_MAX_FACTORS} factors")
+                raise _SyntaxError(
+                    self._peek.start, self._peek.end, f"a unit of more than {_MAX_FACTORS} factors"
+                )
             join = unit.times if self._next().text == "*" else unit.per
             unit = join(self._unit_power())
         return unit
@@ -175,7 +224,9 @@ class _Parser:
         is_negative, digits = self._take("-"), self._next()
         if not digits.text.isdecimal() or len(digits.text) > 1 or int(digits.text) > _MAX_FACTORS:
             headline = "the exponent of a unit must be a small whole number"
-            raise _SyntaxError(power.start, digits.end, headline, "put the number and its unit in parentheses")
+            raise _SyntaxError(
+                power.start, digits.end, headline, "put the number and its unit in parentheses"
+            )
         return unit.to_power(-int(digits.text) if is_negative else int(digits.text))
 
     def _unit_at(self, index: int) -> bool:
@@ -205,7 +256,12 @@ class _Parser:
             condition = self._slot()
             for part in (node, condition):
                 if _is_open_conditional(part):
-                    raise _SyntaxError(part.start, part.end, "`if` and `when` without parentheses", self._grouped(node, condition))
+                    raise _SyntaxError(
+                        part.start,
+                        part.end,
+                        "`if` and `when` without parentheses",
+                        self._grouped(node, condition),
+                    )
             node = Binary(node.start, condition.end, "when", node, condition)
         if self._take("every"):
             period = self._slot()
@@ -213,7 +269,12 @@ class _Parser:
         elif self._take("each"):
             step = self._next()
             if step.text != "step":
-                raise _SyntaxError(step.start, step.end, "`each` without `step`", "write `each step`, or `every` and a duration")
+                raise _SyntaxError(
+                    step.start,
+                    step.end,
+                    "`each` without `step`",
+                    "write `each step`, or `every` and a duration",
+                )
             node = Redrawn(node.start, step.end, node, None)
         if self._peek.text:
             raise self._misplaced()
@@ -248,7 +309,10 @@ class _Parser:
 
     def _grouped(self, value: Node, condition: Node) -> str:
         """The help for `value when condition`: its text with parentheses around each open `if`."""
-        parts = (f"({self._written(part)})" if _is_open_conditional(part) else self._written(part) for part in (value, condition))
+        parts = (
+            f"({self._written(part)})" if _is_open_conditional(part) else self._written(part)
+            for part in (value, condition)
+        )
         return f"write `{' when '.join(parts)}`"
 
     def _range(self, low: Node) -> Node:
@@ -296,9 +360,13 @@ class _Parser:
             right = self._operation(strength + 1)
             if strength == _COMPARISON and _PRECEDENCE.get(self._peek.text) == _COMPARISON:
                 opening = _unclosed(self._tokens)
-                if opening is not None and opening.start < right.start:  # what was left out belongs before the second one
+                if (
+                    opening is not None and opening.start < right.start
+                ):  # what was left out belongs before the second one
                     raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
-                raise _SyntaxError(left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`")
+                raise _SyntaxError(
+                    left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`"
+                )
             left = Binary(left.start, right.end, operator.text, left, right)
         return left
 
@@ -398,7 +466,13 @@ class _Parser:
     def _deeper(self, token: Token) -> None:
         self._nesting += 1
         if self._nesting > MAX_NESTING:
-            raise _SyntaxError(token.start, token.end, f"more than {MAX_NESTING} levels of nesting", _TOO_DEEP_HELP, code="DB005")
+            raise _SyntaxError(
+                token.start,
+                token.end,
+                f"more than {MAX_NESTING} levels of nesting",
+                _TOO_DEEP_HELP,
+                code="DB005",
+            )
 
     def _close(self, opening: Token) -> int:
         """The end of the parenthesis that closes `opening`."""
@@ -413,16 +487,26 @@ class _Parser:
         """The fault at a token that cannot stand here; `missing` where a value was due."""
         before = self._tokens[self._at - 1] if self._at else None
         if before is not None and before.kind == "NAME" and before.text in _HINTS.keys() - _CONDITIONAL_WORDS:
-            return _SyntaxError(before.start, before.end, f"`{before.text}` in an expression", _HINTS[before.text].help)
+            return _SyntaxError(
+                before.start, before.end, f"`{before.text}` in an expression", _HINTS[before.text].help
+            )
         token = self._peek
         if token.text in _CONDITIONAL_SIGNS and (meant := foreign.conditional(self._text)):
-            return _SyntaxError(token.start, token.end, "this condition is in the form of another language", f"write `{meant}`")
+            return _SyntaxError(
+                token.start,
+                token.end,
+                "this condition is in the form of another language",
+                f"write `{meant}`",
+            )
         if token.text == "|" and missing and (meant := foreign.without_bars(self._text)):
             headline = "`|` does not mean the absolute value"
             return _SyntaxError(token.start, token.end, headline, f"write `{' '.join(meant.split())}`")
         if token.text == "(" and (names := self._names_before()):
-            first, help = self._tokens[self._at - 2 * len(names) + 1], f"call the function without a prefix: `{foreign.call(names)}`"
-            return _SyntaxError(first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", help)
+            first = self._tokens[self._at - 2 * len(names) + 1]
+            help = f"call the function without a prefix: `{foreign.call(names)}`"
+            return _SyntaxError(
+                first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", help
+            )
         return _SyntaxError(token.start, token.end, *_diagnosis(self._tokens, self._at, missing))
 
     def _names_before(self) -> tuple[str, ...]:
@@ -456,7 +540,7 @@ def _call_of_where(tree: Node) -> Call | None:
     """The first call of `where` that is in no other."""
     if isinstance(tree, Call) and tree.function == "where":
         return tree
-    return next((found for child in children(tree) if (found := _call_of_where(child))), None)
+    return next((call for child in children(tree) if (call := _call_of_where(child))), None)
 
 
 def _without_where(tree: Node, text: str) -> str:
@@ -495,8 +579,10 @@ _FOREIGN_SIGNS = {
 _CONDITIONAL = _Hint("write `a if condition else b`")
 _NO_TEXT = _Hint("expressions contain numbers and names, but no text")
 COPIES_HELP = (
-    "copies cannot be named by number: the name of a group of objects, such as `crate`, stands for all its copies, as in "
-    "`min(distance(cart, crate))`; the name of a robot stands for one copy, and no expression uses two copies of one robot"
+    "copies cannot be named by number: the name of a group of objects, such as `crate`, stands for all its"
+    " copies, as in "
+    "`min(distance(cart, crate))`; the name of a robot stands for one copy, and no expression uses two"
+    " copies of one robot"
 )
 _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIGN_SIGNS.items()} | {
     "**": _Hint("write a power as `a ^ b`", "^"),
@@ -522,7 +608,9 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
     "%": _Hint("there is no modulo; `wrap(angle)` brings an angle back to one turn"),
     ",": _Hint("a comma separates the arguments of a function; write decimals with a point"),
     "+-": _Hint("`normal(mean +- std)` is a draw; elsewhere put a space between the signs"),
-    "|": _Hint("write `abs(x)` for the absolute value, `choice(a | b)` for a draw, and `or` between conditions"),
+    "|": _Hint(
+        "write `abs(x)` for the absolute value, `choice(a | b)` for a draw, and `or` between conditions"
+    ),
     "#": _Hint("write a space before the `#` of a comment"),
     "->": _Hint("use a schedule only under `train`"),
 }
@@ -545,7 +633,11 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
         if text is not None and text.isalpha():  # a word needs blanks around it
             text = " " * (before.end == token.start) + text + " " * (tokens[at + 1].start == token.end)
         # Of three dots, the last may be the point of a decimal.
-        return f"`{shown}` in an expression", help, None if text is None else Replacement(text, safe=token.text != "...")
+        return (
+            f"`{shown}` in an expression",
+            help,
+            None if text is None else Replacement(text, safe=token.text != "..."),
+        )
     if missing:
         return f"a value is missing before `{shown}`", help, None
     if token.text in _WITHOUT_OPENING:
@@ -578,7 +670,11 @@ def _about_comma(tokens: list[Token], at: int) -> tuple[str, str | None, Replace
         return "a comma at the end", "remove it", Replacement("", safe=True)
     whole, comma, part = tokens[at - 1 : at + 2]
     if whole.text.isdigit() and part.text.isdigit() and whole.end == comma.start and comma.end == part.start:
-        return "a comma in a number", f"write a decimal point: `{whole.text}.{part.text}`", Replacement(".", safe=False)
+        return (
+            "a comma in a number",
+            f"write a decimal point: `{whole.text}.{part.text}`",
+            Replacement(".", safe=False),
+        )
     return "unexpected `,`", _HINTS[","].help, None
 
 
@@ -592,7 +688,10 @@ def _missing_end(tokens: list[Token]) -> str | None:
 
 def _about_equals(tokens: list[Token], at: int) -> tuple[str, Replacement | None]:
     if at and tokens[at - 1].text in ("+", "-", "*", "/"):
-        return "remove the assignment: the key names the value, and deepbots adds up the terms of a reward", None
+        return (
+            "remove the assignment: the key names the value, and deepbots adds up the terms of a reward",
+            None,
+        )
     if at >= 2 and tokens[at - 1].kind == "NAME" and tokens[at - 2].text in ("(", ","):
         return "pass arguments in order, without names", None
     return "compare with `==`", Replacement("==", safe=True)

@@ -1,11 +1,11 @@
 """Scalar expressions: the single numbers of an expression, without units and vectors.
 
 Every value is one plain number in SI units or one truth value. A vector expression is lowered to one tree
-per component. These trees are part of the compiled scenario (frozen, comparable, serializable as JSON), and the
-generated Python is printed from them.
+per component. These trees are part of the compiled scenario (frozen, comparable, serializable as JSON), and
+the generated Python is printed from them.
 
-They are named tuples: rules make and look up so many that frozen dataclasses took 4 % of the time of linting. No two kinds
-are equal: they differ in the number of members, or in the type of one of them.
+They are named tuples: rules make and look up so many that frozen dataclasses took 4 % of the time of linting.
+No two kinds are equal: they differ in the number of members, or in the type of one of them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from typing import NamedTuple
 class NamedFloat(float):
     """A number that a fixed parameter of the scenario names; what is computed from it is a plain float.
 
-    `text` is how the scenario writes it, `component` its place in a vector. Generated code defines a constant of that name.
+    `text` is how the scenario writes it, `component` its place in a vector. Generated code defines a constant
+    of that name.
     """
 
     name: str
@@ -25,9 +26,9 @@ class NamedFloat(float):
     text: str
 
     def __new__(cls, value: float, name: str, component: str | None = None, text: str = "") -> NamedFloat:
-        made = super().__new__(cls, value)
-        made.name, made.component, made.text = name, component, text
-        return made
+        number = super().__new__(cls, value)
+        number.name, number.component, number.text = name, component, text
+        return number
 
     def __reduce__(self) -> tuple[type[NamedFloat], tuple[float, str, str | None, str]]:
         return NamedFloat, (float(self), self.name, self.component, self.text)
@@ -81,13 +82,15 @@ class State(NamedTuple):
 
     @property
     def call(self) -> tuple[str, str]:
-        """The item of the scenario and the number of the call in it, which the components of a vector share."""
+        """The item of the scenario and the number of the call in it, which the components of a vector
+        share."""
         item, _, occurrence = self.slot.partition("#")
         return item, occurrence.partition(".")[0]
 
 
 class Draw(NamedTuple):
-    """A random draw: `uniform` (low, high), `integer` (low, high), `normal` (mean, standard deviation), `choice` (options).
+    """A random draw: `uniform` (low, high), `integer` (low, high), `normal` (mean, standard deviation),
+    `choice` (options).
 
     `stream` names its own random stream, so that a new draw changes no other.
     """

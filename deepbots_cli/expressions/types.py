@@ -19,7 +19,8 @@ Shape = tuple[int, int, int]
 
 
 class GroupComponents(tuple[str, ...]):
-    """The components of a value that has one per copy of a group. Names do not tell them: a joint may be called `hip#1`, too."""
+    """The components of a value that has one per copy of a group. Names do not tell them: a joint may be
+    called `hip#1`, too."""
 
 
 class Known(IntEnum):
@@ -35,10 +36,11 @@ class Known(IntEnum):
 
 
 class Type(NamedTuple):
-    """Dimension, components (None for a single value) and interval in SI units of a number, truth value or picture, and when it is known.
+    """Dimension, components (None for a single value) and interval in SI units of a number, truth value or
+    picture, and when it is known.
 
-    The interval of a vector covers all its components; `intervals` are those of each, where they differ. The interval of a truth value
-    has no meaning.
+    The interval of a vector covers all its components; `intervals` are those of each, where they differ. The
+    interval of a truth value has no meaning.
     """
 
     dimension: Dimension = NUMBER
@@ -50,13 +52,20 @@ class Type(NamedTuple):
     intervals: tuple[Interval, ...] = ()
 
     def with_intervals(self, intervals: Iterable[Interval]) -> Type:
-        """The type with an interval per component, or with one for all of them. Equal ones are kept once: a scan has 1000 components."""
-        known = tuple(intervals)
-        return self._replace(interval=hull(known), intervals=known if len(set(known)) > 1 else ())
+        """The type with an interval per component, or with one for all of them. Equal ones are kept once: a
+        scan has 1000 components."""
+        by_component = tuple(intervals)
+        return self._replace(
+            interval=hull(by_component), intervals=by_component if len(set(by_component)) > 1 else ()
+        )
 
     def selected(self, indices: Sequence[int]) -> Type:
         """The type of some components of a vector, by position."""
-        names = tuple(self.components[index] for index in indices) if self.components and len(indices) > 1 else None
+        names = (
+            tuple(self.components[index] for index in indices)
+            if self.components and len(indices) > 1
+            else None
+        )
         chosen = self._replace(components=names)
         return chosen.with_intervals(self.intervals[index] for index in indices) if self.intervals else chosen
 
@@ -69,7 +78,11 @@ class Type(NamedTuple):
     @property
     def description(self) -> str:
         """For a sentence: `a speed (m/s)`, `a truth value`."""
-        return "a picture" if self.picture else "a truth value" if self.boolean else self.dimension.description
+        if self.picture:
+            return "a picture"
+        if self.boolean:
+            return "a truth value"
+        return self.dimension.description
 
     @property
     def has_group_components(self) -> bool:
@@ -78,7 +91,9 @@ class Type(NamedTuple):
 
     @property
     def shape_description(self) -> str:
-        return "a single value" if self.components is None else f"a vector of {shortened_list(self.components)}"
+        return (
+            "a single value" if self.components is None else f"a vector of {shortened_list(self.components)}"
+        )
 
 
 def shortened_list(names: Iterable[str], limit: int = 12) -> str:
@@ -90,8 +105,9 @@ def shortened_list(names: Iterable[str], limit: int = 12) -> str:
 class Symbol(NamedTuple):
     """A named value.
 
-    `type` is None if the definition is invalid; uses are then not reported. `value` holds the SI numbers of a fixed value, one
-    per component; lowering folds them. `text` is the source text of the definition. `refusal` says why the name has no value in this place.
+    `type` is None if the definition is invalid; uses are then not reported. `value` holds the SI numbers of a
+    fixed value, one per component; lowering folds them. `text` is the source text of the definition.
+    `refusal` says why the name has no value in this place.
     """
 
     name: str
@@ -127,10 +143,10 @@ class Kind(StrEnum):
 class Subject(NamedTuple):
     """A part of the world, as an argument of a world function.
 
-    `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the link whose pose is read:
-    a robot's base link. `pieces` are the bodies of a wall; a function reads each piece. For joints, `dimension` is that of
-    their position (angle or length), `interval` holds their limits and `intervals` those of each member. Uses of the kind `BROKEN`,
-    an invalid definition, are not reported.
+    `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the link
+    whose pose is read: a robot's base link. `pieces` are the bodies of a wall; a function reads each piece.
+    For joints, `dimension` is that of their position (angle or length), `interval` holds their limits and
+    `intervals` those of each member. Uses of the kind `BROKEN`, an invalid definition, are not reported.
     """
 
     name: str
@@ -182,7 +198,8 @@ class Scope(Protocol):
         """The value of the dotted `name`."""
 
     def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        """The part of the world with the dotted `name`; one of `kinds` where several parts share it, as a joint and its link may."""
+        """The part of the world with the dotted `name`; one of `kinds` where several parts share it, as a
+        joint and its link may."""
 
     def names(self) -> Iterable[str]:
         """Every name that `lookup` knows, for suggestions."""
@@ -198,8 +215,9 @@ CORRECTED_LINE = "{corrected line}"
 class FindingReporter(Protocol):
     """Takes a finding at the offsets `[start, end)` of the text.
 
-    `replacement` is the text to write there instead, `names` are the named values that probably cause the finding. `corrected` makes
-    the whole right text from the text; the line with it stands in the help where `help` has `CORRECTED_LINE`.
+    `replacement` is the text to write there instead, `names` are the named values that probably cause the
+    finding. `corrected` makes the whole right text from the text; the line with it stands in the help where
+    `help` has `CORRECTED_LINE`.
     """
 
     def __call__(
@@ -327,7 +345,8 @@ def referenced_names(tree: Typed) -> Iterator[str]:
 
 
 def written_unit(value: Typed) -> Unit | None:
-    """The unit in which the text writes the value: the first one of its dimension; None where the text has none."""
+    """The unit in which the text writes the value: the first one of its dimension; None where the text has
+    none."""
     dimension = value.type.dimension
     units = (node.unit for node in walk(value) if isinstance(node, Constant) and node.unit is not None)
     return next((unit for unit in units if unit.dimension == dimension), None)
@@ -354,7 +373,8 @@ def is_bare_zero(value: Typed) -> bool:
 
 
 MAX_SIZE = 10_000
-"""Operations of a checked expression: nested vector functions repeat their arguments and could grow to millions."""
+"""Operations of a checked expression: nested vector functions repeat their arguments and could grow to
+millions."""
 _WORLD_SIZE = 40  # operations of the largest world function, per component of its result
 _READS_PER_ROTATED_COMPONENT = 3  # every component of a turned vector reads all three of the argument
 

@@ -1,6 +1,7 @@
 """Unification: whether values fit together and fit their field, and what to write where they do not.
 
-Truth with truth, dimension with dimension, component with component. What does not fit is reported and raises `StopChecking`.
+Truth with truth, dimension with dimension, component with component. What does not fit is reported and raises
+`StopChecking`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,15 @@ from typing import ParamSpec, TypeVar
 
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions import syntax
-from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, NUMBER, SPEED, TIME, Dimension, physical_quantity
+from deepbots_cli.expressions.dimensions import (
+    ANGLE,
+    ANGULAR_VELOCITY,
+    NUMBER,
+    SPEED,
+    TIME,
+    Dimension,
+    physical_quantity,
+)
 from deepbots_cli.expressions.types import (
     CORRECTED_LINE,
     Components,
@@ -77,7 +86,8 @@ def none_after_finding(function: Callable[P, T]) -> Callable[P, T | None]:
 
 
 def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: bool = False) -> None:
-    """Require numbers, or truth values where `boolean`; DB403 for each of the other kind, DB404 for each picture."""
+    """Require numbers, or truth values where `boolean`; DB403 for each of the other kind, DB404 for each
+    picture."""
     wrong = [value for value in values if value.type.picture or value.type.boolean != boolean]
     if not wrong:
         return
@@ -92,15 +102,22 @@ def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: b
                 "a picture can be sent and observed, but not used in an expression",
             )
         elif boolean:
-            report_at(report, "DB403", value, "expected a truth value, found a number", "compare it, as in `x > 0`")
+            report_at(
+                report, "DB403", value, "expected a truth value, found a number", "compare it, as in `x > 0`"
+            )
         else:
             name = value.symbol.name if isinstance(value, Reference) else "condition"
-            help = f"make it a number with `1 if {name} else 0`, or write the value under the condition: `5 when {name}`"
+            help = (
+                f"make it a number with `1 if {name} else 0`, or write the value under the condition: `5"
+                f" when {name}`"
+            )
             report_at(report, "DB403", value, "expected a number, found a truth value", help)
     raise StopChecking
 
 
-def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter, *, is_paid: bool = False) -> Dimension:
+def dimension_of(
+    values: Sequence[Typed], place: Place, report: FindingReporter, *, is_paid: bool = False
+) -> Dimension:
     """The one dimension of all values except bare zeros; DB502 or DB503 where they differ.
 
     The summands of a reward (`is_paid`) are plain numbers.
@@ -114,7 +131,9 @@ def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter,
             continue
         if is_bare_number(value):
             is_sum = isinstance(place, syntax.Binary) and place.operator in ("+", "-")
-            raise missing_unit(value, first.type.dimension, report, other=first if is_sum else None, is_paid=is_paid)
+            raise missing_unit(
+                value, first.type.dimension, report, other=first if is_sum else None, is_paid=is_paid
+            )
         help, names = _plain_names(first, value)
         help = help or "both sides need the same dimension; divide by a unit to get a plain number"
         headline = f"{first.type.description} is combined with {value.type.description}"
@@ -123,9 +142,15 @@ def dimension_of(values: Sequence[Typed], place: Place, report: FindingReporter,
 
 
 def require_dimension(
-    value: Typed, dimension: Dimension, what: str, report: FindingReporter, unit: str | None = None, noun: str | None = None
+    value: Typed,
+    dimension: Dimension,
+    what: str,
+    report: FindingReporter,
+    unit: str | None = None,
+    noun: str | None = None,
 ) -> None:
-    """Require a dimension (a bare zero has any); DB502 or DB503 about `what` otherwise. `unit` is probably that of a bare number."""
+    """Require a dimension (a bare zero has any); DB502 or DB503 about `what` otherwise. `unit` is probably
+    that of a bare number."""
     if is_bare_zero(value) or value.type.dimension == dimension:
         return
     if is_bare_number(value):
@@ -154,8 +179,8 @@ def missing_unit(
 ) -> StopChecking:
     """DB502 for a bare number; it is probably in `unit` if it is at least 1, otherwise the dimension tells.
 
-    Both numbers of a range or of a draw have the unit behind the second. In a sum, the `other` side may be meant as a plain number; the
-    summands of a reward (`is_paid`) are.
+    Both numbers of a range or of a draw have the unit behind the second. In a sum, the `other` side may be
+    meant as a plain number; the summands of a reward (`is_paid`) are.
     """
     ends: Sequence[Typed] = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
     sign = ".."
@@ -171,7 +196,9 @@ def missing_unit(
             units = ("deg",) if largest > 2 * math.pi else ("deg", "rad")
         help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in units)
         if len(units) == 1:
-            replacement = Replacement(f"{written} {units[0]}", safe=units[0] == str(dimension) and other is None)
+            replacement = Replacement(
+                f"{written} {units[0]}", safe=units[0] == str(dimension) and other is None
+            )
     if other is not None:
         corrected = divided_text(other, f" / {_divisor(dimension)}")
         plain = f"divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
@@ -188,12 +215,20 @@ def _number_text(number: float) -> str:
 
 def _plain_names(*values: Typed) -> tuple[str | None, list[str]]:
     """A hint for plain numbers that come from names, and the names: a definition probably lacks a unit."""
-    found = {name: text for value in values if value.type.dimension == NUMBER for name, text in _named_numbers(value) if text}
-    if not found:
+    names = {
+        name: text
+        for value in values
+        if value.type.dimension == NUMBER
+        for name, text in _named_numbers(value)
+        if text
+    }
+    if not names:
         return None, []
-    known = " and ".join(f"`{name}` is {text}, without a unit" for name, text in found.items())
-    it = "it should have" if len(found) == 1 else "one of them should have"
-    return f"{known}; if {it} a unit, add it where you set the value (in the file or with `--set`)", list(found)
+    listed = " and ".join(f"`{name}` is {text}, without a unit" for name, text in names.items())
+    it = "it should have" if len(names) == 1 else "one of them should have"
+    return f"{listed}; if {it} a unit, add it where you set the value (in the file or with `--set`)", list(
+        names
+    )
 
 
 def _named_numbers(value: Typed) -> Iterator[tuple[str, str]]:
@@ -208,23 +243,27 @@ def _named_numbers(value: Typed) -> Iterator[tuple[str, str]]:
 
 def _remedy(value: Typed, needed: Dimension) -> tuple[str, list[str]]:
     """The help for a value of another dimension, and the names whose unit may be wrong."""
-    given = value.type.dimension
+    dimension = value.type.dimension
     if needed == NUMBER:
-        return ("remove its unit" if isinstance(value, Constant) and value.unit else f"divide by the unit: `/ {_divisor(given)}`"), []
-    if given == NUMBER:
+        return (
+            "remove its unit"
+            if isinstance(value, Constant) and value.unit
+            else f"divide by the unit: `/ {_divisor(dimension)}`"
+        ), []
+    if dimension == NUMBER:
         return f"give one of its numbers a unit, as in `{needed.example}`", []
-    if given / needed == ANGLE:
+    if dimension / needed == ANGLE:
         return "divide by the angle: `/ rad`", []
-    if needed / given == ANGLE:
+    if needed / dimension == ANGLE:
         return "multiply by the angle: `* rad`", []
     names = [name for name, text in _named_numbers(value) if not text]
     of = f" of {' or '.join(f'`{name}`' for name in names)}" if names else ""
     line = _line_with_unit(value, needed)
     shown = f": `{line}`" if line else ""
-    if given == SPEED and needed == ANGULAR_VELOCITY:
+    if dimension == SPEED and needed == ANGULAR_VELOCITY:
         meant = f"if it is the speed of a wheel's rim, divide it by the wheel's radius, here {WHEEL_RADIUS}"
         return f"correct the unit{of}{shown}; or, {meant}: {CORRECTED_LINE}", names
-    return f"correct the unit{of}{shown}, or multiply by a factor in {needed / given}", names
+    return f"correct the unit{of}{shown}, or multiply by a factor in {needed / dimension}", names
 
 
 def _divisor(dimension: Dimension) -> str:
@@ -234,19 +273,25 @@ def _divisor(dimension: Dimension) -> str:
 
 def _line_with_unit(value: Typed, needed: Dimension) -> str | None:
     """The only named number in a value, or the number itself, in a unit of the dimension that is needed."""
-    given = value.type.dimension
+    dimension = value.type.dimension
     if isinstance(value, Constant) and value.unit:
         name, numbers, unit = "", tuple(map(value.unit.from_si, value.values)), value.unit.text
     else:
-        named = {part.symbol.name: part.symbol.value or () for part in _references(value) if part.type.dimension == given}
+        named = {
+            part.symbol.name: part.symbol.value or ()
+            for part in _references(value)
+            if part.type.dimension == dimension
+        }
         name, numbers = next(iter(named.items())) if len(named) == 1 else ("", ())
-        unit = str(given)
-        degrees = round(math.degrees(numbers[0]), 9) if given == ANGLE and len(numbers) == 1 else math.nan
-        if len(_number_text(degrees)) < len(_number_text(numbers[0] if numbers else 0.0)) and not math.isnan(degrees):
+        unit = str(dimension)
+        degrees = round(math.degrees(numbers[0]), 9) if dimension == ANGLE and len(numbers) == 1 else math.nan
+        if len(_number_text(degrees)) < len(_number_text(numbers[0] if numbers else 0.0)) and not math.isnan(
+            degrees
+        ):
             numbers, unit = (degrees,), "deg"
     if len(numbers) != 1:
         return None
-    unit = f"{unit}/s" if given / needed == TIME and "/" not in unit else str(needed)
+    unit = f"{unit}/s" if dimension / needed == TIME and "/" not in unit else str(needed)
     written = f"{_number_text(numbers[0])} {unit}"
     return f"{name}: {written}" if name else written
 
@@ -275,7 +320,13 @@ def _differing(first: Components, second: Components, place: Place, report: Find
     help = f"both sides need the same components; select them, as in `v.{example}`"
     if set(first) == set(second):
         help = "list the names of both groups in the same order"
-    return report_at(report, "DB404", place, f"a vector of {shortened_list(first)} is combined with one of {shortened_list(second)}", help)
+    return report_at(
+        report,
+        "DB404",
+        place,
+        f"a vector of {shortened_list(first)} is combined with one of {shortened_list(second)}",
+        help,
+    )
 
 
 def warn_of_degrees(value: Typed, report: FindingReporter) -> None:
@@ -286,8 +337,11 @@ def warn_of_degrees(value: Typed, report: FindingReporter) -> None:
     if isinstance(value, Constant) and value.unit is not None and value.unit.text == "rad":
         largest = max(abs(number) for number in value.values)
         if 2 * math.pi < largest <= 180.0 or 270.0 <= largest <= 360.0:
-            headline, help = f"{largest:g} rad is more than a full turn", f"write `{largest:g} deg` if you mean degrees"
-            replacement = Replacement(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None
+            headline = f"{largest:g} rad is more than a full turn"
+            help = f"write `{largest:g} deg` if you mean degrees"
+            replacement = (
+                Replacement(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None
+            )
             report_at(report, "DB504", value, headline, help, replacement)
 
 
@@ -320,8 +374,8 @@ def expect_value(
     Args:
         what: The field, for a sentence (`the timestep`).
         dimension: None takes any; a bare zero has every dimension.
-        components: None takes a single value only, a tuple takes those components or a single value for all of them,
-            `ANY_SHAPE` takes everything.
+        components: None takes a single value only, a tuple takes those components or a single value for all
+            of them, `ANY_SHAPE` takes everything.
         known: When the value must be known at the latest.
         unit: The probable unit of a bare number.
         noun: What the field calls the dimension.
@@ -362,32 +416,49 @@ def expect_range(
     ):
         raise missing_unit(found, dimension, report)  # one unit is missing, behind both ends
     # The right end first: the unit of both stands there.
-    high = expect_value(found.high, report, what, dimension=dimension, components=components, known=Known.FIXED)
-    low = expect_value(found.low, report, what, dimension=dimension, components=components, known=Known.FIXED) if high else None
+    high = expect_value(
+        found.high, report, what, dimension=dimension, components=components, known=Known.FIXED
+    )
+    low = (
+        expect_value(found.low, report, what, dimension=dimension, components=components, known=Known.FIXED)
+        if high
+        else None
+    )
     if low is None or high is None:
         raise StopChecking
     return found._replace(low=low, high=high)
 
 
-def _require_shape(value: Typed, components: Components | None, what: str, report: FindingReporter, help: str | None = None) -> None:
-    found = value.type.components
-    if components == ANY_SHAPE or found is None or found == components:
+def _require_shape(
+    value: Typed, components: Components | None, what: str, report: FindingReporter, help: str | None = None
+) -> None:
+    shape = value.type.components
+    if components == ANY_SHAPE or shape is None or shape == components:
         return
     if components is None:
         functions = "`any` or `all`" if value.type.boolean else "`norm`, `sum`, `max` ..."
-        help = f"pick a component, such as `.{found[0]}`, or reduce the vector with {functions}"
-        raise report_at(report, "DB404", value, f"{what} must be a single value; this is {value.type.shape_description}", help)
-    if help and found[0] == "x" and "x" not in components:
-        headline = f"{what} has the components {shortened_list(components)}; this is {value.type.shape_description}"
+        help = f"pick a component, such as `.{shape[0]}`, or reduce the vector with {functions}"
+        raise report_at(
+            report,
+            "DB404",
+            value,
+            f"{what} must be a single value; this is {value.type.shape_description}",
+            help,
+        )
+    if help and shape[0] == "x" and "x" not in components:
+        headline = (
+            f"{what} has the components {shortened_list(components)}; this is {value.type.shape_description}"
+        )
         raise report_at(report, "DB404", value, headline, help)
-    if len(found) != len(components) and found[0] in ("x", "1"):
-        headline = f"{what} has {len(found)} values, not {len(components)}"
+    if len(shape) != len(components) and shape[0] in ("x", "1"):
+        headline = f"{what} has {len(shape)} values, not {len(components)}"
         raise report_at(report, "DB106", value, headline, f"write {' and '.join(components)}")
-    raise _differing(components, found, value, report)
+    raise _differing(components, shape, value, report)
 
 
 def _require_size(value: Typed, known: Known, what: str, report: FindingReporter) -> None:
-    """Warn of implausible values; refuse values beyond an engine's precision that are known before the episode."""
+    """Warn of implausible values; refuse values beyond an engine's precision that are known before the
+    episode."""
     dimension, interval = value.type.dimension, value.type.interval
     farthest = max(interval, key=abs)
     largest, is_or_reaches = abs(farthest), "is" if interval.is_single else "reaches"
@@ -400,11 +471,14 @@ def _require_size(value: Typed, known: Known, what: str, report: FindingReporter
     if dimension == ANGLE:
         warn_of_degrees(value, report)
     if largest > plausible:
-        report_at(report, "DB505", value, f"{what} {is_or_reaches} {farthest:g} {dimension}", "check the unit")
+        report_at(
+            report, "DB505", value, f"{what} {is_or_reaches} {farthest:g} {dimension}", "check the unit"
+        )
 
 
 def negated_text(value: Typed) -> Callable[[str], str]:
-    """Makes the text of the value with its sign turned from the text of the value; of `a when c`, `a` is turned."""
+    """Makes the text of the value with its sign turned from the text of the value; of `a when c`, `a` is
+    turned."""
     is_when = isinstance(value, Operation) and value.operator == "where" and value.args[2].start == value.end
     part = value.args[1] if is_when and isinstance(value, Operation) else value
     length = part.end - part.start
@@ -424,16 +498,25 @@ def negated_text(value: Typed) -> Callable[[str], str]:
 
 
 def divided_text(value: Typed, divisor: str) -> Callable[[str], str]:
-    """Makes the text with `divisor` behind the value from the text; around a sum or a condition come parentheses."""
+    """Makes the text with `divisor` behind the value from the text; around a sum or a condition come
+    parentheses."""
 
     def divided(text: str) -> str:
         part = text[value.start : value.end]
-        needs_parentheses = isinstance(value, Operation) and (_is_sum(value) or (value.operator == "where" and not part.startswith("(")))
-        return f"{text[: value.start]}{f'({part})' if needs_parentheses else part}{divisor}{text[value.end :]}"
+        needs_parentheses = isinstance(value, Operation) and (
+            _is_sum(value) or (value.operator == "where" and not part.startswith("("))
+        )
+        return (
+            f"{text[: value.start]}{f'({part})' if needs_parentheses else part}{divisor}{text[value.end :]}"
+        )
 
     return divided
 
 
 def _is_sum(value: Typed) -> bool:
     """Whether it is a sum or a difference without parentheses around it, which a node counts as its own."""
-    return isinstance(value, Operation) and value.operator in ("add", "sub") and value.args[0].start == value.start
+    return (
+        isinstance(value, Operation)
+        and value.operator in ("add", "sub")
+        and value.args[0].start == value.start
+    )

@@ -18,12 +18,13 @@ MAX_TEXT = 10_000
 
 def written_unit(unit: str, *texts: str) -> Unit | None:
     """The first unit in the texts that measures the same as the SI unit `unit`, or None."""
-    units = (found for text in texts for found in units_in(text))
-    return next((found for found in units if str(found.dimension) == unit), None)
+    units = (candidate for text in texts for candidate in units_in(text))
+    return next((candidate for candidate in units if str(candidate.dimension) == unit), None)
 
 
 def usual_unit(unit: str) -> Unit:
-    """The unit in which people read a quantity in the SI unit `unit` that no text writes: deg for rad, else the SI unit."""
+    """The unit in which people read a quantity in the SI unit `unit` that no text writes: deg for rad, else
+    the SI unit."""
     return unit_named(_USUAL.get(unit, unit))
 
 
@@ -53,5 +54,10 @@ def _unit(text: str) -> Unit | None:
         if name not in UNITS:
             return None
         power = UNITS[name] if not exponent else UNITS[name].to_power(int(exponent))._replace(text=word)
-        whole = whole.per(power) if divides else power if whole is ONE else whole.times(power)
+        if divides:
+            whole = whole.per(power)
+        elif whole is ONE:
+            whole = power
+        else:
+            whole = whole.times(power)
     return whole._replace(text=text)

@@ -6,16 +6,19 @@ statements.py  sentences with their evidence: the form of every row in the two t
 episode.py     the table that explains an episode
 training.py    what is known of a training: its logs, and a few short episodes
 scenario_facts.py  what a scenario has already, and the units of its file; linted.py what lint says of it
-diagnosis.py   the table of causes why a training does not learn, with those of the learner; rewards.py those of the reward,
-               observations.py of the observation, stages.py of stages, starts and rare success, teachers.py of scripts,
-               missed.py of a condition that is missed, ends.py of the end
+diagnosis.py   the table of causes why a training does not learn, with those of the learner; rewards.py those
+               of the reward,
+               observations.py of the observation, stages.py of stages, starts and rare success, teachers.py
+               of scripts, missed.py of a condition that is missed, ends.py of the end
 collapse.py    the cause of a training that falls apart
 robot_log.py   the log of a robot beside the simulation: values with another distribution
-transfer.py    what differs between two worlds of a scenario, such as two engines, and which change explains it
+transfer.py    what differs between two worlds of a scenario, such as two engines, and which change explains
+               it
 inspection.py  the tables of `deepbots inspect`: a scenario, a run or a robot file
 speed.py       steps per second of engines and of batches, and where the time goes
 retry.py       trainings that follow one another with the values that the diagnosis advises
-report.py      one HTML file about a run or a group: result, curves, episodes, scenario; figures.py its figures
+report.py      one HTML file about a run or a group: result, curves, episodes, scenario; figures.py its
+               figures
 study.py       one HTML file about a study of `deepbots tune`: history, importance, slices
 templates.py   the templates of pages and of READMEs
 export/        a policy for a robot, as a folder that runs without deepbots

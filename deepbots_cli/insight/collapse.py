@@ -1,9 +1,10 @@
 """Why a training fell apart: the fall of its evaluations, and the settings that explain it.
 
-A setting is suspected by how far it is from its usual value, on a scale of its own where 1 means "often breaks a training
-that has learned", and by what the scalars of the run say: an update that changes the policy a lot has a large KL
-divergence, a weight of the entropy that is too large lets the entropy rise again, a critic that overestimates predicts more
-than follows. `tests/insight/collapses.py` measures how often the planted setting is named.
+A setting is suspected by how far it is from its usual value, on a scale of its own where 1 means "often
+breaks a training that has learned", and by what the scalars of the run say: an update that changes the policy
+a lot has a large KL divergence, a weight of the entropy that is too large lets the entropy rise again, a
+critic that overestimates predicts more than follows. `tests/insight/collapses.py` measures how often the
+planted setting is named.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ SUSPECTED = 0.5
 """The weight from which on a setting is named; that of a shipped scenario stays below."""
 _SHOWN = 2
 _LARGE_UPDATE = 0.03
-"""KL divergence of an update that changes the policy a lot; in a usual one it is 0.003 to 0.02, as `_of_scale` says."""
+"""KL divergence of an update that changes the policy a lot; in a usual one it is 0.003 to 0.02, as
+`_of_scale` says."""
 _OVERESTIMATES = 1.3
 """The predicted value over the return that followed."""
 _USUAL_RETURN, _LARGE_RETURN = 300.0, 10.0
@@ -34,7 +36,8 @@ _USUAL_RETURN, _LARGE_RETURN = 300.0, 10.0
 
 
 class Suspect(NamedTuple):
-    """A setting that explains a fall: its path, its value and the one to write, both as text, a reason, and how likely it is."""
+    """A setting that explains a fall: its path, its value and the one to write, both as text, a reason, and
+    how likely it is."""
 
     path: str
     now: str
@@ -96,32 +99,37 @@ def fell_apart(t: TrainingEvidence) -> Numbers | None:
             **numbers,
             "likelihood": 0.5,
             "fall": text[0].upper() + text[1:],
-            "reasons": f"Meanwhile the mean return rose from {before:.4g} to {after:.4g}: the reward pays for something other than"
+            "reasons": f"Meanwhile the mean return rose from {before:.4g} to {after:.4g}: the reward pays"
+            " for something other than"
             f" success{_paying_term(t)}.",
-            "advice": "Make a success earn more than everything else that an episode can collect; `deepbots lint` and"
+            "advice": "Make a success earn more than everything else that an episode can collect; `deepbots"
+            " lint` and"
             " `lint --exploits` look for such payments.",
             "suspects": [],
         }
-    found = suspects(t, fall)[:_SHOWN]
-    reasons = " ".join(f"{number}{suspect.reason}." for number, suspect in zip(("", "Or "), found, strict=False))
+    causes = suspects(t, fall)[:_SHOWN]
+    reasons = " ".join(
+        f"{number}{suspect.reason}." for number, suspect in zip(("", "Or "), causes, strict=False)
+    )
     if not reasons:
         reasons = "No setting is unusual: later updates may still be too large for a policy that has learned."
-    advice = _fallback(t) if not found else f"Write {', or '.join(suspect.advice for suspect in found)}."
-    settings = {suspect.path: suspect.advised for suspect in found[:1]} or _fallback_settings(t)
+    advice = _fallback(t) if not causes else f"Write {', or '.join(suspect.advice for suspect in causes)}."
+    settings = {suspect.path: suspect.advised for suspect in causes[:1]} or _fallback_settings(t)
     return {
         **numbers,
         # Before the rows of single settings; after faults of the reward if no setting is far from usual.
-        "likelihood": 0.945 if found and found[0].weight >= 1.0 else 0.9,
+        "likelihood": 0.945 if causes and causes[0].weight >= 1.0 else 0.9,
         "fall": text[0].upper() + text[1:],
         "reasons": reasons[0].upper() + reasons[1:],
         "advice": advice,
-        "suspects": [suspect._asdict() for suspect in found],
+        "suspects": [suspect._asdict() for suspect in causes],
         "settings": settings,
     }
 
 
 def _return_meanwhile(t: TrainingEvidence, fall: Decline) -> tuple[float, float] | None:
-    """The mean return of the evaluations at the best model and of the last ones; None for a fall of the return."""
+    """The mean return of the evaluations at the best model and of the last ones; None for a fall of the
+    return."""
     if fall.measure != "success_rate":
         return None
     own = [(each["steps"], fmean(each["returns"])) for each in t.evaluations if "steps" in each]
@@ -133,17 +141,22 @@ def _return_meanwhile(t: TrainingEvidence, fall: Decline) -> tuple[float, float]
 def _paying_term(t: TrainingEvidence) -> str:
     """The reward term that rose most, in words; empty where none rose."""
     rise = rising_term(t)
-    return "" if rise is None else f". The term '{rise[0]}' rose most, from {rise[1]:.4g} to {rise[2]:.4g} per episode"
+    return (
+        ""
+        if rise is None
+        else f". The term '{rise[0]}' rose most, from {rise[1]:.4g} to {rise[2]:.4g} per episode"
+    )
 
 
 def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:
-    """The settings that explain a fall, the most likely first; only those whose value is not the advised one."""
+    """The settings that explain a fall, the most likely first; only those whose value is not the advised
+    one."""
     training = t.program.agent.training
     if training is None:
         return []
     is_off_policy = "buffer_size" in t.settings
     scales = _OFF_POLICY if is_off_policy else _ON_POLICY
-    found = [_of_scale(t, fall, name, scale) for name, scale in scales.items()]
+    causes = [_of_scale(t, fall, name, scale) for name, scale in scales.items()]
     rules: tuple[Callable[[TrainingEvidence, Decline], Suspect | None], ...] = (
         _overestimates,
         _reward_scale,
@@ -155,8 +168,10 @@ def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:
         _advantages,
         _after_teacher,
     )
-    found += [rule(t, fall) for rule in rules]
-    named = [each for each in found if each is not None and each.weight >= SUSPECTED and each.now != each.advised]
+    causes += [rule(t, fall) for rule in rules]
+    named = [
+        each for each in causes if each is not None and each.weight >= SUSPECTED and each.now != each.advised
+    ]
     by_path: dict[str, Suspect] = {}  # of several reasons for a change of one setting, the strongest
     for each in sorted(named, key=lambda each: -each.weight):
         by_path.setdefault(each.path, each)
@@ -181,7 +196,10 @@ def _of_scale(t: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> S
             high = float(np.quantile(divergence, 0.9))
             weight *= 1.0 if high >= _LARGE_UPDATE else 0.6
             size = f"up to {divergence.max():.2g} (usual: 0.003 to 0.02)"
-            reason += f"; the KL divergence, by which an update changes the policy, is {size} since {fall.best_steps:,} steps"
+            reason += (
+                f"; the KL divergence, by which an update changes the policy, is {size} since"
+                f" {fall.best_steps:,} steps"
+            )
     if name == "ent_coef":
         before, after = (-_part(t, "train/entropy_loss", *ends) for ends in _before_and_after(fall))
         if len(before) and len(after):
@@ -206,7 +224,8 @@ def _advised(t: TrainingEvidence, name: str, usual: float, default: Any) -> str:
 
 
 def _overestimates(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """A critic that predicts more than follows: a single one is replaced by two, of two the rate is lowered."""
+    """A critic that predicts more than follows: a single one is replaced by two, of two the rate is
+    lowered."""
     predicted, followed = (_since(t, f"critic/{name}", fall.best_steps) for name in ("value", "followed"))
     if not len(predicted):
         return None
@@ -215,11 +234,20 @@ def _overestimates(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     scale = max(abs(real), 0.1 * float(np.abs(_part(t, "critic/followed", 0.0, math.inf)).max()), 1e-9)
     if value - real < (_OVERESTIMATES - 1) * scale:
         return None
-    reason = f"the critic overestimates: since {fall.best_steps:,} steps it predicts {value:.3g}, and {real:.3g} follow"
+    reason = (
+        f"the critic overestimates: since {fall.best_steps:,} steps it predicts {value:.3g}, and"
+        f" {real:.3g} follow"
+    )
     weight = min(2.0, 0.6 + (value - real) / scale)
     algorithm, base = t.program.agent.training.algorithm, _base(t)  # type: ignore[union-attr]  # of a training
     if base == "DDPG":
-        return Suspect("train.algorithm", algorithm, "TD3", f"{reason}; TD3 and SAC take the smaller one of two critics", weight)
+        return Suspect(
+            "train.algorithm",
+            algorithm,
+            "TD3",
+            f"{reason}; TD3 and SAC take the smaller one of two critics",
+            weight,
+        )
     rate = _value_at(t, "learning_rate", fall.since_steps)
     if rate is None:
         return None
@@ -257,8 +285,15 @@ def _discount(t: TrainingEvidence, fall: Decline) -> Suspect | None:
         reason = "`gamma` is 1, so errors of the critic about later rewards do not fade"
         return Suspect("train.gamma", f"{gamma:g}", f"{wanted:g}", reason, 0.9)
     # A horizon of a third of the usual one is common; of a tenth it hides the end of an episode.
-    weight = math.log(usual / horizon) / math.log(8) if horizon < usual else math.log(horizon / usual) / math.log(30)
-    reason = f"`gamma` is {gamma:g}: rewards {'count' if horizon < usual else 'add up'} over about {horizon:.0f} of {length:,} steps"
+    weight = (
+        math.log(usual / horizon) / math.log(8)
+        if horizon < usual
+        else math.log(horizon / usual) / math.log(30)
+    )
+    reason = (
+        f"`gamma` is {gamma:g}: rewards {'count' if horizon < usual else 'add up'} over about"
+        f" {horizon:.0f} of {length:,} steps"
+    )
     return Suspect("train.gamma", f"{gamma:g}", f"{wanted:g}", reason, weight)
 
 
@@ -267,7 +302,9 @@ def _trace(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     trace = t.number_setting("gae_lambda")
     if trace is None or _base(t) == "A2C" or 0.6 <= trace < 0.995:
         return None
-    return Suspect("train.gae_lambda", f"{trace:g}", "0.9", f"`gae_lambda` is {trace:g}, and 0.8 to 0.95 is usual", 0.8)
+    return Suspect(
+        "train.gae_lambda", f"{trace:g}", "0.9", f"`gae_lambda` is {trace:g}, and 0.8 to 0.95 is usual", 0.8
+    )
 
 
 def _small_rollouts(t: TrainingEvidence, fall: Decline) -> Suspect | None:
@@ -282,8 +319,16 @@ def _small_rollouts(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 def _updates_per_step(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Gradient steps of an off-policy algorithm for each new step."""
-    training, updates, often = t.program.agent.training, t.number_setting("gradient_steps"), t.number_setting("train_freq")
-    if training is None or updates is None or often is None or "buffer_size" not in t.settings or updates <= 0:
+    training = t.program.agent.training
+    updates = t.number_setting("gradient_steps")
+    often = t.number_setting("train_freq")
+    if (
+        training is None
+        or updates is None
+        or often is None
+        or "buffer_size" not in t.settings
+        or updates <= 0
+    ):
         return None
     ratio = updates / (often * training.environments)
     if ratio <= 1:
@@ -302,8 +347,18 @@ def _noise(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     now = f"{sigma.start:g} -> {sigma.end:g}" if sigma.start != sigma.end else f"{sigma.start:g}"
     weight = math.log(value / 0.2) / math.log(4) if value > 0 else 0.7
     is_given = t.program.agent.training is not None and t.program.agent.training.action_noise is not None
-    path, advised = ("train.action_noise.sigma", "0.3 -> 0.1") if is_given else ("train.action_noise", "{type: normal, sigma: 0.3 -> 0.1}")
-    return Suspect(path, now, advised, f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual", weight)
+    path, advised = (
+        ("train.action_noise.sigma", "0.3 -> 0.1")
+        if is_given
+        else ("train.action_noise", "{type: normal, sigma: 0.3 -> 0.1}")
+    )
+    return Suspect(
+        path,
+        now,
+        advised,
+        f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual",
+        weight,
+    )
 
 
 def _advantages(t: TrainingEvidence, fall: Decline) -> Suspect | None:
@@ -326,7 +381,10 @@ def _after_teacher(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     rate = _value_at(t, "learning_rate", fall.since_steps)
     if rate is None:
         return None
-    reason = f"it fell after the teacher had ended, at {int(alone[0]):,} steps: the updates of the algorithm undo what was imitated"
+    reason = (
+        f"it fell after the teacher had ended, at {int(alone[0]):,} steps: the updates of the algorithm"
+        " undo what was imitated"
+    )
     return Suspect("train.learning_rate", f"{rate:g}", f"{rate / 5:.1g}", reason, 0.75)
 
 
@@ -334,7 +392,11 @@ def _fallback(t: TrainingEvidence) -> str:
     """The advice where no setting is unusual."""
     settings = _fallback_settings(t)
     change = " and ".join(f"`{path}: {value}`" for path, value in settings.items())
-    return f"Write {change}, so that updates become smaller." if change else "Train with further seeds: `--seeds 0..4`."
+    return (
+        f"Write {change}, so that updates become smaller."
+        if change
+        else "Train with further seeds: `--seeds 0..4`."
+    )
 
 
 def _fallback_settings(t: TrainingEvidence) -> dict[str, str]:
@@ -351,8 +413,8 @@ def _fallback_settings(t: TrainingEvidence) -> dict[str, str]:
 
 def _base(t: TrainingEvidence) -> str:
     training = t.program.agent.training
-    known = None if training is None else ALGORITHMS.get(training.algorithm)
-    return "" if known is None else known.base()
+    algorithm = None if training is None else ALGORITHMS.get(training.algorithm)
+    return "" if algorithm is None else algorithm.base()
 
 
 def _rows(t: TrainingEvidence) -> int:

@@ -1,7 +1,7 @@
 """The endings of a scenario as comparisons whose values an episode keeps.
 
-`instrument_program` gives a program whose supervisor keeps both sides of each comparison. Everything else of an episode stays the same to
-the bit: the added signals read what the endings read, and share their memories.
+`instrument_program` gives a program whose supervisor keeps both sides of each comparison. Everything else of
+an episode stays the same to the bit: the added signals read what the endings read, and share their memories.
 """
 
 from __future__ import annotations
@@ -29,15 +29,22 @@ _GOAL_SIGNAL = f"{_SIGNAL_PREFIX}goal"
 SIGN_OF_OPERATOR = {name: sign for sign, name in COMPARISONS.items()}
 _NEGATED = {"less": "greater_equal", "less_equal": "greater", "equal": "not_equal"}
 _NEGATED |= {negated: name for name, negated in _NEGATED.items()}
-_FUNCTIONS = dict(zip(COMPARISONS, (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne), strict=True))
+_FUNCTIONS = dict(
+    zip(
+        COMPARISONS,
+        (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne),
+        strict=True,
+    )
+)
 
 
 @dataclass(frozen=True)
 class Comparison:
     """`value operator bound`: both sides by the names of kept values, and as the scenario writes them.
 
-    Several components hold together if any of them holds, or all. `unit` is the SI unit of both sides. A truth value without a bound, such
-    as a contact, has no `bound` and is compared with 1. `lasting` is the condition whose `duration` is the value.
+    Several components hold together if any of them holds, or all. `unit` is the SI unit of both sides. A
+    truth value without a bound, such as a contact, has no `bound` and is compared with 1. `lasting` is the
+    condition whose `duration` is the value.
     """
 
     text: str
@@ -65,8 +72,8 @@ Condition = Comparison | CompoundCondition
 class MeasuredComparison:
     """A comparison at one moment, in SI units.
 
-    `margin` is how far the value is beyond the bound: from 0 on the condition holds, below 0 this much is missing. A truth value has
-    neither bound nor margin.
+    `margin` is how far the value is beyond the bound: from 0 on the condition holds, below 0 this much is
+    missing. A truth value has neither bound nor margin.
     """
 
     condition: Comparison
@@ -77,18 +84,25 @@ class MeasuredComparison:
 
     def as_json(self) -> dict[str, Any]:
         """In SI units."""
-        known = self.condition
-        data: dict[str, Any] = {"condition": known.text, "holds": self.holds, "value": self.value}
-        if known.bound is not None:
-            data |= {"operator": SIGN_OF_OPERATOR[known.operator], "bound": self.bound, "margin": self.margin, "unit": known.unit}
+        condition = self.condition
+        data: dict[str, Any] = {"condition": condition.text, "holds": self.holds, "value": self.value}
+        if condition.bound is not None:
+            data |= {
+                "operator": SIGN_OF_OPERATOR[condition.operator],
+                "bound": self.bound,
+                "margin": self.margin,
+                "unit": condition.unit,
+            }
         return data
 
 
 @dataclass(frozen=True, eq=False)
 class InstrumentedProgram:
-    """A program that measures its endings, and the condition of each; None for one that has no tree, or draws random numbers.
+    """A program that measures its endings, and the condition of each; None for one that has no tree, or draws
+    random numbers.
 
-    `observed_signals` holds the kept value of each entry of the observation, before noise and clipping, by its name.
+    `observed_signals` holds the kept value of each entry of the observation, before noise and clipping, by
+    its name.
     """
 
     program: Program
@@ -97,22 +111,40 @@ class InstrumentedProgram:
 
     def read(self, agent: Supervisor) -> StepValues:
         """What this step left in a supervisor of the program."""
-        found = {name: getattr(agent, f"last_{name}") for name in self.program.stored_signals}
+        signals = {name: getattr(agent, f"last_{name}") for name in self.program.stored_signals}
         goal = self.program.agent.goal
-        values = {name: tuple(value) if isinstance(value, list | tuple) else (float(value),) for name, value in found.items()}
-        return values if goal is None else {**values, _GOAL_SIGNAL: (_distance(goal, agent),), f"{_GOAL_SIGNAL}_bound": (goal.tolerance,)}
+        values = {
+            name: tuple(value) if isinstance(value, list | tuple) else (float(value),)
+            for name, value in signals.items()
+        }
+        return (
+            values
+            if goal is None
+            else {
+                **values,
+                _GOAL_SIGNAL: (_distance(goal, agent),),
+                f"{_GOAL_SIGNAL}_bound": (goal.tolerance,),
+            }
+        )
 
 
 def instrument_program(program: Program, *, include_observation: bool = False) -> InstrumentedProgram:
-    """The program with kept values for each comparison of its endings, and for the observation too with `include_observation`."""
-    made = _ConditionBuilder(program)
-    conditions = {ending.name: made.ending_condition(ending) for ending in program.endings}
+    """The program with kept values for each comparison of its endings, and for the observation too with
+    `include_observation`."""
+    builder = _ConditionBuilder(program)
+    conditions = {ending.name: builder.ending_condition(ending) for ending in program.endings}
     if program.agent.goal is not None:
-        conditions.setdefault("goal_reached", made.goal(program.agent.goal, negated=False))
-    seen = [entry.value for entry in program.agent.observation if include_observation and entry.numbers and entry.value.foreign is None]
-    kept = {value.name: made.probe(value.typed, value) for value in seen if made.is_measurable(value)}
-    signals = (*program.signals, *made.probes.values())
-    return InstrumentedProgram(replace(program, signals=signals, stored_signals=frozenset(made.probes)), conditions, kept)
+        conditions.setdefault("goal_reached", builder.goal(program.agent.goal, negated=False))
+    seen = [
+        entry.value
+        for entry in program.agent.observation
+        if include_observation and entry.numbers and entry.value.foreign is None
+    ]
+    kept = {value.name: builder.probe(value.typed, value) for value in seen if builder.is_measurable(value)}
+    signals = (*program.signals, *builder.probes.values())
+    return InstrumentedProgram(
+        replace(program, signals=signals, stored_signals=frozenset(builder.probes)), conditions, kept
+    )
 
 
 class _UnmeasuredError(Exception):
@@ -136,33 +168,57 @@ class _ConditionBuilder:
 
     def goal(self, goal: Goal, *, negated: bool) -> Comparison:
         sides = ("the distance from achieved to desired", "goal.tolerance")
-        return Comparison("goal_reached", "greater" if negated else "less_equal", _GOAL_SIGNAL, f"{_GOAL_SIGNAL}_bound", goal.unit, sides)
+        return Comparison(
+            "goal_reached",
+            "greater" if negated else "less_equal",
+            _GOAL_SIGNAL,
+            f"{_GOAL_SIGNAL}_bound",
+            goal.unit,
+            sides,
+        )
 
-    def _condition(self, node: Typed, expression: Expression, *, negated: bool, joined: Literal["any", "all"] = "any") -> Condition:
-        """The condition of a truth value in the text of `expression`, with `not` pushed down to the comparisons."""
+    def _condition(
+        self, node: Typed, expression: Expression, *, negated: bool, joined: Literal["any", "all"] = "any"
+    ) -> Condition:
+        """The condition of a truth value in the text of `expression`, with `not` pushed down to the
+        comparisons."""
         match node:
             case Operation(operator="not", args=(inner,)):
                 return self._condition(inner, expression, negated=not negated, joined=joined)
             case Operation(operator="and" | "or" as joining, args=args) if node.type.components is None:
                 both: Literal["and", "or"] = "or" if (joining == "or") != negated else "and"
-                return CompoundCondition(both, tuple(self._condition(arg, expression, negated=negated) for arg in args))
-            case Operation(operator=written, args=(left, right)) if written in SIGN_OF_OPERATOR and not left.type.boolean:
+                return CompoundCondition(
+                    both, tuple(self._condition(arg, expression, negated=negated) for arg in args)
+                )
+            case Operation(operator=written, args=(left, right)) if (
+                written in SIGN_OF_OPERATOR and not left.type.boolean
+            ):
                 used = _NEGATED[written] if negated else written
                 value, bound = self.probe(left, expression), self.probe(right, expression)
                 sides = (expression.text[left.start : left.end], expression.text[right.start : right.end])
                 text, unit = expression.text[node.start : node.end], str(left.type.dimension)
-                return Comparison(text, used, value, bound, unit, sides, joined, self._lasting(left, expression))
-            case Invocation(function="any" | "all" as function, args=(inner,)) if not inner.type.has_group_components:
+                return Comparison(
+                    text, used, value, bound, unit, sides, joined, self._lasting(left, expression)
+                )
+            case Invocation(function="any" | "all" as function, args=(inner,)) if (
+                not inner.type.has_group_components
+            ):
                 every: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
                 if isinstance(inner, Operation) and inner.operator in SIGN_OF_OPERATOR:
                     return self._condition(inner, expression, negated=negated, joined=every)
-            case Reference(symbol=symbol) if symbol.name == "goal_reached" and self._program.agent.goal is not None:
+            case Reference(symbol=symbol) if (
+                symbol.name == "goal_reached" and self._program.agent.goal is not None
+            ):
                 return self.goal(self._program.agent.goal, negated=negated)
             case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
                 other = self._named[symbol.name]
                 if not any(map(is_drawn, other.scalars)):
                     return self._condition(other.typed, other, negated=negated)
-        return Comparison(expression.text[node.start : node.end], "not_equal" if negated else "equal", self.probe(node, expression))
+        return Comparison(
+            expression.text[node.start : node.end],
+            "not_equal" if negated else "equal",
+            self.probe(node, expression),
+        )
 
     def _lasting(self, node: Typed, expression: Expression) -> Condition | None:
         """The condition in `duration(...)`, also behind the name of a signal."""
@@ -176,16 +232,25 @@ class _ConditionBuilder:
 
     def probe(self, node: Typed, expression: Expression) -> str:
         """The name of a signal that has the value of a part of an expression."""
-        made = Expression("", expression.span, expression.text[node.start : node.end], node, expression.owner, expression.per_component)
-        if not self.is_measurable(made):
+        probe = Expression(
+            "",
+            expression.span,
+            expression.text[node.start : node.end],
+            node,
+            expression.owner,
+            expression.per_component,
+        )
+        if not self.is_measurable(probe):
             raise _UnmeasuredError
         name = f"{_SIGNAL_PREFIX}{len(self.probes)}"
-        self.probes[name] = replace(made, name=name)
+        self.probes[name] = replace(probe, name=name)
         return name
 
     def is_measurable(self, value: Expression) -> bool:
         refused = {"achieved", "desired", "goal_reached", *(ending.name for ending in self._program.endings)}
-        return not any(is_drawn(tree) or refused & {leaf.name for leaf in names_in(tree)} for tree in value.scalars)
+        return not any(
+            is_drawn(tree) or refused & {leaf.name for leaf in names_in(tree)} for tree in value.scalars
+        )
 
 
 def _distance(goal: Goal, agent: Supervisor) -> float:
@@ -193,7 +258,9 @@ def _distance(goal: Goal, agent: Supervisor) -> float:
     size = len(goal.low)
     seen = agent.goal.tolist()
     halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
-    return math.hypot(*((one - other) * half for one, other, half in zip(seen[:size], seen[size:], halves, strict=True)))
+    return math.hypot(
+        *((one - other) * half for one, other, half in zip(seen[:size], seen[size:], halves, strict=True))
+    )
 
 
 def _margin(comparison: str, value: float, bound: float) -> float:
@@ -211,13 +278,18 @@ def comparisons_in(condition: Condition) -> list[Comparison]:
 def measure(condition: Comparison, values: StepValues) -> MeasuredComparison:
     """A comparison in one step. Of several components, the one that decides counts."""
     sides, bounds = values[condition.value], (1.0,) if condition.bound is None else values[condition.bound]
-    pairs = [(sides[index % len(sides)], bounds[index % len(bounds)]) for index in range(max(len(sides), len(bounds)))]
+    pairs = [
+        (sides[index % len(sides)], bounds[index % len(bounds)])
+        for index in range(max(len(sides), len(bounds)))
+    ]
     chosen = max if condition.reduction == "any" else min
     value, bound = chosen(pairs, key=lambda pair: _margin(condition.operator, *pair))
     holds = _FUNCTIONS[SIGN_OF_OPERATOR[condition.operator]](value, bound)
     if condition.bound is None:
         return MeasuredComparison(condition, holds, float(value))
-    return MeasuredComparison(condition, holds, float(value), float(bound), _margin(condition.operator, value, bound))
+    return MeasuredComparison(
+        condition, holds, float(value), float(bound), _margin(condition.operator, value, bound)
+    )
 
 
 def holds(condition: Condition, values: StepValues) -> bool:
@@ -227,18 +299,22 @@ def holds(condition: Condition, values: StepValues) -> bool:
 
 
 def missing_comparisons(condition: Condition, values: StepValues) -> list[Comparison]:
-    """The comparisons that keep a condition from holding; of parts joined by `or`, those of the part that lacks the fewest."""
+    """The comparisons that keep a condition from holding; of parts joined by `or`, those of the part that
+    lacks the fewest."""
     if not isinstance(condition, CompoundCondition):
         return [] if measure(condition, values).holds else [condition]
     parts = [missing_comparisons(part, values) for part in condition.parts]
     return [leaf for part in parts for leaf in part] if condition.operator == "and" else min(parts, key=len)
 
 
-def deciding_comparison(condition: Condition, before: StepValues | None, now: StepValues) -> MeasuredComparison:
-    """The comparison that made a condition hold: one that holds now and did not in the step before, one with a bound first."""
+def deciding_comparison(
+    condition: Condition, before: StepValues | None, now: StepValues
+) -> MeasuredComparison:
+    """The comparison that made a condition hold: one that holds now and did not in the step before, one with
+    a bound first."""
     if not isinstance(condition, CompoundCondition):
         return measure(condition, now)
     parts = [part for part in condition.parts if holds(part, now)] or list(condition.parts)
     new = [part for part in parts if before is not None and not holds(part, before)] or parts
-    found = [deciding_comparison(part, before, now) for part in new]
-    return next((each for each in found if each.margin is not None), found[0])
+    deciding = [deciding_comparison(part, before, now) for part in new]
+    return next((each for each in deciding if each.margin is not None), deciding[0])

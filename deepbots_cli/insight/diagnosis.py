@@ -1,8 +1,8 @@
 """The table of reasons why a policy does not learn, each with its evidence and advice.
 
-A row finds its evidence in the logs or in the short episodes, or does not apply. `likelihood` orders the rows: what was seen to make
-learning impossible comes before what often does, and both before what may only be a symptom. A training that solves its task has none,
-unless it fell apart afterwards.
+A row finds its evidence in the logs or in the short episodes, or does not apply. `likelihood` orders the
+rows: what was seen to make learning impossible comes before what often does, and both before what may only be
+a symptom. A training that solves its task has none, unless it fell apart afterwards.
 """
 
 from __future__ import annotations
@@ -115,32 +115,46 @@ _REFUTED: Mapping[str, Callable[[TrainingEvidence], bool]] = {
 """Whether the episodes of a training show the opposite of what a finding of lint means."""
 
 CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "one_ending", "success_plateau", "missed_condition"}
-"""Beside a cause that is as likely as this, the length of the training, its most frequent ending, a flat success and the condition that is
-missed are no causes."""
+"""Beside a cause that is as likely as this, the length of the training, its most frequent ending, a flat
+success and the condition that is missed are no causes."""
 _EXPLAINED = {
     "return_at_ceiling": {"exploration_collapsed", "learning_rate_too_low", "too_few_steps"},
     "reward_exploited": {"reward_apart_from_success", "exploration_collapsed", "success_needs_exploration"},
     "ending_early_pays": {"exploration_collapsed", "success_never_seen"},
     "missed_condition": {"success_plateau"},
 }
-"""What a cause explains, so that it is no cause beside it: a policy that repeats what pays most does not explore too little."""
+"""What a cause explains, so that it is no cause beside it: a policy that repeats what pays most does not
+explore too little."""
 _LARGE_RETURN = 1000.0
-"""Absolute mean returns from which on a critic of the usual learning rate falls behind: CartPole with 1000 for each step is not learned."""
+"""Absolute mean returns from which on a critic of the usual learning rate falls behind: CartPole with 1000
+for each step is not learned."""
 _HIDDEN = 6.0
 """Steps in units of 1 / (1 - gamma) after which a reward has less than 0.3 % of its weight."""
-_PROVISIONAL_CAUSES = {"kept_by_return", "success_never_seen", "silent_terms", "one_ending", "exploration_too_large"}
-"""What may still change in a training or a stage that is young: a cause only once it is mature, or if it is certain."""
+_PROVISIONAL_CAUSES = {
+    "kept_by_return",
+    "success_never_seen",
+    "silent_terms",
+    "one_ending",
+    "exploration_too_large",
+}
+"""What may still change in a training or a stage that is young: a cause only once it is mature, or if it is
+certain."""
 
 
 def diagnose(training: TrainingEvidence) -> list[Statement]:
-    """The causes that apply in the present stage, the most likely first; none for a training that has learned its task.
+    """The causes that apply in the present stage, the most likely first; none for a training that has learned
+    its task.
 
     Raises:
         RunError: The training has finished no episode, and has not failed either.
     """
     path = training.run.path
     if not len(training.all_episodes) and not training.has_failed:
-        wait = "wait for it" if training.is_running else f"train it longer, with: deepbots resume {quote(str(path))}"
+        wait = (
+            "wait for it"
+            if training.is_running
+            else f"train it longer, with: deepbots resume {quote(str(path))}"
+        )
         raise RunError(f"{path} contains no finished episode yet; {wait}")
     learned = has_learned(training)
     if not (len(training.episodes) or training.has_failed):
@@ -159,11 +173,13 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
             *starts,
             *explored,
         )
-    found = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
-    unlikely = [statement for statement in found if statement.evidence["likelihood"] < CERTAIN]
+    statements = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
+    unlikely = [statement for statement in statements if statement.evidence["likelihood"] < CERTAIN]
     left_out = set[str]() if training.is_mature else set(_PROVISIONAL_CAUSES)
-    left_out |= _SYMPTOMS if len(unlikely) < len(found) else set()
-    kept = [statement for statement in found if not (statement in unlikely and statement.cause in left_out)]
+    left_out |= _SYMPTOMS if len(unlikely) < len(statements) else set()
+    kept = [
+        statement for statement in statements if not (statement in unlikely and statement.cause in left_out)
+    ]
     explained = set[str]().union(*(_EXPLAINED.get(statement.cause, ()) for statement in kept))
     kept = [statement for statement in kept if statement.cause not in explained]
     return [replace(statement, command=_next_command(training, statement)) for statement in kept]
@@ -174,14 +190,22 @@ QUICK_SECONDS = 10.0
 
 
 def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[Statement]:
-    """The causes of a training that has ended unsolved or fallen apart, from its files and a few seconds of short episodes.
+    """The causes of a training that has ended unsolved or fallen apart, from its files and a few seconds of
+    short episodes.
 
-    Nothing is written. A training that fell apart after it had solved its task has the causes of its fall only.
+    Nothing is written. A training that fell apart after it had solved its task has the causes of its fall
+    only.
     """
     training = read_training(Run.open(run))
     if has_learned(training):
-        causes = [] if training.verdict.solved is not False and training.decline is None else diagnose(training)
-        return causes if training.verdict.solved is False else [cause for cause in causes if cause.cause == fell_apart.__name__]
+        causes = (
+            [] if training.verdict.solved is not False and training.decline is None else diagnose(training)
+        )
+        return (
+            causes
+            if training.verdict.solved is False
+            else [cause for cause in causes if cause.cause == fell_apart.__name__]
+        )
     run_probes(training, permissions=permissions, seconds=QUICK_SECONDS)
     return diagnose(training)
 
@@ -213,14 +237,20 @@ def _next_command(t: TrainingEvidence, statement: Statement) -> str:
     if statement.settings.keys() == {TOTAL_TIMESTEPS}:
         return f"deepbots resume {path} --timesteps {statement.settings[TOTAL_TIMESTEPS]}"
     if statement.settings:
-        return join(training_command(run, [f"{setting}={value}" for setting, value in statement.settings.items()]))
+        return join(
+            training_command(run, [f"{setting}={value}" for setting, value in statement.settings.items()])
+        )
     if t.is_running:
         return ""
     if statement.cause == "not_finite" and (failure := latest_failure(run.path)) is not None:
         return f"deepbots diagnose {quote(str(failure))}"
     has_failed_episode = not all(each.is_success for each in t.final_episodes) and (
-        t.run.program.defines_success or any(each.ended_by in t.run.program.failures for each in t.final_episodes))  # fmt: skip
-    form = _COMMANDS.get(statement.cause, "diagnose {run} --episode failed" if has_failed_episode else "view {run}")
+        t.run.program.defines_success
+        or any(each.ended_by in t.run.program.failures for each in t.final_episodes)
+    )
+    form = _COMMANDS.get(
+        statement.cause, "diagnose {run} --episode failed" if has_failed_episode else "view {run}"
+    )
     return "deepbots " + form.format(
         run=path,
         path=statement.evidence.get("path"),
@@ -230,10 +260,12 @@ def _next_command(t: TrainingEvidence, statement: Statement) -> str:
 
 
 def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None:
-    """Whether the policy has learned the task: in the episodes of the training, or only in evaluations, which do not explore.
+    """Whether the policy has learned the task: in the episodes of the training, or only in evaluations, which
+    do not explore.
 
-    The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an evaluation after the training
-    excludes it. In a scenario without `solved`, the task is learned from a success rate of 80 % on.
+    The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an
+    evaluation after the training excludes it. In a scenario without `solved`, the task is learned from a
+    success rate of 80 % on.
     """
     solved, succeeds = t.run.program.agent.solved, t.run.program.defines_success
     required = 0.8 if solved is None else solved.success_rate or 0.0
@@ -244,7 +276,9 @@ def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None
 
     final = SuccessRate([each.is_success for each in t.final_episodes])
     excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
-    if not excluded and (_met_while_exploring(t) or (t.is_last_stage and suffices(t.episodes.successes[-100:]))):
+    if not excluded and (
+        _met_while_exploring(t) or (t.is_last_stage and suffices(t.episodes.successes[-100:]))
+    ):
         return "exploring"
     evaluated = t.evaluations[-1]["successes"] if t.evaluations and t.program.defines_success else ()
     last = evaluated if t.is_last_stage else [each.is_success for each in t.final_episodes]
@@ -259,7 +293,9 @@ def _met_while_exploring(t: TrainingEvidence) -> bool:
     if result.confirmed_at is None or solved is None:  # versions before 0.2 did not confirm
         return True
     recent = t.episodes[-solved.episodes :] if t.is_last_stage else t.episodes[:0]
-    return len(recent) > 0 and meets_solved(solved, float(recent.returns.mean()), float(recent.successes.mean()))
+    return len(recent) > 0 and meets_solved(
+        solved, float(recent.returns.mean()), float(recent.successes.mean())
+    )
 
 
 # Faults
@@ -268,16 +304,21 @@ def _met_while_exploring(t: TrainingEvidence) -> bool:
 def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
     """An episode cannot start after {steps} steps of training: {error}.
 
-    Try: Change the start under `reset` or the threshold of the ending. `deepbots lint --deep SCENARIO` counts the starts that end at once.
+    Try: Change the start under `reset` or the threshold of the ending. `deepbots lint --deep SCENARIO` counts
+    the starts that end at once.
     """
-    return {"likelihood": 1.0, "steps": t.steps, "error": t.failure.rstrip(".")} if TRUE_AT_RESET in t.failure else None
+    return (
+        {"likelihood": 1.0, "steps": t.steps, "error": t.failure.rstrip(".")}
+        if TRUE_AT_RESET in t.failure
+        else None
+    )
 
 
 def not_finite(t: TrainingEvidence) -> Numbers | None:
     """The training stopped with an error after {steps} steps: {error}.
 
-    Try: Use max(...) to keep divisors and arguments of sqrt and log above 0, or lower `train.learning_rate`. `deepbots diagnose
-    RUN/failures/NNNN.json` explains the episode.
+    Try: Use max(...) to keep divisors and arguments of sqrt and log above 0, or lower `train.learning_rate`.
+    `deepbots diagnose RUN/failures/NNNN.json` explains the episode.
     """
     if not t.has_failed or TRUE_AT_RESET in t.failure:
         return None
@@ -286,10 +327,11 @@ def not_finite(t: TrainingEvidence) -> Numbers | None:
 
 
 def action_without_effect(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} action parts have no effect ({parts}): from the same start, all tested values give the same observations for {steps}
-    steps.
+    """{count} of {of} action parts have no effect ({parts}): from the same start, all tested values give the
+    same observations for {steps} steps.
 
-    Try: Check `apply` of the robot, the limits of its motors (`deepbots inspect RUN`), and the wheels or joints that it drives.
+    Try: Check `apply` of the robot, the limits of its motors (`deepbots inspect RUN`), and the wheels or
+    joints that it drives.
     """
     own = [place for place, number in enumerate(t.program.agent.numbers) if number.name != "previous_action"]
     dead, steps = [], 0
@@ -300,8 +342,14 @@ def action_without_effect(t: TrainingEvidence) -> Numbers | None:
             steps = min(trace.steps for trace in traces.values())
     if not dead or not steps:
         return None
-    return {"likelihood": 0.98 if len(dead) == len(t.constant_actions) else 0.8, "parts": list_text(dead), "count": len(dead),
-            "of": len(t.constant_actions), "steps": steps, "difference": 0.0}  # fmt: skip
+    return {
+        "likelihood": 0.98 if len(dead) == len(t.constant_actions) else 0.8,
+        "parts": list_text(dead),
+        "count": len(dead),
+        "of": len(t.constant_actions),
+        "steps": steps,
+        "difference": 0.0,
+    }
 
 
 def _difference(one: Trace, other: Trace, numbers: Sequence[int]) -> float:
@@ -309,16 +357,21 @@ def _difference(one: Trace, other: Trace, numbers: Sequence[int]) -> float:
     if one.steps != other.steps:
         return 1.0
     seen = np.abs(one.observations[:, numbers] - other.observations[:, numbers]).max(initial=0.0)
-    kept = [abs(a - b) for x, y in zip(one.values, other.values, strict=True) for key in x for a, b in zip(x[key], y[key], strict=True)]
+    kept = [
+        abs(a - b)
+        for x, y in zip(one.values, other.values, strict=True)
+        for key in x
+        for a, b in zip(x[key], y[key], strict=True)
+    ]
     return float(max(seen, *kept, 0.0)) if kept else float(seen)
 
 
 def ending_at_once(t: TrainingEvidence) -> Numbers | None:
-    """Episodes end before the policy can act: '{ending}' ends {share} of them. Half of all episodes end within {length} steps and 90%
-    within {long}, of {longest} possible steps.
+    """Episodes end before the policy can act: '{ending}' ends {share} of them. Half of all episodes end
+    within {length} steps and 90% within {long}, of {longest} possible steps.
 
-    Try: Loosen the threshold of '{ending}', or start farther away from it: `deepbots diagnose RUN --episode failed` shows the value and
-    the threshold.
+    Try: Loosen the threshold of '{ending}', or start farther away from it: `deepbots diagnose RUN --episode
+    failed` shows the value and the threshold.
     """
     lengths, longest = t.episodes.lengths, t.program.truncation.max_episode_steps(t.program.period)
     if len(lengths) < MIN_EPISODES:
@@ -326,8 +379,14 @@ def ending_at_once(t: TrainingEvidence) -> Numbers | None:
     long, (name, count) = float(np.quantile(lengths, 0.9)), Counter(t.episodes.endings).most_common(1)[0]
     if long > min(12, 0.2 * longest) or name not in t.program.failures:
         return None
-    return {"likelihood": 0.96, "ending": name, "share": Percentage(count / len(lengths)), "length": float(np.median(lengths)),
-            "long": long, "longest": longest}  # fmt: skip
+    return {
+        "likelihood": 0.96,
+        "ending": name,
+        "share": Percentage(count / len(lengths)),
+        "length": float(np.median(lengths)),
+        "long": long,
+        "longest": longest,
+    }
 
 
 def lint_warns(t: TrainingEvidence) -> Numbers | None:
@@ -336,7 +395,9 @@ def lint_warns(t: TrainingEvidence) -> Numbers | None:
     Try: {help}: `deepbots lint {path}` shows the lines.{copy}
     """
     linted = linted_scenario(t.run)
-    meanings = {code: text for code, text in _UNLEARNABLE.items() if not (code in _REFUTED and _REFUTED[code](t))}
+    meanings = {
+        code: text for code, text in _UNLEARNABLE.items() if not (code in _REFUTED and _REFUTED[code](t))
+    }
     # A training that has learned its task may still find a payment without success, if it goes on.
     concerned = [finding for finding in linted.findings if finding.code in _EXPLOITS or not has_learned(t)]
     findings = sorted(concerned, key=lambda finding: finding.code not in meanings)
@@ -365,40 +426,57 @@ def lint_warns(t: TrainingEvidence) -> Numbers | None:
 
 
 def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
-    """The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples of an update are clipped, the largest KL
-    divergence is {kl}, and the mean return went from {first} to {last}.
+    """The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples of an
+    update are clipped, the largest KL divergence is {kl}, and the mean return went from {first} to {last}.
 
     Try: Set `train.learning_rate` to {usual}.
     """
     rate, usual = t.number_setting("learning_rate"), _usual_rate(t)
     if rate is None or _names_rate(t):
         return None
-    clipped, kl = (float(t.curve(f"train/{name}").max(initial=0.0)) for name in ("clip_fraction", "approx_kl"))
+    clipped, kl = (
+        float(t.curve(f"train/{name}").max(initial=0.0)) for name in ("clip_fraction", "approx_kl")
+    )
     times = rate / usual
     if not (((clipped >= 0.5 or kl >= 0.3) and times > 2) or times >= 20):
         return None
     first, last = (float(t.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0)))
-    return {"likelihood": 0.93 if times >= 20 else 0.75 if times > 5 else 0.5, "rate": rate, "usual": usual, "times": times,
-            "clipped": Percentage(clipped), "kl": kl, "first": first, "last": last,
-            "settings": {"train.learning_rate": f"{usual:g}"}}  # fmt: skip
+    unlikely = 0.75 if times > 5 else 0.5
+    return {
+        "likelihood": 0.93 if times >= 20 else unlikely,
+        "rate": rate,
+        "usual": usual,
+        "times": times,
+        "clipped": Percentage(clipped),
+        "kl": kl,
+        "first": first,
+        "last": last,
+        "settings": {"train.learning_rate": f"{usual:g}"},
+    }
 
 
 def _names_rate(t: TrainingEvidence) -> bool:
     """Whether the cause of a fall names the learning rate."""
-    return t.decline is not None and any(each.path == "train.learning_rate" for each in suspects(t, t.decline))
+    return t.decline is not None and any(
+        each.path == "train.learning_rate" for each in suspects(t, t.decline)
+    )
 
 
 def _usual_rate(t: TrainingEvidence) -> float:
     """The default learning rate, of deepbots or the library."""
     training = t.program.agent.training
-    known: Any = None if training is None else default_values(training, t.run.record.total_timesteps, longest_episode(t.program))
-    found = (known or {}).get("learning_rate")
-    return float(found) if isinstance(found, int | float) else 3e-4  # of the library
+    defaults: Any = (
+        None
+        if training is None
+        else default_values(training, t.run.record.total_timesteps, longest_episode(t.program))
+    )
+    rate = (defaults or {}).get("learning_rate")
+    return float(rate) if isinstance(rate, int | float) else 3e-4  # of the library
 
 
 def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
-    """The learning rate is {rate}, {times} times lower than the usual {usual}: after {steps} steps, the mean return went only from {first}
-    to {last}{divergence}.
+    """The learning rate is {rate}, {times} times lower than the usual {usual}: after {steps} steps, the mean
+    return went only from {first} to {last}{divergence}.
 
     Try: Set `train.learning_rate` to {usual}.
     """
@@ -409,21 +487,42 @@ def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
     if usual < 10 * rate or (kl.max() > 1e-3 if len(kl) else usual < 50 * rate):
         return None
     first, last = (float(t.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0)))
-    divergence = f", and the largest KL divergence, by which an update changes the policy, is {kl.max():.2g}" if len(kl) else ""
-    return {"likelihood": 0.93, "rate": rate, "usual": usual, "times": usual / rate, "steps": t.steps, "first": first, "last": last,
-            "divergence": divergence, "settings": {"train.learning_rate": f"{usual:g}"}}  # fmt: skip
+    divergence = (
+        f", and the largest KL divergence, by which an update changes the policy, is {kl.max():.2g}"
+        if len(kl)
+        else ""
+    )
+    return {
+        "likelihood": 0.93,
+        "rate": rate,
+        "usual": usual,
+        "times": usual / rate,
+        "steps": t.steps,
+        "first": first,
+        "last": last,
+        "divergence": divergence,
+        "settings": {"train.learning_rate": f"{usual:g}"},
+    }
 
 
 def rewards_too_large(t: TrainingEvidence) -> Numbers | None:
-    """The rewards are too large for the critic: the mean return of late episodes is {late}, and the critic explains {explained} of the
-    variance of the returns. The norm of a gradient is limited, and the part of the critic leaves hardly any for the policy.
+    """The rewards are too large for the critic: the mean return of late episodes is {late}, and the critic
+    explains {explained} of the variance of the returns. The norm of a gradient is limited, and the part of
+    the critic leaves hardly any for the policy.
 
-    Try: Set `train.normalize` to `reward`, which divides rewards by their standard deviation for learning only, or scale all terms down.
+    Try: Set `train.normalize` to `reward`, which divides rewards by their standard deviation for learning
+    only, or scale all terms down.
     """
     training, explained = t.program.agent.training, t.curve("train/explained_variance")
-    if training is None or training.normalize == "reward" or len(explained) < MIN_EPISODES or len(t.episodes) < 2 * MIN_EPISODES:
+    if (
+        training is None
+        or training.normalize == "reward"
+        or len(explained) < MIN_EPISODES
+        or len(t.episodes) < 2 * MIN_EPISODES
+    ):
         return None
-    late, median = t.episodes_between(0.75, 1.0).returns, float(np.median(explained[-max(1, len(explained) // 4) :]))
+    late = t.episodes_between(0.75, 1.0).returns
+    median = float(np.median(explained[-max(1, len(explained) // 4) :]))
     if median > 0.3 or np.abs(late).mean() < _LARGE_RETURN:
         return None
     return {"likelihood": 0.91, "late": float(late.mean()), "explained": Percentage(max(0.0, median)),
@@ -431,7 +530,8 @@ def rewards_too_large(t: TrainingEvidence) -> Numbers | None:
 
 
 def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
-    """The discount factor {gamma} hides what comes late: after {length} steps, {of}, a reward has {weight} of its weight.
+    """The discount factor {gamma} hides what comes late: after {length} steps, {of}, a reward has {weight} of
+    its weight.
 
     Try: Set `train.gamma` to {wanted}.
     """
@@ -439,7 +539,9 @@ def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
     if gamma is None or gamma >= 1.0:
         return None
     seen = len(won) >= MIN_EPISODES
-    length = float(np.median(won)) if seen else float(t.program.truncation.max_episode_steps(t.program.period))
+    length = (
+        float(np.median(won)) if seen else float(t.program.truncation.max_episode_steps(t.program.period))
+    )
     if length * (1.0 - gamma) < _HIDDEN:
         return None
     is_far = length * (1.0 - gamma) > 5 * _HIDDEN
@@ -449,38 +551,51 @@ def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
     if wanted <= gamma:
         return None
     # A factor that is far too small; else rewards on the way may do.
-    return {"likelihood": 0.915 if is_far else 0.45, "gamma": gamma, "length": round(length),
-            "of": "the median of the successes" if seen else "the limit of an episode", "weight": Percentage(gamma**length),
-            "wanted": wanted, "settings": {"train.gamma": f"{wanted:g}"}}  # fmt: skip
+    return {
+        "likelihood": 0.915 if is_far else 0.45,
+        "gamma": gamma,
+        "length": round(length),
+        "of": "the median of the successes" if seen else "the limit of an episode",
+        "weight": Percentage(gamma**length),
+        "wanted": wanted,
+        "settings": {"train.gamma": f"{wanted:g}"},
+    }
 
 
 def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
-    """Without exploration, the policy succeeds in {without}{where} at the end of the training. With exploration, it succeeds in {with}.
-    Exploration prevents success.
+    """Without exploration, the policy succeeds in {without}{where} at the end of the training. With
+    exploration, it succeeds in {with}. Exploration prevents success.
 
-    Try: {remedy}, or loosen the condition for success. You can already use the policy: `deepbots view`, `eval` and `export` run it without
-    exploration.
+    Try: {remedy}, or loosen the condition for success. You can already use the policy: `deepbots view`,
+    `eval` and `export` run it without exploration.
     """
-    found, until = hides_success(t), criterion(t)
-    if found is None:
+    hidden, until = hides_success(t), criterion(t)
+    if hidden is None:
         return None
     counts = until is not None and until.episodes is not None and until.metric != "steps"
     by_evaluation = ["let evaluations end the stage, with `in evaluation` in its `until`"] if counts else []
     shorten = "shorten the time for which the success condition must be true"
     less = _exploration_changes(t, 0.1)
     remedy = " and ".join([*by_evaluation, *map(str, less)]) or shorten
-    return {"likelihood": 0.923, "without": found[0], "with": found[1], "where": f" in stage '{t.stage}'" if t.stage else "",
-            "remedy": _sentence(remedy), "settings": _settings(less)}  # fmt: skip
+    return {
+        "likelihood": 0.923,
+        "without": hidden[0],
+        "with": hidden[1],
+        "where": f" in stage '{t.stage}'" if t.stage else "",
+        "remedy": _sentence(remedy),
+        "settings": _settings(less),
+    }
 
 
 def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
     """With exploration, the policy succeeds in {with} at the end of the training. Without it, it succeeds in
-    {without}{where}: it seems to stand still or to repeat itself in some states, and only the noise on its actions leads out of them.
+    {without}{where}: it seems to stand still or to repeat itself in some states, and only the noise on its
+    actions leads out of them.
 
     Try: {advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}
     """
-    found = needs_exploration(t)
-    if found is None:
+    needed = needs_exploration(t)
+    if needed is None:
         return None
     otherwise = "If it still needs the noise then, let no action be standing still"
     if not t.facts.shows_previous_action:
@@ -489,15 +604,16 @@ def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
         **training_length(t),
         "otherwise": f"{otherwise}.",
         "likelihood": 0.923,
-        "with": found[0],
-        "without": found[1],
+        "with": needed[0],
+        "without": needed[1],
         "where": f" in stage '{t.stage}'" if t.stage else "",
     }
 
 
 def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
-    """Stage '{stage}' continued for {delay} steps after its evaluations reached {criterion}, because training episodes with exploration
-    stayed below it. In these evaluations, without exploration, the policy succeeds in {success}.
+    """Stage '{stage}' continued for {delay} steps after its evaluations reached {criterion}, because training
+    episodes with exploration stayed below it. In these evaluations, without exploration, the policy succeeds
+    in {success}.
 
     Try: Let evaluations end the stage, with `in evaluation` in its `until`.
     """
@@ -508,11 +624,19 @@ def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
             continue
         values = "successes" if until.metric == "success_rate" else "returns"
         done = [each for each in t.all_evaluations if each.get("stage") == stage.name]
-        reached = [k for k in range(len(done)) if all(fmean(each[values]) >= until.threshold for each in done[k:])]
+        reached = [
+            k for k in range(len(done)) if all(fmean(each[values]) >= until.threshold for each in done[k:])
+        ]
         delay = int(after.steps[0] - done[reached[0]]["steps"]) if reached else 0
         if delay > max(worst.get("delay", 0), 0.1 * t.planned):
             rate = EvaluationRate([each["successes"] for each in done[reached[0] :]])
-            worst = {"likelihood": 0.5, "stage": stage.name, "delay": delay, "criterion": criterion_text(until), "success": rate}
+            worst = {
+                "likelihood": 0.5,
+                "stage": stage.name,
+                "delay": delay,
+                "criterion": criterion_text(until),
+                "success": rate,
+            }
     return worst or None
 
 
@@ -521,7 +645,8 @@ def _sentence(words: str) -> str:
 
 
 class Change(NamedTuple):
-    """Another value of a setting under `train`: the path of the setting, its present value and the advised one, both as text."""
+    """Another value of a setting under `train`: the path of the setting, its present value and the advised
+    one, both as text."""
 
     path: str
     before: str
@@ -539,32 +664,40 @@ def _settings(changes: Sequence[Change]) -> dict[str, str]:
 
 def _exploration_changes(t: TrainingEvidence, factor: float) -> list[Change]:
     """How to change the options for exploration that the algorithm has."""
-    found, settings, verb = list[Change](), t.settings, "raise" if factor > 1 else "lower"
+    changes, settings, verb = list[Change](), t.settings, "raise" if factor > 1 else "lower"
     weight, chance = t.number_setting("ent_coef"), t.number_setting("exploration_final_eps")
     noise = getattr(settings.get("action_noise"), "sigma", None)
     if weight is not None and (weight or factor > 1):
-        found.append(Change("train.ent_coef", f"{weight:g}", f"{weight * factor or 0.01:.2g}", verb))
+        changes.append(Change("train.ent_coef", f"{weight:g}", f"{weight * factor or 0.01:.2g}", verb))
     elif isinstance(settings.get("ent_coef"), str):
         size = len(t.program.agent.range_names)
-        found.append(Change("train.target_entropy", f"{settings.get('target_entropy')}", f"{-size * (0.5 if factor > 1 else 2):g}"))
+        changes.append(
+            Change(
+                "train.target_entropy",
+                f"{settings.get('target_entropy')}",
+                f"{-size * (0.5 if factor > 1 else 2):g}",
+            )
+        )
     if noise is not None and (noise.end or factor > 1):
         now = f"{noise.start:g}" if noise.start == noise.end else f"{noise.start:g} -> {noise.end:g}"
-        wanted = f"{max(0.3, 2 * noise.start):.2g}" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
+        wanted = (
+            f"{max(0.3, 2 * noise.start):.2g}" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
+        )
         training = t.program.agent.training
         is_given = training is not None and training.action_noise is not None
         path, value = ("train.action_noise.sigma", wanted)
         if not is_given:
             path, value = ("train.action_noise", f"{{type: normal, sigma: {wanted}}}")
-        found.append(Change(path, now, value, verb))
+        changes.append(Change(path, now, value, verb))
     if chance is not None and (chance or factor > 1):
         wanted_chance = max(chance, min(0.3, 3 * chance or 0.1)) if factor > 1 else 0.1 * chance
-        found.append(Change("train.exploration_final_eps", f"{chance:g}", f"{wanted_chance:.2g}", verb))
-    return [change for change in found if change.after != change.before]
+        changes.append(Change("train.exploration_final_eps", f"{chance:g}", f"{wanted_chance:.2g}", verb))
+    return [change for change in changes if change.after != change.before]
 
 
 def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
-    """The policy is still random: after {updates} updates it has {randomness} its initial randomness (entropy {entropy}), with `ent_coef`
-    {weight}. The mean return of late training episodes is {late}{evaluated}.
+    """The policy is still random: after {updates} updates it has {randomness} its initial randomness (entropy
+    {entropy}), with `ent_coef` {weight}. The mean return of late training episodes is {late}{evaluated}.
 
     Try: Lower `train.ent_coef` from {weight} to {wanted}.
     """
@@ -577,11 +710,21 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
     if share < (1.2 if random is None else 0.97):
         return None
     last = fmean(t.evaluations[-1]["returns"]) if t.evaluations else None
-    return {"likelihood": 0.93 if weight >= 0.1 else 0.5, "weight": weight, "entropy": late, "share": Percentage(share),
-            "randomness": f"{Percentage(share)} of" if share < 10 else "more than 10 times",
-            "updates": len(entropy), "late": float(t.episodes_between(0.75, 1.0).returns.mean()), "last_evaluation": last,
-            "evaluated": "" if last is None else f", and that of the last evaluation, without exploration, {last:.3g}",
-            "wanted": min(0.01, 0.1 * weight), "settings": {"train.ent_coef": f"{min(0.01, 0.1 * weight):.3g}"}}  # fmt: skip
+    return {
+        "likelihood": 0.93 if weight >= 0.1 else 0.5,
+        "weight": weight,
+        "entropy": late,
+        "share": Percentage(share),
+        "randomness": f"{Percentage(share)} of" if share < 10 else "more than 10 times",
+        "updates": len(entropy),
+        "late": float(t.episodes_between(0.75, 1.0).returns.mean()),
+        "last_evaluation": last,
+        "evaluated": ""
+        if last is None
+        else f", and that of the last evaluation, without exploration, {last:.3g}",
+        "wanted": min(0.01, 0.1 * weight),
+        "settings": {"train.ent_coef": f"{min(0.01, 0.1 * weight):.3g}"},
+    }
 
 
 def _random_entropy(t: TrainingEvidence) -> float | None:
@@ -591,25 +734,47 @@ def _random_entropy(t: TrainingEvidence) -> float | None:
 
 
 def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
-    """The policy hardly explores: {measure} is {value} after {steps} steps. Below {least}, a policy finds hardly anything new.
+    """The policy hardly explores: {measure} is {value} after {steps} steps. Below {least}, a policy finds
+    hardly anything new.
 
     Try: {remedy}.
     """
     rate, more = t.number_setting("learning_rate"), _exploration_changes(t, 10.0)
-    slower = [] if rate is None else [Change("train.learning_rate", f"{rate:g}", f"{min(rate / 3, _usual_rate(t)):.1g}", "lower")]
+    slower = (
+        []
+        if rate is None
+        else [Change("train.learning_rate", f"{rate:g}", f"{min(rate / 3, _usual_rate(t)):.1g}", "lower")]
+    )
     remedy = _sentence(" or ".join(map(str, [*more, *slower])) or "raise the noise of the algorithm")
     settings = _settings(more or slower)
     sigma = getattr(getattr(t.settings.get("action_noise"), "sigma", None), "start", None)
     if sigma == 0:
-        return {"likelihood": 0.85, "measure": "the standard deviation of the action noise", "value": 0.0, "least": 0.1, "steps": t.steps,
-                "remedy": remedy, "settings": settings}  # fmt: skip
+        return {
+            "likelihood": 0.85,
+            "measure": "the standard deviation of the action noise",
+            "value": 0.0,
+            "least": 0.1,
+            "steps": t.steps,
+            "remedy": remedy,
+            "settings": settings,
+        }
     random, measures = _random_entropy(t), []
     if random is not None:
         measures.append(("the entropy of the policy", -t.curve("train/entropy_loss"), 0.05 * random))
-    for measure, curve, least in [*measures, ("the standard deviation of the actions", t.curve("train/std"), 0.05)]:
+    for measure, curve, least in [
+        *measures,
+        ("the standard deviation of the actions", t.curve("train/std"), 0.05),
+    ]:
         if len(curve) >= MIN_EPISODES and (value := float(curve[len(curve) // 2])) < least:
-            return {"likelihood": 0.6, "steps": t.steps // 2, "measure": measure, "value": value, "least": least, "remedy": remedy,
-                    "settings": settings}  # fmt: skip
+            return {
+                "likelihood": 0.6,
+                "steps": t.steps // 2,
+                "measure": measure,
+                "value": value,
+                "least": least,
+                "remedy": remedy,
+                "settings": settings,
+            }
     return None
 
 

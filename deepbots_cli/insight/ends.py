@@ -1,4 +1,5 @@
-"""Causes in the end of a training: it was too short, stopped too early, or kept another model than the best one."""
+"""Causes in the end of a training: it was too short, stopped too early, or kept another model than the best
+one."""
 
 from __future__ import annotations
 
@@ -17,14 +18,15 @@ from deepbots_cli.learning.report import longer_goal
 TOTAL_TIMESTEPS = "train.total_timesteps"
 """The setting whose new value continues a training, where the others begin another one."""
 _CLEARLY_MORE = 0.2
-"""By how much the success rates of two evaluations differ, so that the better one is not so by chance alone: with 20
-starts, which both have, the standard deviation of one rate is 0.11 at most."""
+"""By how much the success rates of two evaluations differ, so that the better one is not so by chance alone:
+with 20 starts, which both have, the standard deviation of one rate is 0.11 at most."""
 
 
 def one_ending(t: TrainingEvidence) -> Numbers | None:
     """'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.
 
-    Try: Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this ending in one of these episodes.
+    Try: Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this ending in
+    one of these episodes.
     """
     late = t.episodes_between(0.75, 1.0)
     if len(late) < MIN_EPISODES:
@@ -49,13 +51,21 @@ def stopped_early(t: TrainingEvidence) -> Numbers | None:
     Try: {advice}
     """
     result, evaluation = t.run.record.result, t.verdict.evaluation
-    if result is None or result.solved_at is None or t.is_running or t.verdict.solved is not False or evaluation is None:
+    if (
+        result is None
+        or result.solved_at is None
+        or t.is_running
+        or t.verdict.solved is not False
+        or evaluation is None
+    ):
         return None
     if t.steps > 0.95 * t.run.record.total_timesteps or needs_exploration(t) is not None:
         return None
     reason = "because a confirmation, of new episodes without exploration, met `solved`"
     if result.confirmed_at is None:
-        reason = "because its own episodes met `solved`: an earlier version did not confirm this with new starts"
+        reason = (
+            "because its own episodes met `solved`: an earlier version did not confirm this with new starts"
+        )
     return {
         **training_length(t, t.run.record.total_timesteps),
         "likelihood": 0.9,
@@ -67,14 +77,20 @@ def stopped_early(t: TrainingEvidence) -> Numbers | None:
 
 
 def kept_by_return(t: TrainingEvidence) -> Numbers | None:
-    """The kept model is not the one that succeeds most: after {kept_at} steps it succeeded in {kept} of its evaluation,
-    and the model after {best_at} steps in {best}. It was chosen by its return, {kept_return} against {best_return}.
+    """The kept model is not the one that succeeds most: after {kept_at} steps it succeeded in {kept} of its
+    evaluation, and the model after {best_at} steps in {best}. It was chosen by its return, {kept_return}
+    against {best_return}.
 
     Try: {remedy}
     """
     agent, result = t.run.program.agent, t.run.record.result
     model = None if result is None else result.best_model
-    if model is None or model.measure != "mean_return" or not t.run.program.defines_success or not t.is_last_stage:
+    if (
+        model is None
+        or model.measure != "mean_return"
+        or not t.run.program.defines_success
+        or not t.is_last_stage
+    ):
         return None
     done = [each for each in t.evaluations if "steps" in each and each.get("stage", "") == t.stage]
     if len(done) < 2 or min(len(each["successes"]) for each in done) < MIN_EPISODES:
@@ -86,7 +102,10 @@ def kept_by_return(t: TrainingEvidence) -> Numbers | None:
         return None
     remedy = "Train again: this version of deepbots keeps the model that succeeds most, by new starts."
     if measure_of(agent.solved, defines_success=True) == "mean_return":
-        remedy = "Let `solved` name the success rate, such as `success_rate >= 90 % over 100 episodes`: it chooses the model."
+        remedy = (
+            "Let `solved` name the success rate, such as `success_rate >= 90 % over 100 episodes`: it"
+            " chooses the model."
+        )
     return {
         "likelihood": 0.8,
         "kept_at": int(kept["steps"]),
@@ -104,14 +123,20 @@ def _mean_return(evaluation: Mapping[str, Any]) -> float:
 
 
 def too_few_steps(t: TrainingEvidence) -> Numbers | None:
-    """{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets {planned} steps.
+    """{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets {planned}
+    steps.
 
     Try: {advice}
     """
-    length, rise, what = training_length(t), returns_rise(t), f"stage '{t.stage}'" if t.stage else "the training"
+    length = training_length(t)
+    rise = returns_rise(t)
+    what = f"stage '{t.stage}'" if t.stage else "the training"
     if rise is not None and plateau(t) is None:
         first, last, gain, chance = rise
-        mean = f"the mean return of the last quarter of {what} is {last:.3g}, {gain:.3g} above that of the first half"
+        mean = (
+            f"the mean return of the last quarter of {what} is {last:.3g}, {gain:.3g} above that of the"
+            " first half"
+        )
         return {
             **length,
             "likelihood": 0.8 if length["share"] < 0.5 else 0.65,
@@ -127,7 +152,8 @@ def too_few_steps(t: TrainingEvidence) -> Numbers | None:
 
 
 def training_length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
-    """How long a training is, and how to train on: to the `planned` steps if they are more than 1.1 times as many, else further."""
+    """How long a training is, and how to train on: to the `planned` steps if they are more than 1.1 times as
+    many, else further."""
     more = planned if planned > 1.1 * t.steps else max(t.planned, longer_goal(t.steps))
     command = f"deepbots resume {quote(str(t.run.path))} --timesteps {more:_}"
     advice = f"Continue the training with `{command}`."

@@ -1,4 +1,5 @@
-"""The table that explains an episode: why it ended, when and by how much, what it earned, and when it went wrong."""
+"""The table that explains an episode: why it ended, when and by how much, what it earned, and when it went
+wrong."""
 
 from __future__ import annotations
 
@@ -18,7 +19,15 @@ from deepbots_cli.insight.conditions import (
     missing_comparisons,
 )
 from deepbots_cli.insight.missed import inner_comparisons, missed_success, nearest_moment
-from deepbots_cli.insight.statements import MAX_LISTED, Numbers, Statement, StatementRule, list_text, quantity_text, statements_about
+from deepbots_cli.insight.statements import (
+    MAX_LISTED,
+    Numbers,
+    Statement,
+    StatementRule,
+    list_text,
+    quantity_text,
+    statements_about,
+)
 from deepbots_cli.insight.trace import Trace
 
 
@@ -29,8 +38,8 @@ def explain(trace: Trace) -> list[Statement]:
 
 def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str, Any]:
     """The explanation as a dictionary, in SI units; `margin` is how far the value was beyond the bound."""
-    said = {each.cause: each.evidence for each in statements}
-    limit, drop = said.get("truncation_limit"), said.get("critic")
+    evidence_by_cause = {each.cause: each.evidence for each in statements}
+    limit, drop = evidence_by_cause.get("truncation_limit"), evidence_by_cause.get("critic")
     return {
         "episode": trace.title,
         "scenario": trace.program.name,
@@ -64,19 +73,29 @@ def ending(trace: Trace) -> Numbers | None:
     if trace.outcome not in _WORDS:
         return None
     of = f" (agent {trace.agent})" if trace.agent else ""
-    return {"what": f"{trace.title[0].upper()}{trace.title[1:]}{of}", "outcome": _WORDS[trace.outcome], "ending": trace.ended_by or "",
-            "steps": trace.steps, "time": trace.time, "seconds": _seconds(trace.time)}  # fmt: skip
+    return {
+        "what": f"{trace.title[0].upper()}{trace.title[1:]}{of}",
+        "outcome": _WORDS[trace.outcome],
+        "ending": trace.ended_by or "",
+        "steps": trace.steps,
+        "time": trace.time,
+        "seconds": _seconds(trace.time),
+    }
 
 
 def error(trace: Trace) -> Numbers | None:
     """After {steps} steps, at {seconds}, {what} stopped with an error: {error}."""
-    return {"what": trace.title, "error": trace.error, "steps": trace.steps, "seconds": _seconds(trace.time)} if trace.error else None
+    return (
+        {"what": trace.title, "error": trace.error, "steps": trace.steps, "seconds": _seconds(trace.time)}
+        if trace.error
+        else None
+    )
 
 
 def not_ended(trace: Trace) -> Numbers | None:
     """The actions of {what} end after {steps} steps ({seconds}), but the episode has not ended."""
-    found = {"what": trace.title, "steps": trace.steps, "seconds": _seconds(trace.time)}
-    return found if trace.outcome == "not ended" else None
+    evidence = {"what": trace.title, "steps": trace.steps, "seconds": _seconds(trace.time)}
+    return evidence if trace.outcome == "not ended" else None
 
 
 def margin(trace: Trace) -> Numbers | None:
@@ -86,7 +105,12 @@ def margin(trace: Trace) -> Numbers | None:
         return None
     value, bound = end.condition.sides
     named = f" ({bound})" if not bound[:1].isdigit() else ""
-    where = "over" if end.value > end.bound else "under" if end.value < end.bound else "away from"
+    if end.value > end.bound:
+        where = "over"
+    elif end.value < end.bound:
+        where = "under"
+    else:
+        where = "away from"
     return {
         **end.as_json(),
         "side": value,
@@ -110,14 +134,26 @@ def truncation_limit(trace: Trace) -> Numbers | None:
     limits = trace.program.truncation
     if trace.outcome not in ("time limit", "success") or trace.ended_by not in ("max_steps", "max_time"):
         return None
-    value, bound, si = (trace.steps, limits.max_steps, "") if trace.ended_by == "max_steps" else (trace.time, limits.max_time, "s")
+    value, bound, si = (
+        (trace.steps, limits.max_steps, "")
+        if trace.ended_by == "max_steps"
+        else (trace.time, limits.max_time, "s")
+    )
     unit = unit_named(si)
-    return {"condition": trace.ended_by, "value": value, "bound": bound, "margin": value - (bound or 0), "unit": si,
-            "shown": quantity_text(value, unit), "limit": quantity_text(bound or 0, unit)}  # fmt: skip
+    return {
+        "condition": trace.ended_by,
+        "value": value,
+        "bound": bound,
+        "margin": value - (bound or 0),
+        "unit": si,
+        "shown": quantity_text(value, unit),
+        "limit": quantity_text(bound or 0, unit),
+    }
 
 
 def approach(trace: Trace) -> Numbers | None:
-    """Starting at {seconds} (step {step}, {side} = {from}), it came nearer to the threshold in each of the last {steps} steps."""
+    """Starting at {seconds} (step {step}, {side} = {from}), it came nearer to the threshold in each of the
+    last {steps} steps."""
     if trace.end is None or trace.end.bound is None:
         return None
     leaf = trace.end.condition
@@ -128,8 +164,14 @@ def approach(trace: Trace) -> Numbers | None:
         start -= 1
     if start >= len(margins) - 2:
         return None
-    return {"step": start, "steps": len(margins) - 1 - start, "at": trace.time_at(start), "seconds": _seconds(trace.time_at(start)),
-            "from": _shown(trace, leaf, past[start].value), "side": leaf.sides[0]}  # fmt: skip
+    return {
+        "step": start,
+        "steps": len(margins) - 1 - start,
+        "at": trace.time_at(start),
+        "seconds": _seconds(trace.time_at(start)),
+        "from": _shown(trace, leaf, past[start].value),
+        "side": leaf.sides[0],
+    }
 
 
 def nearest(trace: Trace) -> Numbers | None:
@@ -141,19 +183,29 @@ def nearest(trace: Trace) -> Numbers | None:
     fewest = min(map(len, missing))
     if not fewest:  # all of it held, in a step that a failure ended
         return None
-    # What is missing last decides: at the start most successes lack time or distance, which the episode gains later.
+    # What is missing last decides: at the start most successes lack time or distance, which the episode gains
+    # later.
     leaf = next(leaves for leaves in reversed(missing) if len(leaves) == fewest)[0]
     never = not any(measure(leaf, values).holds for values in trace.values)
     beside = [step for step, leaves in enumerate(missing) if len(leaves) == fewest and leaf in leaves]
-    step, found = nearest_moment(trace, leaf, () if never else beside)
-    limit, value = (_shown(trace, leaf, number or 0.0) for number in (found.bound, found.value))
+    step, moment = nearest_moment(trace, leaf, () if never else beside)
+    limit, value = (_shown(trace, leaf, number or 0.0) for number in (moment.bound, moment.value))
     others = "" if never or fewest > 1 else "while the other conditions were true, "
     negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
-        needed, best = f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}", f"{others}the nearest value was {value}"
+        needed = f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}"
+        best = f"{others}the nearest value was {value}"
     else:
-        needed, best = f"`{leaf.text}` {'false' if negated else 'true'}", f"{others}it was {'true' if negated else 'false'}"
-    return {**found.as_json(), "ending": name, "needed": needed, "step": step, "best": best, "seconds": _seconds(trace.time_at(step))}
+        needed = f"`{leaf.text}` {'false' if negated else 'true'}"
+        best = f"{others}it was {'true' if negated else 'false'}"
+    return {
+        **moment.as_json(),
+        "ending": name,
+        "needed": needed,
+        "step": step,
+        "best": best,
+        "seconds": _seconds(trace.time_at(step)),
+    }
 
 
 def conditions(trace: Trace) -> Numbers | None:
@@ -162,17 +214,33 @@ def conditions(trace: Trace) -> Numbers | None:
     outer, inner = ([], []) if missed is None else (comparisons_in(missed), inner_comparisons(missed))
     if len(inner) < 2 and not any(leaf.lasting for leaf in outer):
         return None
-    found, said = [], []
+    measured, texts = [], []
     for leaf in inner:
         steps = sum(measure(leaf, values).holds for values in trace.values)
-        beside = [k for k, values in enumerate(trace.values) if steps and all(measure(o, values).holds for o in inner if o is not leaf)]
+        beside = [
+            k
+            for k, values in enumerate(trace.values)
+            if steps and all(measure(o, values).holds for o in inner if o is not leaf)
+        ]
         step, best = nearest_moment(trace, leaf, beside)
-        found.append({**best.as_json(), "step": step, "time": trace.time_at(step), "steps": steps, "beside_others": bool(beside)})
+        measured.append(
+            {
+                **best.as_json(),
+                "step": step,
+                "time": trace.time_at(step),
+                "steps": steps,
+                "beside_others": bool(beside),
+            }
+        )
         value, bound = _shown(trace, leaf, best.value), _shown(trace, leaf, best.bound or 0.0)
         during = " while the others were true" if beside and len(inner) > 1 else ""
-        came = f" (nearest value{during}: {value} at {_seconds(trace.time_at(step))}, threshold {bound})" if leaf.bound else ""
-        said.append(f"`{leaf.text}` was true in {steps} of {len(trace.values)} moments{came}")
-    return {"ending": name, "conditions": found, "parts": "; ".join(said)}
+        came = (
+            f" (nearest value{during}: {value} at {_seconds(trace.time_at(step))}, threshold {bound})"
+            if leaf.bound
+            else ""
+        )
+        texts.append(f"`{leaf.text}` was true in {steps} of {len(trace.values)} moments{came}")
+    return {"ending": name, "conditions": measured, "parts": "; ".join(texts)}
 
 
 def terms(trace: Trace) -> Numbers | None:
@@ -181,14 +249,22 @@ def terms(trace: Trace) -> Numbers | None:
         return None
     sums = {name: float(np.nansum(values)) for name, values in trace.terms.items()}
     whole = sum(map(abs, sums.values()))
-    shares = {name: abs(sums[name]) / whole if whole else 0.0 for name in sorted(sums, key=lambda name: -abs(sums[name]))}
-    return {"return": trace.returns, "total": f"{trace.returns:.4g}", "terms": sums, "shares": shares,
-            "parts": list_text([f"{name} {sums[name]:+.4g} ({share:.0%})" for name, share in shares.items()])}  # fmt: skip
+    shares = {
+        name: abs(sums[name]) / whole if whole else 0.0
+        for name in sorted(sums, key=lambda name: -abs(sums[name]))
+    }
+    return {
+        "return": trace.returns,
+        "total": f"{trace.returns:.4g}",
+        "terms": sums,
+        "shares": shares,
+        "parts": list_text([f"{name} {sums[name]:+.4g} ({share:.0%})" for name, share in shares.items()]),
+    }
 
 
 def concentrated_rewards(trace: Trace) -> Numbers | None:
     """At least 80% of a large reward term came from a part of the episode: {parts}."""
-    whole, found = sum(abs(float(np.nansum(values))) for values in trace.terms.values()), {}
+    whole, concentrated = sum(abs(float(np.nansum(values))) for values in trace.terms.values()), {}
     for name, values in trace.terms.items():
         total = float(np.nansum(values))
         grown = np.concatenate([[0.0], np.cumsum(np.maximum(0.0, np.nan_to_num(values) * np.sign(total)))])
@@ -196,47 +272,70 @@ def concentrated_rewards(trace: Trace) -> Numbers | None:
         lengths = np.where(ends <= trace.steps, ends - np.arange(len(ends)), trace.steps + 1)
         first = int(np.argmin(lengths)) if trace.steps else 0
         if whole and abs(total) >= 0.25 * whole and lengths[first] <= 0.78 * trace.steps:
-            found[name] = [trace.time_at(first), trace.time_at(int(ends[first]))]
-    parts = [f"{name} from {_seconds(begin)} to {_seconds(end)}" for name, (begin, end) in found.items()]
-    return {"spans": found, "parts": list_text(parts)} if found else None
+            concentrated[name] = [trace.time_at(first), trace.time_at(int(ends[first]))]
+    parts = [
+        f"{name} from {_seconds(begin)} to {_seconds(end)}" for name, (begin, end) in concentrated.items()
+    ]
+    return {"spans": concentrated, "parts": list_text(parts)} if concentrated else None
 
 
 def critic(trace: Trace) -> Numbers | None:
-    """The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {left} steps before the end."""
+    """The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {left} steps before
+    the end."""
     if trace.critic is None or len(trace.critic) < 2 or np.diff(trace.critic).min() >= 0:
         return None
     step = int(np.argmin(np.diff(trace.critic))) + 1
     before, after = (float(trace.critic[place]) for place in (step - 1, step))
-    return {"step": step, "at": trace.time_at(step), "seconds": _seconds(trace.time_at(step)), "before": before, "after": after,
-            "drop": before - after, "left": trace.steps - step}  # fmt: skip
+    return {
+        "step": step,
+        "at": trace.time_at(step),
+        "seconds": _seconds(trace.time_at(step)),
+        "before": before,
+        "after": after,
+        "drop": before - after,
+        "left": trace.steps - step,
+    }
 
 
 def unforeseen(trace: Trace) -> Numbers | None:
-    """The critic did not predict this failure: its value did not fall in any of {steps} steps, and rose from {first} to {last}."""
-    known = trace.critic
-    if trace.outcome != "failure" or known is None or len(known) < 2 or np.diff(known).min() < 0:
+    """The critic did not predict this failure: its value did not fall in any of {steps} steps, and rose from
+    {first} to {last}."""
+    critic = trace.critic
+    if trace.outcome != "failure" or critic is None or len(critic) < 2 or np.diff(critic).min() < 0:
         return None
-    return {"steps": trace.steps, "first": float(known[0]), "last": float(known[-1])}
+    return {"steps": trace.steps, "first": float(critic[0]), "last": float(critic[-1])}
 
 
 def saturation(trace: Trace) -> Numbers | None:
     """Observations at an end of their range, as a fraction of steps: {parts}."""
     numbers = trace.program.agent.numbers
     at_end = (np.abs(trace.observations) >= 1.0).mean(axis=0)
-    return _shares({n.full_name: float(at_end[place]) for place, n in enumerate(numbers) if n.clip and not n.is_truth})
+    return _shares(
+        {n.full_name: float(at_end[place]) for place, n in enumerate(numbers) if n.clip and not n.is_truth}
+    )
 
 
 def action_limits(trace: Trace) -> Numbers | None:
     """Actions at an end of their range, as a fraction of steps: {parts}."""
     at_limit = np.abs(trace.action_array("ranges")) >= 0.999
-    return _shares({name: float(at_limit[:, place].mean()) for place, name in enumerate(trace.program.agent.range_names) if trace.steps})
+    return _shares(
+        {
+            name: float(at_limit[:, place].mean())
+            for place, name in enumerate(trace.program.agent.range_names)
+            if trace.steps
+        }
+    )
 
 
-def _shares(found: Mapping[str, float]) -> Numbers | None:
+def _shares(by_name: Mapping[str, float]) -> Numbers | None:
     """Shares by name, the largest first; the sentence shows those that are not 0 %."""
-    shares = dict(sorted(found.items(), key=lambda entry: -entry[1]))
+    shares = dict(sorted(by_name.items(), key=lambda entry: -entry[1]))
     parts = [f"{name} in {share:.0%}" for name, share in shares.items() if share >= 0.005]
-    return {"shares": shares, "parts": list_text(parts[:MAX_LISTED]) if parts else "none (0%)"} if shares else None
+    return (
+        {"shares": shares, "parts": list_text(parts[:MAX_LISTED]) if parts else "none (0%)"}
+        if shares
+        else None
+    )
 
 
 def choices(trace: Trace) -> Numbers | None:
@@ -244,23 +343,53 @@ def choices(trace: Trace) -> Numbers | None:
     parts = trace.program.agent.choices
     if not parts or not trace.steps:
         return None
-    counts = [Counter(column.astype(int).tolist()).most_common() for column in trace.action_array("choices").T]
-    options = {p.name: {p.options[n].name: times / trace.steps for n, times in found} for p, found in zip(parts, counts, strict=True)}
-    said = [f"{name} {option} in {share:.0%}" for name, found in options.items() for option, share in list(found.items())[:MAX_LISTED]]
-    return {"options": options, "parts": list_text(said, len(said))}
+    counts = [
+        Counter(column.astype(int).tolist()).most_common() for column in trace.action_array("choices").T
+    ]
+    options = {
+        p.name: {p.options[n].name: times / trace.steps for n, times in times_by_option}
+        for p, times_by_option in zip(parts, counts, strict=True)
+    }
+    sentences = [
+        f"{name} {option} in {share:.0%}"
+        for name, times_by_option in options.items()
+        for option, share in list(times_by_option.items())[:MAX_LISTED]
+    ]
+    return {"options": options, "parts": list_text(sentences, len(sentences))}
 
 
 def further_endings(trace: Trace) -> Numbers | None:
     """Further endings that were also true in step {step} ({count}): {names}."""
     held = [
-        name for name, condition in trace.instrumented.conditions.items() if condition is not None and holds(condition, trace.values[-1])
+        name
+        for name, condition in trace.instrumented.conditions.items()
+        if condition is not None and holds(condition, trace.values[-1])
     ]
     also = [name for name in held if name not in (trace.ended_by, "goal_reached")]
-    return {"names": list_text(also, len(also)), "count": len(also), "step": trace.steps} if also and trace.end is not None else None
+    return (
+        {"names": list_text(also, len(also)), "count": len(also), "step": trace.steps}
+        if also and trace.end is not None
+        else None
+    )
 
 
 ROWS: tuple[StatementRule[Trace], ...] = (
-    ending, error, not_ended, margin, truth_ending, truncation_limit, further_endings, approach, nearest, conditions, terms,
-    concentrated_rewards, critic, unforeseen, saturation, choices, action_limits,
-)  # fmt: skip
+    ending,
+    error,
+    not_ended,
+    margin,
+    truth_ending,
+    truncation_limit,
+    further_endings,
+    approach,
+    nearest,
+    conditions,
+    terms,
+    concentrated_rewards,
+    critic,
+    unforeseen,
+    saturation,
+    choices,
+    action_limits,
+)
 """The statements about an episode, in this order."""

@@ -48,7 +48,9 @@ _MIN_WIDTH = 0.1  # of its longer side; of a trajectory that is narrower, the lo
 _TIME = -1  # in the place of the number of an axis
 
 
-def new_figure(theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH) -> tuple[Figure, Any]:
+def new_figure(
+    theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH
+) -> tuple[Figure, Any]:
     """A figure with rows of panels for a light or a dark background; sizes in inches."""
     from matplotlib.figure import Figure
 
@@ -63,9 +65,14 @@ def _with_legend(figure: Figure, height: float) -> Figure:
 
 
 def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
-    """Returns of training episodes, the mean over seeds with a band from the lowest to the highest, evaluations, and the teacher."""
+    """Returns of training episodes, the mean over seeds with a band from the lowest to the highest,
+    evaluations, and the teacher."""
     figure, ((panel,),) = new_figure(theme, 2.9)
-    plot_band(panel, [log.returns for log in logs if log.returns is not None], {"color": COLORS[0], "label": _episodes_label(logs)})
+    plot_band(
+        panel,
+        [log.returns for log in logs if log.returns is not None],
+        {"color": COLORS[0], "label": _episodes_label(logs)},
+    )
     plot_evaluations(panel, logs, COLORS[1], "evaluations during the training")
     for log in logs:
         plot_evaluation(panel, None, log, COLORS[1])
@@ -111,12 +118,21 @@ def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     if len(terms) < 2 or not curves:
         return None
     at = np.linspace(min(steps[0] for steps, _ in curves), max(steps[-1] for steps, _ in curves), 200)
-    at = np.union1d(at, np.concatenate([steps[np.isnan(values)] for steps, values in curves]))  # where a stage begins
-    known = [[log.terms[term] for log in logs if term in log.terms] for term in terms]
-    sizes = np.array([np.mean([np.interp(at, steps, np.abs(values)) for steps, values in each], axis=0) for each in known])
+    at = np.union1d(
+        at, np.concatenate([steps[np.isnan(values)] for steps, values in curves])
+    )  # where a stage begins
+    by_term = [[log.terms[term] for log in logs if term in log.terms] for term in terms]
+    sizes = np.array(
+        [
+            np.mean([np.interp(at, steps, np.abs(values)) for steps, values in each], axis=0)
+            for each in by_term
+        ]
+    )
     figure, ((panel,),) = new_figure(theme, 2.9)
     colors = [styles[term]["color"] for term in terms]
-    panel.stackplot(at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colors, alpha=0.85, linewidth=0)
+    panel.stackplot(
+        at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colors, alpha=0.85, linewidth=0
+    )
     panel.set_ylim(0, 1)
     return _with_legend(figure, style_panel(panel, "fraction of each reward term", theme, stages=[logs]))
 
@@ -127,11 +143,16 @@ def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
         return None
     figure, ((panel,),) = new_figure(theme, 2.9)
     plot_endings(panel, logs, ending_colors(logs))
-    return _with_legend(figure, style_panel(panel, "fraction of training episodes by ending", theme, stages=[logs]))
+    return _with_legend(
+        figure, style_panel(panel, "fraction of training episodes by ending", theme, stages=[logs])
+    )
 
 
-def starts(episodes: Sequence[Episode], effects: DrawnEffects, theme: str, *, success_defined: bool) -> Figure | None:
-    """Drawn values of evaluation episodes against the return; bars are means of parts of the range with their intervals.
+def starts(
+    episodes: Sequence[Episode], effects: DrawnEffects, theme: str, *, success_defined: bool
+) -> Figure | None:
+    """Drawn values of evaluation episodes against the return; bars are means of parts of the range with their
+    intervals.
 
     Shown are the values that have an effect; without one, those that `effects` lists first.
     """
@@ -144,21 +165,43 @@ def starts(episodes: Sequence[Episode], effects: DrawnEffects, theme: str, *, su
     for panel, value in zip(panels.flat, shown, strict=False):
         name, unit = value.name, value.label.unit
         drawn = [episode for episode in episodes if name in episode.drawn]
-        words = sorted({str(episode.drawn[name]) for episode in drawn}) if isinstance(drawn[0].drawn[name], str) else []
+        words = (
+            sorted({str(episode.drawn[name]) for episode in drawn})
+            if isinstance(drawn[0].drawn[name], str)
+            else []
+        )
 
         def place(number: float | str, words: Sequence[str] = words, unit: Unit = unit) -> float:
             return words.index(str(number)) if words else unit.from_si(float(number))
 
         at = [place(episode.drawn[name]) for episode in drawn]
-        colors = [(SUCCESS if episode.is_success else FAILURE) if success_defined else COLORS[0] for episode in drawn]
-        panel.scatter(at, [episode.total_return for episode in drawn], s=12, c=colors, alpha=0.8, linewidths=0, rasterized=len(drawn) > 300)
+        colors = [
+            (SUCCESS if episode.is_success else FAILURE) if success_defined else COLORS[0]
+            for episode in drawn
+        ]
+        panel.scatter(
+            at,
+            [episode.total_return for episode in drawn],
+            s=12,
+            c=colors,
+            alpha=0.8,
+            linewidths=0,
+            rasterized=len(drawn) > 300,
+        )
         for part in value.parts:
             low, high = place(part.low), place(part.high)
             middle, wide = (low + high) / 2, high > low
-            panel.plot((low, high) if wide else (middle - 0.02, middle + 0.02), [part.mean_return] * 2, color=THEMES[theme][1], linewidth=2)
+            panel.plot(
+                (low, high) if wide else (middle - 0.02, middle + 0.02),
+                [part.mean_return] * 2,
+                color=THEMES[theme][1],
+                linewidth=2,
+            )
             if part.return_interval is not None:
                 panel.plot([middle] * 2, part.return_interval, color=THEMES[theme][1], linewidth=1)
-        style_panel(panel, "", theme, legend=False, axes=(name if unit == ONE else f"{name}, {unit.text}", "return"))
+        style_panel(
+            panel, "", theme, legend=False, axes=(name if unit == ONE else f"{name}, {unit.text}", "return")
+        )
         panel.locator_params(axis="x", nbins=_MAX_TICKS)
         if words:
             panel.set_xticks(range(len(words)), [word[:12] for word in words], parse_math=False)
@@ -168,12 +211,17 @@ def starts(episodes: Sequence[Episode], effects: DrawnEffects, theme: str, *, su
 
 
 def trajectories(
-    shown: Sequence[ReportEpisode], moving: Moving, world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str
+    shown: Sequence[ReportEpisode],
+    moving: Moving,
+    world: WorldModel,
+    fixed: Sequence[Sequence[Triple]],
+    theme: str,
 ) -> Figure:
-    """Trajectories of the parts that move, from above, and from the side where they climb; along a line, over time.
+    """Trajectories of the parts that move, from above, and from the side where they climb; along a line, over
+    time.
 
-    The first part is drawn as a line, others and moving targets in dots, a target that stands still as a star. `fixed` are the outlines of
-    objects that stand still.
+    The first part is drawn as a line, others and moving targets in dots, a target that stands still as a
+    star. `fixed` are the outlines of objects that stand still.
     """
     tracks = [each.positions[part] for each in shown for part in moving.parts if part in each.positions]
     spans = np.max([np.nanmax(track, axis=0) - np.nanmin(track, axis=0) for track in tracks], axis=0)
@@ -186,7 +234,9 @@ def trajectories(
     limits = [_limits(np.concatenate(tracks + targets), plane, world, fixed) for plane in planes]
     width = (_WIDE_WIDTH - 1.0) / len(planes)
     height = max(width * (high[1] - low[1]) / (high[0] - low[0]) for low, high in limits)
-    figure, (panels,) = new_figure(theme, min(6.0, max(1.8, 1.3 + height)), columns=len(planes), width=_WIDE_WIDTH)
+    figure, (panels,) = new_figure(
+        theme, min(6.0, max(1.8, 1.3 + height)), columns=len(planes), width=_WIDE_WIDTH
+    )
     for panel, plane, (low, high) in zip(panels, planes, limits, strict=True):
         if plane == (0, 1):
             _draw_surroundings(panel, world, fixed, theme)
@@ -197,7 +247,9 @@ def trajectories(
     return _with_titles(figure, panels[0], theme)
 
 
-def _over_time(shown: Sequence[ReportEpisode], moving: Moving, axis: int, timestep: float, theme: str) -> Figure:
+def _over_time(
+    shown: Sequence[ReportEpisode], moving: Moving, axis: int, timestep: float, theme: str
+) -> Figure:
     """One coordinate of the parts that move, over time: from above, a motion along a line is a line."""
     figure, ((panel,),) = new_figure(theme, 3.0, width=_WIDE_WIDTH)
     _draw_episodes(panel, (_TIME, axis), shown, moving, timestep, theme)
@@ -209,21 +261,44 @@ def _with_titles(figure: Figure, panel: Any, theme: str) -> Figure:
     """The figure with the titles of its episodes below."""
     ground, text, grid = THEMES[theme]
     handles, titles = panel.get_legend_handles_labels()
-    box = figure.legend(handles, titles, loc="outside lower center", fontsize=8, labelcolor=text, facecolor=ground, edgecolor=grid)
+    box = figure.legend(
+        handles,
+        titles,
+        loc="outside lower center",
+        fontsize=8,
+        labelcolor=text,
+        facecolor=ground,
+        edgecolor=grid,
+    )
     for entry in box.get_texts():
         entry.set_parse_math(False)
     return figure
 
 
-def _draw_episodes(panel: Any, plane: tuple[int, int], shown: Sequence[ReportEpisode], moving: Moving, timestep: float, theme: str) -> None:
+def _draw_episodes(
+    panel: Any,
+    plane: tuple[int, int],
+    shown: Sequence[ReportEpisode],
+    moving: Moving,
+    timestep: float,
+    theme: str,
+) -> None:
     """All episodes, those with a label above the others."""
     labeled = [each for each in shown if each.label]
     for each in [*(each for each in shown if not each.label), *labeled]:
-        _draw_episode(panel, plane, each, moving, COLORS[labeled.index(each) if each.label else 6], timestep, theme)
+        _draw_episode(
+            panel, plane, each, moving, COLORS[labeled.index(each) if each.label else 6], timestep, theme
+        )
 
 
 def _draw_episode(
-    panel: Any, plane: tuple[int, int], shown: ReportEpisode, moving: Moving, color: str, timestep: float, theme: str
+    panel: Any,
+    plane: tuple[int, int],
+    shown: ReportEpisode,
+    moving: Moving,
+    color: str,
+    timestep: float,
+    theme: str,
 ) -> None:
     ground = THEMES[theme][0]
     width, alpha = (2.0, 1.0) if shown.label else (0.9, 0.7)
@@ -234,12 +309,32 @@ def _draw_episode(
         xs, ys = (timestep * np.arange(len(points)) if axis == _TIME else points[:, axis] for axis in plane)
         is_target, is_first = part in moving.targets, _base(part) == _base(moving.parts[0])
         if is_target:
-            panel.plot(xs[-1:], ys[-1:], "*", color=color, markersize=9, alpha=alpha, markeredgecolor=ground, markeredgewidth=0.5)
+            panel.plot(
+                xs[-1:],
+                ys[-1:],
+                "*",
+                color=color,
+                markersize=9,
+                alpha=alpha,
+                markeredgecolor=ground,
+                markeredgewidth=0.5,
+            )
         if not is_target or has_moved(shown.positions[part]):
-            style = {"linestyle": "-", "linewidth": width} if is_first else {"linestyle": ":", "linewidth": 1.2}
-            panel.plot(xs, ys, color=color, alpha=alpha, label=shown.title if shown.label and part == moving.parts[0] else "", **style)
+            style = (
+                {"linestyle": "-", "linewidth": width} if is_first else {"linestyle": ":", "linewidth": 1.2}
+            )
+            panel.plot(
+                xs,
+                ys,
+                color=color,
+                alpha=alpha,
+                label=shown.title if shown.label and part == moving.parts[0] else "",
+                **style,
+            )
         if not is_target:
-            panel.plot(xs[:1], ys[:1], "o", color=color, markerfacecolor=ground, markersize=5 if is_first else 3)
+            panel.plot(
+                xs[:1], ys[:1], "o", color=color, markerfacecolor=ground, markersize=5 if is_first else 3
+            )
         if is_first:
             panel.plot(xs[-1:], ys[-1:], "o" if shown.is_success else "X", color=color, markersize=6)
 
@@ -262,14 +357,17 @@ def _draw_surroundings(panel: Any, world: WorldModel, fixed: Sequence[Sequence[T
         panel.fill([x for x, _, _ in outline], [y for _, y, _ in outline], color=grid, alpha=0.5, linewidth=0)
 
 
-def _limits(points: Any, plane: tuple[int, int], world: WorldModel, fixed: Sequence[Sequence[Triple]]) -> tuple[Any, Any]:
+def _limits(
+    points: Any, plane: tuple[int, int], world: WorldModel, fixed: Sequence[Sequence[Triple]]
+) -> tuple[Any, Any]:
     """What is seen: the surroundings of points (n, 3), with objects that reach into them.
 
     It is the arena, from above, where the points take more than a third of it.
     """
     low, high = np.nanmin(points, axis=0)[list(plane)], np.nanmax(points, axis=0)[list(plane)]
     if plane == (0, 1) and world.arena is not None and ((high - low) > np.array(world.arena.size) / 3).any():
-        low, high = np.minimum(low, -np.array(world.arena.size) / 2), np.maximum(high, np.array(world.arena.size) / 2)
+        low = np.minimum(low, -np.array(world.arena.size) / 2)
+        high = np.maximum(high, np.array(world.arena.size) / 2)
     if plane == (0, 1):
         for outline in map(np.array, fixed):
             start, end = outline[:, :2].min(axis=0), outline[:, :2].max(axis=0)
@@ -287,6 +385,10 @@ def outline(shape: Any, pose: Frame) -> list[Triple]:
     corners: list[Triple] = list(product(*zip(low, high, strict=True)))  # type: ignore[arg-type]
     if isinstance(shape, Sphere | Cylinder):
         turns = [math.tau * number / 24 for number in range(24)]
-        corners = [(high[0] * math.cos(turn), high[1] * math.sin(turn), z) for turn in turns for z in (low[2], high[2])]
+        corners = [
+            (high[0] * math.cos(turn), high[1] * math.sin(turn), z)
+            for turn in turns
+            for z in (low[2], high[2])
+        ]
     points = [frames.add(pose[0], frames.rotate(pose[1], corner)) for corner in corners]
     return [points[number] for number in ConvexHull([point[:2] for point in points]).vertices]

@@ -1,7 +1,7 @@
 """The tables of `deepbots inspect`: the values of a compiled scenario, a run or a robot file.
 
-A table is a list of rows, or one row; values are in SI units. Expressions are shown as the scenario writes them: the tree `root` holds its
-text.
+A table is a list of rows, or one row; values are in SI units. Expressions are shown as the scenario writes
+them: the tree `root` holds its text.
 """
 
 from __future__ import annotations
@@ -29,7 +29,16 @@ from deepbots_cli.learning.sb3.defaults import EffectiveHyperparameter, effectiv
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.resets import OfSensor, RandomizedParameter
-from deepbots_cli.program.robots import Actuator, Cartesian, MessageField, MessageLayout, NoiseModel, Robot, Route, Thrust
+from deepbots_cli.program.robots import (
+    Actuator,
+    Cartesian,
+    MessageField,
+    MessageLayout,
+    NoiseModel,
+    Robot,
+    Route,
+    Thrust,
+)
 from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile
@@ -46,7 +55,9 @@ _DIGITS = 6
 _FAULTS = ("noise", "bias", "drift", "range", "resolution", "period", "latency")
 
 
-def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learner: Sequence[str] = ()) -> Tables:
+def scenario_tables(
+    scenario: Program, root: Node, run: Run | None = None, learner: Sequence[str] = ()
+) -> Tables:
     """The tables of a compiled scenario, and of the run that it comes from; empty ones are left out.
 
     `learner` are the reasons for a learner that deepbots chose.
@@ -57,7 +68,11 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learn
             "run": _run(run) if run else {},
             "scenario": _scenario(scenario),
             "drawn": [
-                {"drawn": entry.what.replace("_", " "), "of": ".".join(filter(None, entry.of)), "from": _draws(entry)}
+                {
+                    "drawn": entry.what.replace("_", " "),
+                    "of": ".".join(filter(None, entry.of)),
+                    "from": _draws(entry),
+                }
                 for entry in scenario.reset.variations
             ],
             "robots": [
@@ -70,33 +85,61 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learn
                 }
                 for body in scenario.world.robots
             ],
-            "joints": [{"robot": body.name, **_joint(joint)} for body in scenario.world.robots for joint in body.model.joints],
+            "joints": [
+                {"robot": body.name, **_joint(joint)}
+                for body in scenario.world.robots
+                for joint in body.model.joints
+            ],
             "objects": _objects(scenario),
             "parameters": _parameters(scenario, root),
             "sensors": _sensors(scenario, root),
-            "actuators": [row for robot in scenario.robots for actuator in robot.actuators for row in _driven_parts(robot.name, actuator)],
+            "actuators": [
+                row
+                for robot in scenario.robots
+                for actuator in robot.actuators
+                for row in _driven_parts(robot.name, actuator)
+            ],
             "messages": [_message(layout, scenario.format) for layout in _layouts(scenario)],
-            "message_fields": [_field(layout, field) for layout in _layouts(scenario) for field in layout.fields],
+            "message_fields": [
+                _field(layout, field) for layout in _layouts(scenario) for field in layout.fields
+            ],
             "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
             "action": [_action(part) for part in scenario.agent.action],
             "signals": _signals(scenario, root),
             "goal": {key: text for key, text in goal.items() if text} if scenario.agent.goal else {},
             "observation": _observation(scenario),
             "timing": timing(scenario),
-            "reward": [{"term": term.name, "is": text_at(root, "reward", term.name)} for term in scenario.agent.reward],
+            "reward": [
+                {"term": term.name, "is": text_at(root, "reward", term.name)}
+                for term in scenario.agent.reward
+            ],
             "endings": [
-                {"ending": ending.name, "outcome": outcome, "when": text_at(root, "termination", outcome, ending.name)}
+                {
+                    "ending": ending.name,
+                    "outcome": outcome,
+                    "when": text_at(root, "termination", outcome, ending.name),
+                }
                 for ending in scenario.endings
                 for outcome in ["success" if ending.name in scenario.agent.success else "failure"]
             ],
             "reset": _reset(scenario, root),
-            "cases": [{"case": case.name, "set": text_at(root, "evaluation", "cases", case.name, "set")} for case in scenario.cases],
+            "cases": [
+                {"case": case.name, "set": text_at(root, "evaluation", "cases", case.name, "set")}
+                for case in scenario.cases
+            ],
             "curriculum": [
-                {"stage": stage.name, **{key: text_at(root, "curriculum", index, key) for key in ("set", "until")}}
+                {
+                    "stage": stage.name,
+                    **{key: text_at(root, "curriculum", index, key) for key in ("set", "until")},
+                }
                 for index, stage in enumerate(scenario.curriculum)
             ],
             "scripts": [
-                {"script": script.name, "action": part.name, "is": text_at(root, "scripts", script.name, part.name)}
+                {
+                    "script": script.name,
+                    "action": part.name,
+                    "is": text_at(root, "scripts", script.name, part.name),
+                }
                 for script in scenario.agent.scripts
                 for part in scenario.agent.action
             ],
@@ -106,7 +149,8 @@ def scenario_tables(scenario: Program, root: Node, run: Run | None = None, learn
 
 
 def in_written_units(tables: Tables, scenario: Program, root: Node) -> Tables:
-    """The tables in the words of the file: draws as it writes them, and ranges of observations and actions in its units."""
+    """The tables in the words of the file: draws as it writes them, and ranges of observations and actions in
+    its units."""
     units = ShownUnits(root)
 
     def converted(row: Row) -> Row:
@@ -125,7 +169,10 @@ def in_written_units(tables: Tables, scenario: Program, root: Node) -> Tables:
     drawn = tables.get("drawn", [])
     assert isinstance(drawn, list)
     pairs = zip(drawn, scenario.reset.variations, strict=False)
-    written = [row if entry.what == "color" else {**row, "from": " ".join(entry.value.text.split())} for row, entry in pairs]
+    written = [
+        row if entry.what == "color" else {**row, "from": " ".join(entry.value.text.split())}
+        for row, entry in pairs
+    ]
     return {**tables, **changed, **({"drawn": written} if written else {})}
 
 
@@ -231,7 +278,11 @@ def _law(joint: Joint) -> str:
     """`-1 * left + 0.01` for a joint that follows another one."""
     if joint.mimic is None:
         return ""
-    offset = f" {'-' if joint.mimic.offset < 0.0 else '+'} {abs(joint.mimic.offset):.4g}" if joint.mimic.offset else ""
+    offset = (
+        f" {'-' if joint.mimic.offset < 0.0 else '+'} {abs(joint.mimic.offset):.4g}"
+        if joint.mimic.offset
+        else ""
+    )
     return f"{joint.mimic.multiplier:.4g} * {joint.mimic.joint}{offset}"
 
 
@@ -242,11 +293,11 @@ def _run(run: Run) -> Row:
     """What a run is, and how far its training has come; steps count over all copies of the environment."""
     record, result, best = run.record, run.record.result, run.model("best")
     verdict = {True: "yes", False: "no", None: "unknown"}[run_verdict(run.path, record).solved]
-    known = ("status", "source", "seed", "engine", "deepbots", "started", "updated", "total_timesteps")
+    fields = ("status", "source", "seed", "engine", "deepbots", "started", "updated", "total_timesteps")
     return {
         "run": str(run.path),
         "command": " ".join(record.command),
-        **{name: getattr(record, name) for name in known},
+        **{name: getattr(record, name) for name in fields},
         **{name: result and getattr(result, name) for name in ("steps", "episodes", "mean_return")},
         "success_rate": result.success_rate if result and run.program.defines_success else None,
         "best_model": str(best) if best.is_file() else None,
@@ -296,16 +347,31 @@ def _space(scenario: Program) -> str:
     width = len(scenario.agent.range_names)
     spaces = [f"Box({width})"] if width else []
     if sizes:
-        spaces.append(f"Discrete({sizes[0]})" if len(sizes) == 1 else f"MultiDiscrete({', '.join(map(str, sizes))})")
+        spaces.append(
+            f"Discrete({sizes[0]})" if len(sizes) == 1 else f"MultiDiscrete({', '.join(map(str, sizes))})"
+        )
     return " and ".join(spaces)
 
 
 def _objects(scenario: Program) -> list[Row]:
     rows: list[Row] = []
     for body in scenario.world.objects:
-        drawn = {entry.what: _draws(entry) for entry in scenario.reset.variations if entry.of == (body.name, "")}
-        row = {"object": body.name, "shape": type(body.shape).__name__.lower(), "mass_kg": drawn.get("mass", body.mass)}
-        rows.append(row | {"fixed": body.fixed, "solid": body.solid, "friction": drawn.get("lateral_friction", body.friction)})
+        drawn = {
+            entry.what: _draws(entry) for entry in scenario.reset.variations if entry.of == (body.name, "")
+        }
+        row = {
+            "object": body.name,
+            "shape": type(body.shape).__name__.lower(),
+            "mass_kg": drawn.get("mass", body.mass),
+        }
+        rows.append(
+            row
+            | {
+                "fixed": body.fixed,
+                "solid": body.solid,
+                "friction": drawn.get("lateral_friction", body.friction),
+            }
+        )
     return rows
 
 
@@ -319,11 +385,21 @@ def _draws(entry: RandomizedParameter) -> str:
 def _parameters(scenario: Program, root: Node) -> list[Row]:
     often: dict[str, str] = {}
     for entry in scenario.parameters:
-        reads = {often.get(leaf.name, "in every episode") for value in entry.scalars for leaf in names_in(value)}
+        reads = {
+            often.get(leaf.name, "in every episode") for value in entry.scalars for leaf in names_in(value)
+        }
         is_new = entry.redraw or reads - {"in every episode"}
-        often[entry.name] = "repeatedly" if entry.period else "in every step" if is_new else "in every episode"
+        if entry.period:
+            often[entry.name] = "repeatedly"
+        elif is_new:
+            often[entry.name] = "in every step"
+        else:
+            often[entry.name] = "in every episode"
     names = entries_at(root, "parameters")
-    return [{"parameter": name, "value": text_at(root, "parameters", name), "drawn": often.get(name, "never")} for name in names]
+    return [
+        {"parameter": name, "value": text_at(root, "parameters", name), "drawn": often.get(name, "never")}
+        for name in names
+    ]
 
 
 def _sensors(scenario: Program, root: Node) -> list[Row]:
@@ -334,7 +410,10 @@ def _sensors(scenario: Program, root: Node) -> list[Row]:
             "type": sensor.kind,
             "of": list(sensor.subjects),
             "unit": sensor.unit,
-            **{fault: text_at(root, "robots", robot.name.partition("#")[0], "sensors", sensor.name, fault) for fault in _FAULTS},
+            **{
+                fault: text_at(root, "robots", robot.name.partition("#")[0], "sensors", sensor.name, fault)
+                for fault in _FAULTS
+            },
         }
         for robot in scenario.robots
         for sensor in robot.sensors
@@ -345,37 +424,56 @@ def _driven_parts(robot: str, actuator: Actuator) -> list[Row]:
     """One row for each part that an actuator drives; all have the same columns."""
     parts: Iterable[tuple[str, float | None, float | None]]
     if isinstance(actuator, Thrust):
-        kind, parts, thrust = "thrust", ((link, None, None) for link in actuator.links), [actuator.low, actuator.high]
+        kind = "thrust"
+        parts = ((link, None, None) for link in actuator.links)
+        thrust = [actuator.low, actuator.high]
     else:
         kind, thrust = "cartesian" if isinstance(actuator, Cartesian) else actuator.kind, None
         parts = zip(actuator.joints, actuator.max_torque, actuator.max_velocity, strict=True)
     response = actuator.response
     strength = response.strength if response.strength != 1.0 else None
-    answers: Row = {"strength": strength, "delay_s": response.delay or None, "time_constant_s": response.time_constant or None}
-    known: Row = {"robot": robot, "actuator": actuator.name, "type": kind}
+    answers: Row = {
+        "strength": strength,
+        "delay_s": response.delay or None,
+        "time_constant_s": response.time_constant or None,
+    }
+    described: Row = {"robot": robot, "actuator": actuator.name, "type": kind}
     return [
-        {**known, "part": part, "max_torque": torque, "max_velocity": speed, "thrust": thrust, **answers} for part, torque, speed in parts
+        {**described, "part": part, "max_torque": torque, "max_velocity": speed, "thrust": thrust, **answers}
+        for part, torque, speed in parts
     ]
 
 
 def end_links(scenario: Program) -> list[tuple[str, str]]:
-    """Robots and their links whose pose at the start is of interest: those that `cartesian` actuators or position sensors name.
+    """Robots and their links whose pose at the start is of interest: those that `cartesian` actuators or
+    position sensors name.
 
     Of a robot without any, the last links that a joint carries which the reset sets.
     """
-    found: list[tuple[str, str]] = []
+    links: list[tuple[str, str]] = []
     models = {body.name: body.model for body in scenario.world.robots}
     for robot in scenario.robots:
         model = models[robot.name]
         named = [actuator.link for actuator in robot.actuators if isinstance(actuator, Cartesian)]
-        named += [link for sensor in robot.sensors if sensor.kind == "position" for link in sensor.subjects if link != model.root]
+        named += [
+            link
+            for sensor in robot.sensors
+            if sensor.kind == "position"
+            for link in sensor.subjects
+            if link != model.root
+        ]
         if not named:
-            placed = [model.joint(joint) for start in scenario.reset.joint_starts if start.robot == robot.name for joint in start.joints]
+            placed = [
+                model.joint(joint)
+                for start in scenario.reset.joint_starts
+                if start.robot == robot.name
+                for joint in start.joints
+            ]
             parents = {joint.parent for joint in model.joints}
             leaves = [link.name for link in model.links if link.name not in parents]
             named = [leaf for leaf in leaves if any(joint_moves_link(model, joint, leaf) for joint in placed)]
-        found += [(robot.name, link) for link in dict.fromkeys(named)]
-    return found
+        links += [(robot.name, link) for link in dict.fromkeys(named)]
+    return links
 
 
 def poses(environment: Supervisor, links: list[tuple[str, str]]) -> list[Row]:
@@ -420,14 +518,24 @@ def message_size(layout: MessageLayout, format: str) -> int | None:
         return 4 + sum(sizes)
     if format == "msgpack":
         head = 1 if len(sizes) < 15 else 3
-        stamp = next(size for size, end in ((1, 2**7), (2, 2**8), (3, 2**16), (5, 2**32)) if layout.layout_hash < end)
+        stamp = next(
+            size for size, end in ((1, 2**7), (2, 2**8), (3, 2**16), (5, 2**32)) if layout.layout_hash < end
+        )
         return head + stamp + sum(size + _msgpack_head(size) for size in sizes)
     return None
 
 
 def _msgpack_head(size: int) -> int:
     """Bytes before a truth value (1 byte, which is its own head), a number (8), or a picture."""
-    return 0 if size == 1 else 1 if size == 8 else 2 if size < 2**8 else 3 if size < 2**16 else 5
+    if size == 1:
+        return 0
+    if size == 8:
+        return 1
+    if size < 2**8:
+        return 2
+    if size < 2**16:
+        return 3
+    return 5
 
 
 def _size(field: MessageField) -> int:
@@ -448,15 +556,26 @@ def _field(layout: MessageLayout, field: MessageField) -> Row:
 
 def _route(root: Node, direction: str) -> list[Row]:
     """What the scenario says about the way of messages, if anything."""
-    row: Row = {key: text_at(root, "messages", direction, key) for key in ("latency", "loss", "burst", "range", "order", "on_loss")}
+    row: Row = {
+        key: text_at(root, "messages", direction, key)
+        for key in ("latency", "loss", "burst", "range", "order", "on_loss")
+    }
     return [{"direction": direction.replace("_", " "), **row}] if any(row.values()) else []
 
 
 def _action(part: Choices | ActionRange) -> Row:
     if isinstance(part, ActionRange):
-        return {"action": part.name, "kind": "range", "of": list(part.components), "low": part.low, "high": part.high, "unit": part.unit}
+        return {
+            "action": part.name,
+            "kind": "range",
+            "of": list(part.components),
+            "low": part.low,
+            "high": part.high,
+            "unit": part.unit,
+        }
     options = (
-        f"{option.name} ({', '.join(f'{name} = {value:g}' for name, value in zip(part.variables, option.values, strict=True))})"
+        f"{option.name}"
+        f" ({', '.join(f'{name} = {value:g}' for name, value in zip(part.variables, option.values, strict=True))})"
         for option in part.options
     )
     return {"action": part.name, "kind": "choice", "options": " | ".join(options)}
@@ -468,7 +587,11 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
     rows: list[Row] = []
     for entry in scenario.signals:
         augmented = text_at(root, "augment", entry.name, "value") or text_at(root, "augment", entry.name)
-        row: Row = {"signal": entry.name, "components": list(entry.components), "is": augmented or text_at(root, "signals", entry.name)}
+        row: Row = {
+            "signal": entry.name,
+            "components": list(entry.components),
+            "is": augmented or text_at(root, "signals", entry.name),
+        }
         noise = {"noise": text_at(root, "augment", entry.name, "noise")} if has_noise else {}
         rows.append({**row, **noise, "policy_may_see_it": bool(augmented) or entry.name in observed})
     return rows
@@ -480,17 +603,33 @@ def _observation(scenario: Program) -> list[Row]:
     remembers = any(ago for _, ago in seen)
     rows: list[Row] = []
     for index, (entry, ago) in enumerate(seen):
-        row: dict[str, object] = {"index": index, "name": entry.full_name, **({"steps_ago": ago} if remembers else {})}
+        row: dict[str, object] = {
+            "index": index,
+            "name": entry.full_name,
+            **({"steps_ago": ago} if remembers else {}),
+        }
         row |= {"low": entry.low, "high": entry.high, "unit": entry.unit}
-        rows.append(row | {"seen_as": "0 or 1" if entry.is_truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped"})
+        rows.append(
+            row
+            | {"seen_as": "0 or 1" if entry.is_truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped"}
+        )
     images = [(entry.key, _image_size_text(entry, scenario)) for entry in scenario.agent.images]
     return rows + [{"index": None, "name": key, "seen_as": f"{size} of 0 .. 255"} for key, size in images]
 
 
 def _reset(scenario: Program, root: Node) -> list[Row]:
-    settle: list[Row] = [{"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"}] if scenario.reset.settle else []
-    entries = [(section, name) for section in ("place", "joints") for name in entries_at(root, "reset", section)]
-    return [{"reset": section, "of": name, "to": text_at(root, "reset", section, name)} for section, name in entries] + settle
+    settle: list[Row] = (
+        [{"reset": "settle", "of": "everything", "to": f"{scenario.reset.settle:g} s"}]
+        if scenario.reset.settle
+        else []
+    )
+    entries = [
+        (section, name) for section in ("place", "joints") for name in entries_at(root, "reset", section)
+    ]
+    return [
+        {"reset": section, "of": name, "to": text_at(root, "reset", section, name)}
+        for section, name in entries
+    ] + settle
 
 
 def _training(scenario: Program, root: Node, run: Run | None, learner: Sequence[str]) -> Tables:
@@ -506,14 +645,22 @@ def _training(scenario: Program, root: Node, run: Run | None, learner: Sequence[
     total = run.record.total_timesteps if run else training.total_timesteps
     network = {"network.hidden": training.network.hidden, "network.activation": training.network.activation}
     rows = [
-        EffectiveHyperparameter(name, value, source(name)) for name, value in {"environments": training.environments, **network}.items()
+        EffectiveHyperparameter(name, value, source(name))
+        for name, value in {"environments": training.environments, **network}.items()
     ]
     rows += [
-        row._replace(source=source(row.name)) if row.source == "scenario" else row for row in effective_hyperparameters(scenario, total)
+        row._replace(source=source(row.name)) if row.source == "scenario" else row
+        for row in effective_hyperparameters(scenario, total)
     ]
-    about = {"algorithm": training.algorithm, "total_timesteps": total, "evaluation_episodes": scenario.evaluation_episodes()}
+    about = {
+        "algorithm": training.algorithm,
+        "total_timesteps": total,
+        "evaluation_episodes": scenario.evaluation_episodes(),
+    }
     about |= {"chosen": "; ".join(learner)} if learner else {}
-    listed: list[Row] = [{"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows]
+    listed: list[Row] = [
+        {"hyperparameter": row.name, "value": _setting(row.value), "from": row.source} for row in rows
+    ]
     return {"training": about, "hyperparameters": listed}
 
 
@@ -537,25 +684,38 @@ Ages = dict[str, float]
 
 
 def timing(scenario: Program) -> list[Row]:
-    """For step n of the agent, from 0: the physics step from which its action acts, and after which each observation is measured.
+    """For step n of the agent, from 0: the physics step from which its action acts, and after which each
+    observation is measured.
 
-    Physics steps count from 1 and start anew with each episode. An observation is as old as the oldest value that it is computed from:
-    routes, `timing: delayed`, the latency of sensors and `previous` add to its age. Other functions with a memory (`delta`, `low_pass`)
-    have the age of their argument. The age varies where a delay is drawn, messages may be lost, or a sensor measures less often than
-    the supervisor.
+    Physics steps count from 1 and start anew with each episode. An observation is as old as the oldest value
+    that it is computed from: routes, `timing: delayed`, the latency of sensors and `previous` add to its age.
+    Other functions with a memory (`delta`, `low_pass`) have the age of their argument. The age varies where a
+    delay is drawn, messages may be lost, or a sensor measures less often than the supervisor.
     """
     substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.action_repeat
     rows: list[Row] = []
     for part in scenario.agent.action:
-        routes = [robot.to_route for robot in scenario.robots if {*part.variables} & {entry.name for entry in robot.received}]
+        routes = [
+            robot.to_route
+            for robot in scenario.robots
+            if {*part.variables} & {entry.name for entry in robot.received}
+        ]
         ticks = _whole(_slowest(scenario, routes))
         acts = "varies" if ticks is None else f"{substeps * repeat}n + {substeps * ticks + 1}"
         age = None if ticks is None else ticks * timestep
-        rows.append({"what": "action", "name": part.name, "moment": "acts from", "physics_step": acts, "age_s": age})
+        rows.append(
+            {"what": "action", "name": part.name, "moment": "acts from", "physics_step": acts, "age_s": age}
+        )
     senders: dict[str, frozenset[str]] = {
-        f"{robot.name}.{entry.name}": frozenset({robot.name}) for robot in scenario.robots for entry in robot.emitted
+        f"{robot.name}.{entry.name}": frozenset({robot.name})
+        for robot in scenario.robots
+        for entry in robot.emitted
     }
-    ages = {f"{robot.name}.{name}": age for robot in scenario.robots for name, age in _sent(scenario, robot).items()}
+    ages = {
+        f"{robot.name}.{name}": age
+        for robot in scenario.robots
+        for name, age in _sent(scenario, robot).items()
+    }
     for signal in scenario.signals:  # in order of evaluation, so what a signal reads is known
         ages[signal.name] = _oldest(signal.scalars, ages)
         senders[signal.name] = _senders(signal.scalars, senders)
@@ -564,7 +724,12 @@ def timing(scenario: Program) -> list[Row]:
     for name, scalar in observed:
         ticks = _whole(_age(scalar, ages))
         after = 0 if ticks is None else substeps * (repeat - ticks)
-        behind = f" + {after}" if after > 0 else f" - {-after}" if after else ""
+        if after > 0:
+            behind = f" + {after}"
+        elif after:
+            behind = f" - {-after}"
+        else:
+            behind = ""
         rows.append(
             {
                 "what": "observation",
@@ -590,7 +755,9 @@ def _sent(scenario: Program, robot: Robot) -> Ages:
         if isinstance(entry.of, OfSensor) and (entry.of.robot, entry.of.field) == (robot.name, "latency")
     }
     sensed = {
-        sensor.name: math.inf if sensor.name in varied or faults.period > 1 else float(_ticks(faults.latency, scenario))
+        sensor.name: math.inf
+        if sensor.name in varied or faults.period > 1
+        else float(_ticks(faults.latency, scenario))
         for sensor in robot.sensors
         for faults in (sensor.faults or NoiseModel(),)
     }
@@ -631,4 +798,6 @@ def _age(scalar: Scalar, ages: Ages) -> float:
 
 def _senders(values: Iterable[Scalar], senders: dict[str, frozenset[str]]) -> frozenset[str]:
     """The robots whose messages the values are computed from."""
-    return frozenset().union(*(senders.get(leaf.name, frozenset()) for value in values for leaf in names_in(value)))
+    return frozenset().union(
+        *(senders.get(leaf.name, frozenset()) for value in values for leaf in names_in(value))
+    )

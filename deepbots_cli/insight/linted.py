@@ -18,7 +18,8 @@ from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.files import read_at_most
-from deepbots_cli.learning.run import Run, changed_settings
+from deepbots_cli.learning.records import changed_settings
+from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
 _CODE = Permissions(code=True)
@@ -47,9 +48,9 @@ class LintedScenario:
 def linted_scenario(run: Run) -> LintedScenario:
     """The scenario of a run and its findings.
 
-    It is the file that the training read, while that gives the same scenario, else the copy in the run. Both hold the
-    comments that ignore findings, and show what is a part of an included robot only. `resolved.yaml` takes their place
-    if they give another scenario, as after a change in Python.
+    It is the file that the training read, while that gives the same scenario, else the copy in the run. Both
+    hold the comments that ignore findings, and show what is a part of an included robot only. `resolved.yaml`
+    takes their place if they give another scenario, as after a change in Python.
     """
     record, folder = run.record, run.path / INPUTS_FOLDER
     overrides = changed_settings(record.command)
@@ -58,7 +59,9 @@ def linted_scenario(run: Run) -> LintedScenario:
     written, copy = Path(record.source), folder / name
     own = named_source(record.source)
     is_same = _digest(written) == record.inputs.get(name)
-    if is_same and (compiled := _compiled(run, Source(SourceKind.SCENARIO, own, written, written, _CODE), overrides)):
+    if is_same and (
+        compiled := _compiled(run, Source(SourceKind.SCENARIO, own, written, written, _CODE), overrides)
+    ):
         return _linted(compiled, [own, *further])
     changed = own if written.is_file() and not is_same else ""
     alone = Source(SourceKind.SCENARIO, str(copy), copy, copy, _CODE)

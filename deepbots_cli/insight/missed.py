@@ -24,8 +24,8 @@ _MIN_EPISODES = 3
 _COMMON = 0.75
 """The share of the episodes that miss a condition most, from which on it is what they have in common."""
 _SELDOM, _OFTEN = 0.25, 0.1
-"""A condition keeps episodes from a success if it is true in less than `_SELDOM` times as many moments as each other
-one, and each other one is true in `_OFTEN` of all moments."""
+"""A condition keeps episodes from a success if it is true in less than `_SELDOM` times as many moments as
+each other one, and each other one is true in `_OFTEN` of all moments."""
 _CLOCKS = re.compile(r"\s*(?:time|step)\s*")
 
 
@@ -37,8 +37,8 @@ class MissedCondition:
         ending: The success.
         condition: The condition, one of several.
         true: In how many moments it is true; `moments` is the number of all moments.
-        nearest: The median, over the episodes, of the value that is nearest to the threshold, in SI units; None for a
-            truth value.
+        nearest: The median, over the episodes, of the value that is nearest to the threshold, in SI units;
+            None for a truth value.
         bound: The threshold, in SI units.
         others: In how many moments each other condition is true, by its text.
         episodes: How many of the episodes miss it most; `of` is the number of all episodes.
@@ -71,17 +71,25 @@ def inner_comparisons(condition: Condition) -> list[Comparison]:
     return [part for leaf in outer for part in (comparisons_in(leaf.lasting) if leaf.lasting else [leaf])]
 
 
-def nearest_moment(trace: Trace, leaf: Comparison, moments: Sequence[int] = ()) -> tuple[int, MeasuredComparison]:
+def nearest_moment(
+    trace: Trace, leaf: Comparison, moments: Sequence[int] = ()
+) -> tuple[int, MeasuredComparison]:
     """The first of the moments in which a comparison came nearest to its bound, or beyond it by most."""
     past = {step: measure(leaf, trace.values[step]) for step in moments or range(len(trace.values))}
-    step = max(past, key=lambda step: float(past[step].holds if (margin := past[step].margin) is None else margin))
+    step = max(
+        past, key=lambda step: float(past[step].holds if (margin := past[step].margin) is None else margin)
+    )
     return step, past[step]
 
 
 def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
     """The condition of the success that episodes without success miss, if it is one and the same."""
-    found = [(trace, *missed_success(trace)) for trace in traces]
-    missed = [(trace, name, inner_comparisons(condition)) for trace, name, condition in found if condition is not None]
+    misses = [(trace, *missed_success(trace)) for trace in traces]
+    missed = [
+        (trace, name, inner_comparisons(condition))
+        for trace, name, condition in misses
+        if condition is not None
+    ]
     if len(missed) < _MIN_EPISODES:
         return None
     ending = Counter(name for _, name, _ in missed).most_common(1)[0][0]
@@ -89,12 +97,16 @@ def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
     leaves = mine[0][1]
     if len(leaves) < 2 or len(mine) < _MIN_EPISODES:
         return None
-    counts = [[sum(measure(leaf, values).holds for values in trace.values) for leaf in leaves] for trace, _ in mine]
+    counts = [
+        [sum(measure(leaf, values).holds for values in trace.values) for leaf in leaves] for trace, _ in mine
+    ]
     worst = Counter(row.index(min(row)) for row in counts)
     place, episodes = worst.most_common(1)[0]
     moments = sum(len(trace.values) for trace, _ in mine)
     totals = [sum(row[k] for row in counts) for k in range(len(leaves))]
-    others = {leaf.text: total for k, (leaf, total) in enumerate(zip(leaves, totals, strict=True)) if k != place}
+    others = {
+        leaf.text: total for k, (leaf, total) in enumerate(zip(leaves, totals, strict=True)) if k != place
+    }
     fewest = min(others.values(), default=0)
     if episodes < _COMMON * len(mine) or fewest < _OFTEN * moments or totals[place] > _SELDOM * fewest:
         return None
@@ -120,40 +132,45 @@ def _without_clocks(leaves: Sequence[Comparison]) -> list[Comparison]:
 
 
 def missed_condition(t: TrainingEvidence) -> Numbers | None:
-    """Episodes without success miss the same condition of '{ending}': in {episodes} of {of}, `{condition}` is true least
-    often, in {true} of {moments} moments{nearest}. {others}.
+    """Episodes without success miss the same condition of '{ending}': in {episodes} of {of}, `{condition}` is
+    true least often, in {true} of {moments} moments{nearest}. {others}.
 
-    Try: {remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of these episodes.
+    Try: {remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of these
+    episodes.
     """
     failed = t.failed or [trace for trace in t.policy if trace.outcome in ("failure", "time limit")]
-    found = common_miss(failed)
-    if found is None or not t.is_mature:
+    miss = common_miss(failed)
+    if miss is None or not t.is_mature:
         return None
-    leaf, unit = found.condition, t.facts.units.of(found.condition.unit, *reversed(found.condition.sides))
+    leaf, unit = miss.condition, t.facts.units.of(miss.condition.unit, *reversed(miss.condition.sides))
     near = ""
-    if found.nearest is not None and found.bound is not None:
-        value, bound = (quantity_text(each, unit, 3) for each in (found.nearest, found.bound))
+    if miss.nearest is not None and miss.bound is not None:
+        value, bound = (quantity_text(each, unit, 3) for each in (miss.nearest, miss.bound))
         near = f"; the nearest value is {value} in the median, and the threshold {bound}"
     terms = t.facts.terms_about(leaf.text)
-    aim = f"`{leaf.sides[0]}` {SIGN_OF_OPERATOR[leaf.operator]} the threshold" if leaf.bound else f"`{leaf.text}`"
+    aim = (
+        f"`{leaf.sides[0]}` {SIGN_OF_OPERATOR[leaf.operator]} the threshold"
+        if leaf.bound
+        else f"`{leaf.text}`"
+    )
     remedy = f"Reward what brings {aim} where the other conditions hold"
     if terms:
         names = list_text([f"'{term}'" for term in terms])
         remedy = f"Raise what {names} pays for {aim}"
-    said = [f"`{text}` is true in {count:,}" for text, count in found.others.items()]
+    sentences = [f"`{text}` is true in {count:,}" for text, count in miss.others.items()]
     return {
         "likelihood": 0.69,
-        "ending": found.ending,
+        "ending": miss.ending,
         "condition": leaf.text,
-        "episodes": found.episodes,
-        "of": found.of,
-        "true": found.true,
-        "moments": found.moments,
+        "episodes": miss.episodes,
+        "of": miss.of,
+        "true": miss.true,
+        "moments": miss.moments,
         "nearest": near,
-        "nearest_value": found.nearest,
-        "threshold": found.bound,
+        "nearest_value": miss.nearest,
+        "threshold": miss.bound,
         "unit": leaf.unit,
-        "others": list_text(said),
+        "others": list_text(sentences),
         "terms": list(terms),
         "remedy": remedy,
     }

@@ -16,8 +16,8 @@ SAME_TOLERANCE = 1e-6
 def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
     """{count} of {of} numbers of the observation never changed in {moments} moments ({values}): {guess}.
 
-    Try: Check the position and direction of these sensors, and that something is in their range: `deepbots view RUN` draws the rays of
-    sensors. Or remove the values from `observation`.
+    Try: Check the position and direction of these sensors, and that something is in their range: `deepbots
+    view RUN` draws the rays of sensors. Or remove the values from `observation`.
     """
     spans = _spans(t)
     still = [name for name, (span, _) in spans.items() if span < SAME_TOLERANCE]
@@ -29,8 +29,15 @@ def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
         guess = "they are always at an end of their range, like a sensor that detects nothing"
     share = len(still) / len(spans)
     values = list_text([f"{name} always {_unscaled(t, name, spans[name][1])}" for name in still])
-    return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(still), "of": len(spans), "moments": t.probe_moments,
-            "names": still, "values": values, "guess": guess}  # fmt: skip
+    return {
+        "likelihood": 0.95 if share >= 0.75 else 0.35 * share,
+        "count": len(still),
+        "of": len(spans),
+        "moments": t.probe_moments,
+        "names": still,
+        "values": values,
+        "guess": guess,
+    }
 
 
 def _spans(t: TrainingEvidence) -> dict[str, tuple[float, float]]:
@@ -58,50 +65,80 @@ def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
 
 
 def constant_observation(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments, after mapping to [-1, 1], they vary by at
-    most {span}.
+    """{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments, after mapping
+    to [-1, 1], they vary by at most {span}.
 
-    Try: Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists the ranges.
+    Try: Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists the
+    ranges.
     """
     spans = _spans(t)
     names = [name for name, (span, _) in spans.items() if SAME_TOLERANCE <= span < 0.01]
     if not names:
         return None
     share = len(names) / len(spans)
-    return {"likelihood": 0.95 if share >= 0.75 else 0.35 * share, "count": len(names), "of": len(spans), "moments": t.probe_moments,
-            "names": list_text(names), "span": max(spans[name][0] for name in names)}  # fmt: skip
+    return {
+        "likelihood": 0.95 if share >= 0.75 else 0.35 * share,
+        "count": len(names),
+        "of": len(spans),
+        "moments": t.probe_moments,
+        "names": list_text(names),
+        "span": max(spans[name][0] for name in names),
+    }
 
 
 def saturated_observation(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation are outside their range in {share} of the moments ({names}). The clipped values differ by
-    up to {lost} times the range.
+    """{count} of {of} numbers of the observation are outside their range in {share} of the moments ({names}).
+    The clipped values differ by up to {lost} times the range.
 
     Try: Widen their ranges under `observation`: the policy cannot distinguish values outside a range.
     """
     if t.probe_moments < 2 * MIN_EPISODES:
         return None
-    found = {entry.name: _beyond(t, entry) for entry in t.program.agent.observation if entry.clip and entry.name != "previous_action"}
-    cut = {n.full_name: part for e in t.program.agent.observation for n, part in zip(e.numbers, found.get(e.name, ()), strict=False)}
+    beyond = {
+        entry.name: _beyond(t, entry)
+        for entry in t.program.agent.observation
+        if entry.clip and entry.name != "previous_action"
+    }
+    cut = {
+        n.full_name: part
+        for e in t.program.agent.observation
+        for n, part in zip(e.numbers, beyond.get(e.name, ()), strict=False)
+    }
     shares = {name: float((part != 0).mean()) for name, part in cut.items()}
-    # Clipping holds a value such as the reading of a sensor that sees nothing at an end, and loses nothing if it is always the same one.
+    # Clipping holds a value such as the reading of a sensor that sees nothing at an end, and loses nothing if
+    # it is always the same one.
     spreads = {name: max(_spread(part[part > 0]), _spread(part[part < 0])) for name, part in cut.items()}
-    worst = sorted((name for name, share in shares.items() if share >= 0.4 and spreads[name] >= 0.1), key=lambda name: -shares[name])
+    worst = sorted(
+        (name for name, share in shares.items() if share >= 0.4 and spreads[name] >= 0.1),
+        key=lambda name: -shares[name],
+    )
     if not worst:
         return None
     part, mean = len(worst) / len(shares), float(np.mean([shares[name] for name in worst]))
     # Numbers that are almost always beyond an end come before the length of the training.
-    return {"likelihood": 0.95 if part >= 0.75 else 0.85 if mean >= 0.8 else 0.55 * part, "count": len(worst), "of": len(shares),
-            "names": list_text(worst), "share": Percentage(mean), "lost": max(spreads[name] for name in worst),
-            "shares": shares}  # fmt: skip
+    by_mean = 0.85 if mean >= 0.8 else 0.55 * part
+    return {
+        "likelihood": 0.95 if part >= 0.75 else by_mean,
+        "count": len(worst),
+        "of": len(shares),
+        "names": list_text(worst),
+        "share": Percentage(mean),
+        "lost": max(spreads[name] for name in worst),
+        "shares": shares,
+    }
 
 
 def _beyond(t: TrainingEvidence, entry: Observation) -> list[Array]:
-    """By how much each number of an entry lies above its range, or below it (negative), in all moments, as a share of the range."""
+    """By how much each number of an entry lies above its range, or below it (negative), in all moments, as a
+    share of the range."""
     key = t.probes[0].instrumented.observed_signals.get(entry.name)
     if key is None or entry.value.typed.type.boolean:
         return []
     rows = np.array([values[key] for trace in t.probes for values in trace.values], float)
-    return [(row - row.clip(low, high)) / (high - low) for row, low, high in zip(rows.T, entry.low, entry.high, strict=True)]
+    return [
+        (row - row.clip(low, high)) / (high - low)
+        for row, low, high in zip(rows.T, entry.low, entry.high, strict=True)
+    ]
 
 
 def _spread(values: Array) -> float:

@@ -1,9 +1,11 @@
-"""Episodes on a robot at the other end of a link: the supervisor scores what is measured, and drivers act as in the simulation.
+"""Episodes on a robot at the other end of a link: the supervisor scores what is measured, and drivers act as
+in the simulation.
 
-The environment is that of the scenario, whose engine does not step: it sends the commands of a step, and waits for what the robot
-measures next. What sensors gave replaces the state of the simulated world wherever an expression reads it. Reward terms and endings that
-need other facts are left out. `deepbots_robot.server` keeps time, checks messages and limits commands, as for a bundle; the environment
-runs in a thread of its own, since a step of it ends with the next message of the robot.
+The environment is that of the scenario, whose engine does not step: it sends the commands of a step, and
+waits for what the robot measures next. What sensors gave replaces the state of the simulated world wherever
+an expression reads it. Reward terms and endings that need other facts are left out. `deepbots_robot.server`
+keeps time, checks messages and limits commands, as for a bundle; the environment runs in a thread of its own,
+since a step of it ends with the next message of the robot.
 """
 
 from __future__ import annotations
@@ -47,7 +49,17 @@ from deepbots_cli.rollout.episode import Step
 from deepbots_cli.runtime import Supervisor
 from deepbots_robot.about import About, pace
 from deepbots_robot.server import Server
-from deepbots_robot.serving import Notes, ServeError, Transport, field_of, inputs_of_entries, mapped, outputs_of_entries, stopping, until
+from deepbots_robot.serving import (
+    Notes,
+    ServeError,
+    Transport,
+    field_of,
+    inputs_of_entries,
+    mapped,
+    outputs_of_entries,
+    stopping,
+    until,
+)
 from deepbots_robot.topics import ACTION, action_field
 
 RESET_BY_ROBOT = "robot_reset"
@@ -57,9 +69,17 @@ SILENT = "robot_silent"
 _OF_LINES = ("cross_track_error", "arc_length")
 """Facts that follow from the position of a body."""
 _OVERLAID = (
-    "position", "orientation", "velocity", "angular_velocity", "joint_position", "joint_velocity", "joint_torque",
-    "contact", "collided", "clearance",
-)  # fmt: skip
+    "position",
+    "orientation",
+    "velocity",
+    "angular_velocity",
+    "joint_position",
+    "joint_velocity",
+    "joint_torque",
+    "contact",
+    "collided",
+    "clearance",
+)
 _XYZW = "xyzw"
 
 Fact = tuple[str, tuple[str, ...], str | None]
@@ -88,30 +108,41 @@ class Measurable:
 
     def missing(self, trees: Sequence[Scalar]) -> list[str]:
         """The names of the facts behind expressions that nothing measures, in order of first use."""
-        found: dict[str, None] = {}
+        missing: dict[str, None] = {}
         for robot, node in self._deployment.definitions.nodes(trees):
             if isinstance(node, EngineRead) and robot is None and not self._is_measured(node):
-                found[self._deployment.name(node)] = None
+                missing[self._deployment.name(node)] = None
             elif isinstance(node, Name) and node.name in self._changing:
-                found[f"{node.name} after it changes"] = None
-        return [*found]
+                missing[f"{node.name} after it changes"] = None
+        return [*missing]
 
     def _is_measured(self, read: EngineRead) -> bool:
         if read.function in ("age", "message_received"):
             return True
         if read.function in _OF_LINES:
-            return all(("position", self._deployment.subjects(read)[:1], part) in self._facts for part in "xyz")
+            return all(
+                ("position", self._deployment.subjects(read)[:1], part) in self._facts for part in "xyz"
+            )
         return self.fact(read) in self._facts
 
 
 def scored(program: Program, readings: Sequence[Reading]) -> tuple[Program, list[str]]:
-    """The program without the reward terms and endings that nothing measures, and a sentence for each of them.
+    """The program without the reward terms and endings that nothing measures, and a sentence for each of
+    them.
 
     Where no term is left, the first one is 0.
     """
-    known = Measurable(program, readings)
-    lacks = {f"reward.{term.name}": known.missing(term.scalars) for term in program.agent.reward if term.foreign is None}
-    lacks |= {f"termination.{ending.name}": known.missing(ending.scalars) for ending in program.endings if ending.foreign is None}
+    measurable = Measurable(program, readings)
+    lacks = {
+        f"reward.{term.name}": measurable.missing(term.scalars)
+        for term in program.agent.reward
+        if term.foreign is None
+    }
+    lacks |= {
+        f"termination.{ending.name}": measurable.missing(ending.scalars)
+        for ending in program.endings
+        if ending.foreign is None
+    }
     dropped = {name: lacking for name, lacking in lacks.items() if lacking}
     rewards = tuple(term for term in program.agent.reward if f"reward.{term.name}" not in dropped)
     if not rewards:
@@ -162,7 +193,10 @@ class MeasuredWorld(EngineProxy):
         return self._roots.get(name, name)
 
     def _vector(self, function: str, name: str, own: Sequence[float]) -> Any:
-        return tuple(self.facts.get((function, (name,), part), number) for part, number in zip(_XYZW, own, strict=False))
+        return tuple(
+            self.facts.get((function, (name,), part), number)
+            for part, number in zip(_XYZW, own, strict=False)
+        )
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
         read, name = super().pose(body, link), self._name(body, link)
@@ -186,15 +220,23 @@ class MeasuredWorld(EngineProxy):
         read, names = super().joint_states(robot, joints), [(f"{robot}.{joint}",) for joint in joints]
         get = self.facts.get
         return lambda: [
-            (get(("joint_position", name, None), row[0]), get(("joint_velocity", name, None), row[1]), *row[2:])
+            (
+                get(("joint_position", name, None), row[0]),
+                get(("joint_velocity", name, None), row[1]),
+                *row[2:],
+            )
             for name, row in zip(names, read(), strict=True)
         ]
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
         read, names = super().joint_torques(robot, joints), [(f"{robot}.{joint}",) for joint in joints]
-        return lambda: [self.facts.get(("joint_torque", name, None), own) for name, own in zip(names, read(), strict=True)]
+        return lambda: [
+            self.facts.get(("joint_torque", name, None), own) for name, own in zip(names, read(), strict=True)
+        ]
 
-    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+    def contact(
+        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
+    ) -> ContactReader:
         read = super().contact(one, others, ground=ground)
         names = (self._name(*one), *(self._name(*other) for other in others or ()))
         return lambda: self._fact("contact" if others else "collided", names, read)
@@ -204,8 +246,8 @@ class MeasuredWorld(EngineProxy):
         return lambda: self._fact("clearance", names, read)
 
     def _fact(self, function: str, names: tuple[str, ...], read: Callable[[], Any]) -> Any:
-        found = self.facts.get((function, names, None))
-        return read() if found is None else found
+        fact = self.facts.get((function, names, None))
+        return read() if fact is None else fact
 
 
 class _Stop(Exception):  # noqa: N818  not an error
@@ -215,11 +257,13 @@ class _Stop(Exception):  # noqa: N818  not an error
 class RobotEpisodes:
     """Episodes of an environment whose steps are those of a robot; the `Policy` of a `Server`.
 
-    Each `step` gives the environment what was measured, and returns the commands of its next step; None while no episode runs. An
-    episode begins with the first values, and a further one when the robot says so.
+    Each `step` gives the environment what was measured, and returns the commands of its next step; None while
+    no episode runs. An episode begins with the first values, and a further one when the robot says so.
     """
 
-    def __init__(self, program: Program, readings: Sequence[Reading], *, engine: str | None, permissions: Permissions) -> None:
+    def __init__(
+        self, program: Program, readings: Sequence[Reading], *, engine: str | None, permissions: Permissions
+    ) -> None:
         self._measured, self._answers = SimpleQueue[Any](), SimpleQueue[Any]()
         self._readings = readings
         self._known = Measurable(program, readings)
@@ -235,7 +279,10 @@ class RobotEpisodes:
         assert isinstance(self.environment.engine, MeasuredWorld)
         self._world = self.environment.engine
         outputs = [
-            output(program, robot, command) for robot in program.robots if robot.name in program.agent.robots for command in robot.commands
+            output(program, robot, command)
+            for robot in program.robots
+            if robot.name in program.agent.robots
+            for command in robot.commands
         ]
         self.outputs = outputs
         self._watch = Watch(self.environment, (), outputs)
@@ -255,7 +302,9 @@ class RobotEpisodes:
 
     # In the thread of the server
 
-    def begin(self, driver: Driver, *, count: int, seed: int, options: Mapping[str, Any], max_steps: int | None) -> None:
+    def begin(
+        self, driver: Driver, *, count: int, seed: int, options: Mapping[str, Any], max_steps: int | None
+    ) -> None:
         """Let `driver` act in so many episodes, once the robot sends values."""
         arguments = (driver, count, seed, options, max_steps)
         self._thread = threading.Thread(target=self._run, args=arguments, daemon=True)
@@ -265,8 +314,8 @@ class RobotEpisodes:
         if self.is_over:
             return None
         self._measured.put(dict(values))
-        found: Mapping[str, Any] | None = self._answers.get()
-        return found
+        answer: Mapping[str, Any] | None = self._answers.get()
+        return answer
 
     def reset(self) -> None:
         self._measured.put(None)
@@ -281,16 +330,25 @@ class RobotEpisodes:
 
     # In the thread of the environment
 
-    def _run(self, driver: Driver, count: int, seed: int, options: Mapping[str, Any], max_steps: int | None) -> None:
+    def _run(
+        self, driver: Driver, count: int, seed: int, options: Mapping[str, Any], max_steps: int | None
+    ) -> None:
         left = max_steps
         try:
             for number in range(count):
                 self._take(self._first_values(waiting=number > 0 and not self._restarted))
                 self._restarted = False
                 start = Start(seed if number == 0 else None, {**self._goals(), **options})
-                steps = self._until_restart(rollout.steps(self.environment, self._noting(driver), start), left)
+                steps = self._until_restart(
+                    rollout.steps(self.environment, self._noting(driver), start), left
+                )
                 episode = rollout.result_of(steps, start.seed)
-                cut = SILENT if self._is_silent else RESET_BY_ROBOT if self._restarted else "--steps"
+                if self._is_silent:
+                    cut = SILENT
+                elif self._restarted:
+                    cut = RESET_BY_ROBOT
+                else:
+                    cut = "--steps"
                 self.done.append(episode if episode.ended_by else replace(episode, ended_by=cut))
                 left = None if left is None else left - episode.length
                 if left == 0 or self._is_silent:
@@ -324,29 +382,33 @@ class RobotEpisodes:
         return noting
 
     def _first_values(self, *, waiting: bool) -> Mapping[str, Any]:
-        """The values at the start of an episode; `waiting` for the robot to begin it, with no commands until then."""
+        """The values at the start of an episode; `waiting` for the robot to begin it, with no commands until
+        then."""
         while True:
-            found = self._measured.get()
-            if isinstance(found, _Stop):
-                raise found
-            if found is None:
+            values = self._measured.get()
+            if isinstance(values, _Stop):
+                raise values
+            if values is None:
                 waiting = False
             elif waiting:
                 self._answers.put(None)
             else:
-                return dict(found)
+                return dict(values)
 
     def _exchange(self) -> None:
-        """A step of the robot: send the commands, and wait for what it measures next. Nothing changes if it begins anew."""
-        action = {} if isinstance(self._action, dict) else {ACTION: np.asarray(self._action, float).reshape(-1)}
+        """A step of the robot: send the commands, and wait for what it measures next. Nothing changes if it
+        begins anew."""
+        action = (
+            {} if isinstance(self._action, dict) else {ACTION: np.asarray(self._action, float).reshape(-1)}
+        )
         self._answers.put({**action, **self._watch.commands()})
-        found = self._measured.get()
-        if isinstance(found, _Stop):
-            raise found
-        if found is None:
+        values = self._measured.get()
+        if isinstance(values, _Stop):
+            raise values
+        if values is None:
             self._restarted = True
         else:
-            self._take(found)
+            self._take(values)
 
     def _take(self, values: Mapping[str, Any]) -> None:
         self._values = values
@@ -361,12 +423,12 @@ class RobotEpisodes:
 
     def _goals(self) -> dict[str, Any]:
         """The parameters that the robot was given, as options of a reset."""
-        found = {}
+        goals = {}
         for reading in self._readings:
             if reading.info.source == "goal" and reading.info.name in self._values:
                 numbers = self._values[reading.info.name].tolist()
-                found[reading.info.name] = numbers if reading.info.components else numbers[0]
-        return found
+                goals[reading.info.name] = numbers if reading.info.components else numbers[0]
+        return goals
 
 
 class _Silence:
@@ -420,17 +482,19 @@ def try_robot(
     bare = robot_program(program)
     readings = sent_readings(bare)
     kept, notes = scored(bare, readings)
-    given = mapping(program)
+    topics = mapping(program)
     player = RobotEpisodes(kept, readings, engine=engine, permissions=permissions)
     with closing(player.environment):
         driver = make_driver(player.environment)
         outputs = outputs_of_entries(player.outputs)
-        inputs = inputs_of_entries([reading.info for reading in readings], 1.0 / bare.period, needs_goals=False)
+        inputs = inputs_of_entries(
+            [reading.info for reading in readings], 1.0 / bare.period, needs_goals=False
+        )
         try:
-            receives = mapped([field_of(reading.info) for reading in readings], given)
+            receives = mapped([field_of(reading.info) for reading in readings], topics)
             sends = [
                 action_field(len(program.agent.choices) or len(program.agent.range_names)),
-                *mapped([each.field for each in outputs], given, commands=True),
+                *mapped([each.field for each in outputs], topics, commands=True),
             ]
             about = About(
                 "policy",
@@ -446,7 +510,16 @@ def try_robot(
         for text in notes:
             note(text)
         with closing(link), stopping() as stopped:
-            server = Server(player, inputs, outputs, link, 1.0 / bare.period, lockstep=lockstep, speed=speed, log=Notes(None, note))
+            server = Server(
+                player,
+                inputs,
+                outputs,
+                link,
+                1.0 / bare.period,
+                lockstep=lockstep,
+                speed=speed,
+                log=Notes(None, note),
+            )
             note(f"{program.name} acts at {1.0 / bare.period:g} Hz over {link.name}")
             player.begin(driver, count=episodes, seed=seed, options=options or {}, max_steps=max_steps)
             silence, is_stopped = _Silence(server, seconds), until(stopped, None, server, note)

@@ -1,7 +1,7 @@
 """A report about a run or a group: one HTML file that loads nothing and needs no JavaScript.
 
-Numbers come from the files of the runs: logs, and the evaluation of the best model with the most episodes (`verdict.py`). Trajectories and
-clips come from episodes of this evaluation that run again.
+Numbers come from the files of the runs: logs, and the evaluation of the best model with the most episodes
+(`verdict.py`). Trajectories and clips come from episodes of this evaluation that run again.
 """
 
 from __future__ import annotations
@@ -36,10 +36,12 @@ from deepbots_cli.insight.diagnosis import causes_after
 from deepbots_cli.insight.linted import LintedScenario, linted_scenario
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
+from deepbots_cli.learning.directories import is_training
 from deepbots_cli.learning.draws import by_drawn_value, draw_labels
 from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationWithEpisodes, Run, in_parentheses, is_training
+from deepbots_cli.learning.records import EvaluationWithEpisodes, in_parentheses
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
@@ -78,13 +80,14 @@ class ReportRun:
             RunError: It is damaged, or lacks one of the two; says what to do.
         """
         run = Run.open(path)
-        found = quoted_episodes(run)
-        if found is None:
+        quoted = quoted_episodes(run)
+        if quoted is None:
             raise RunError(
-                f"{path} contains no evaluation of its best model after the training; create one with: deepbots eval {quote(str(path))}"
+                f"{path} contains no evaluation of its best model after the training; create one with:"
+                f" deepbots eval {quote(str(path))}"
             )
         (log,) = plots.read_logs([path])
-        return ReportRun(run, log, found[1])
+        return ReportRun(run, log, quoted[1])
 
     @property
     def verdict(self) -> RunVerdict:
@@ -100,8 +103,8 @@ class ReportRun:
 
 @dataclass(eq=False)
 class ReportEpisode:
-    """An episode of the evaluation of a run, which is repeated: `positions` is where all links were, `end_poses` the poses of all links in
-    its first and in its last frame."""
+    """An episode of the evaluation of a run, which is repeated: `positions` is where all links were,
+    `end_poses` the poses of all links in its first and in its last frame."""
 
     run: ReportRun
     number: int
@@ -122,7 +125,10 @@ class ReportEpisode:
     @property
     def title(self) -> str:
         seed = f"seed {self.run.run.record.seed}, " if self.label else ""
-        return f"{self.label}: {seed}episode {self.number}, return {self.outcome.total_return:.2f}, {self.outcome.ended_by}"
+        return (
+            f"{self.label}: {seed}episode {self.number}, return {self.outcome.total_return:.2f},"
+            f" {self.outcome.ended_by}"
+        )
 
 
 @dataclass
@@ -133,7 +139,8 @@ class Report:
     runs: Sequence[ReportRun]
     notes: list[str] = field(default_factory=list)
     attempts: Sequence[tuple[str, str, str, str]] = ()
-    """Of a group of `train --retry`, whose best run is shown: name, what was changed, why, and the result of each attempt."""
+    """Of a group of `train --retry`, whose best run is shown: name, what was changed, why, and the result of
+    each attempt."""
     clips: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Caption and MP4 as a data URI, by label."""
     episodes: Sequence[ReportEpisode] = ()
@@ -155,12 +162,19 @@ class Report:
         """
         source = Source.open(path, Permissions(), SourceKind.RUN, SourceKind.GROUP)
         if source.kind is SourceKind.RUN:
-            return Report(path, [ReportRun.read(path)], ["the training is still running"] if is_training(path) else [])
+            return Report(
+                path, [ReportRun.read(path)], ["the training is still running"] if is_training(path) else []
+            )
         group, members, notes = Group.open(path), list[ReportRun](), list[str]()
         if group.best is not None:
             best = group.best.path
             attempts = [_attempt(group, number) for number in range(1, len(group.attempts) + 1)]
-            return Report(path, [ReportRun.read(best)], [f"the figures show the best of the attempts, {best.name}"], attempts)
+            return Report(
+                path,
+                [ReportRun.read(best)],
+                [f"the figures show the best of the attempts, {best.name}"],
+                attempts,
+            )
         for seed in group.record.seeds:
             try:
                 members.append(ReportRun.read(group.run(seed)))
@@ -172,33 +186,38 @@ class Report:
 
     @property
     def stages(self) -> list[tuple[str, ...]]:
-        """The stages of a curriculum: run, name, timesteps at their beginning, mean value at their end, and their last evaluation."""
-        found: list[tuple[str, ...]] = []
+        """The stages of a curriculum: run, name, timesteps at their beginning, mean value at their end, and
+        their last evaluation."""
+        rows: list[tuple[str, ...]] = []
         for member in self.runs:
             log, result = member.log, member.run.record.result
             ends = {stage.name: f"{stage.value:.4g}" for stage in result.stages} if result else {}
-            evaluations = dict(zip(log.evaluation_stages, log.evaluations[1], strict=True)) if log.evaluations else {}
+            evaluations = (
+                dict(zip(log.evaluation_stages, log.evaluations[1], strict=True)) if log.evaluations else {}
+            )
             for start in log.stages:
                 last = f"{evaluations[start.name]:.4g}" if start.name in evaluations else ""
-                found.append((member.run.path.name, start.name, f"{start.steps:,.0f}", ends.get(start.name, ""), last))
-        return found
+                rows.append(
+                    (member.run.path.name, start.name, f"{start.steps:,.0f}", ends.get(start.name, ""), last)
+                )
+        return rows
 
     @property
     def result(self) -> str:
         """The result in one line, with its interval."""
-        found = [member.evaluation for member in self.runs]
+        evaluations = [member.evaluation for member in self.runs]
         if self.attempts or folder_kind(self.path) is not SourceKind.GROUP:
             return self.runs[0].verdict.text
-        text = "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in found])
-        rates = [each.success_rate for each in found if each.success_rate is not None]
-        if len(rates) == len(found):
+        text = "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in evaluations])
+        rates = [each.success_rate for each in evaluations if each.success_rate is not None]
+        if len(rates) == len(evaluations):
             text += ", success rate " + _seed_statistics("{:.1%}", rates, (0.0, 1.0))
         answers = [member.verdict.solved for member in self.runs]
         solved = f"; {answers.count(True)} solved" if None not in answers else ""
-        remarks = in_parentheses(words for each in found for words in each.remarks)
-        fewest, most = min(each.episodes for each in found), max(each.episodes for each in found)
+        remarks = in_parentheses(words for each in evaluations for words in each.remarks)
+        fewest, most = min(each.episodes for each in evaluations), max(each.episodes for each in evaluations)
         counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
-        seeds = f"{len(found)} seed{'s' * (len(found) > 1)}"
+        seeds = f"{len(evaluations)} seed{'s' * (len(evaluations) > 1)}"
         return f"{text}, over {seeds} with {counts} held-out episodes each{remarks}{solved}"
 
     @property
@@ -224,46 +243,71 @@ class Report:
     @property
     def declines(self) -> list[str]:
         """Which trainings fell apart, a sentence for each."""
-        fallen = [(member.run.record.seed, member.log.decline) for member in self.runs if member.log.decline is not None]
+        fallen = [
+            (member.run.record.seed, member.log.decline)
+            for member in self.runs
+            if member.log.decline is not None
+        ]
         return [fall.text if len(self.runs) == 1 else f"seed {seed}: {fall.text}" for seed, fall in fallen]
 
     def choose_episodes(self, count: int = _MAX_TRACED_EPISODES) -> list[ReportEpisode]:
-        """Episodes at equal distances in the order of their returns, of which the first, the middle and the last have a label."""
-        every = [ReportEpisode(member, number) for member in self.runs for number in range(len(member.evaluation.outcomes))]
+        """Episodes at equal distances in the order of their returns, of which the first, the middle and the
+        last have a label."""
+        every = [
+            ReportEpisode(member, number)
+            for member in self.runs
+            for number in range(len(member.evaluation.outcomes))
+        ]
         every.sort(key=lambda shown: -shown.outcome.total_return)
         places, middle = {round(place) for place in np.linspace(0, len(every) - 1, count)}, len(every) // 2
         if middle not in places:
             places.remove(min(places, key=lambda place: abs(place - middle)))
             places.add(middle)
         labels = dict(zip((len(every) - 1, middle, 0), reversed(EPISODE_LABELS), strict=True))
-        return [ReportEpisode(every[place].run, every[place].number, labels.get(place, "")) for place in sorted(places)]
+        return [
+            ReportEpisode(every[place].run, every[place].number, labels.get(place, ""))
+            for place in sorted(places)
+        ]
 
     def repeat_episodes(
-        self, shown: Sequence[ReportEpisode], on_episode: OnEpisode, *, clips: bool, permissions: Permissions = Permissions()
+        self,
+        shown: Sequence[ReportEpisode],
+        on_episode: OnEpisode,
+        *,
+        clips: bool,
+        permissions: Permissions = Permissions(),
     ) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
         self.episodes = shown
         ordered = sorted(shown, key=lambda each: self.runs.index(each.run))
         for member, mine in groupby(ordered, lambda each: each.run):
-            shown_run = Showing(str(member.run.path), engine=member.evaluation.engine, permissions=permissions)
+            shown_run = Showing(
+                str(member.run.path), engine=member.evaluation.engine, permissions=permissions
+            )
             with closing(shown_run.open().player()) as player:
                 for each in mine:
                     frames = player.episode(member.evaluation.seed, each.number)
                     first = next(frames)
-                    each.positions = trajectories.read_positions(player.reader.layout, chain((first,), frames))
+                    each.positions = trajectories.read_positions(
+                        player.reader.layout, chain((first,), frames)
+                    )
                     each.end_poses = (first.links, player.frame.links)
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
                     if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
                         self.notes.append(
-                            f"episode {each.number} of seed {member.run.record.seed} has the return {again:.4g} when it is run again, but "
-                            f"{each.outcome.total_return:.4g} in the evaluation: the versions or the machine differ; "
+                            f"episode {each.number} of seed {member.run.record.seed} has the return"
+                            f" {again:.4g} when it is run again, but "
+                            f"{each.outcome.total_return:.4g} in the evaluation: the versions or the machine"
+                            " differ; "
                             "the path and the clip show the new episode"
                         )
                     if clips and each.label:
                         self._film(player, each)
                     on_episode(ordered.index(each) + 1, len(shown))
         self.outlines = _standing(player, shown)
-        self.moving = trajectories.find_moving(player.program, player.env.world, [each.positions for each in shown])
+        self.moving = trajectories.find_moving(
+            player.program, player.env.world, [each.positions for each in shown]
+        )
 
     def _film(self, player: Player, shown: ReportEpisode) -> None:
         time = player.frame.time
@@ -273,20 +317,32 @@ class Report:
             try:
                 pictures.check_target(target, (".mp4",), force=True)
                 pictures.write_clip(
-                    player, target, _VIEWPOINT, seed=shown.run.evaluation.seed, episode=shown.number, speed=speed, rate=rate
+                    player,
+                    target,
+                    _VIEWPOINT,
+                    seed=shown.run.evaluation.seed,
+                    episode=shown.number,
+                    speed=speed,
+                    rate=rate,
                 )
             except (EngineError, MissingExtraError) as error:
                 self.notes = list(dict.fromkeys([*self.notes, f"there are no clips: {error}"]))
                 return
             fast = f", {speed:.1f} times as fast" if speed > 1.05 else ""
-            self.clips[shown.label] = (f"{shown.title} after {time:.1f} s{fast}", _uri("video/mp4", target.read_bytes()))
+            self.clips[shown.label] = (
+                f"{shown.title} after {time:.1f} s{fast}",
+                _uri("video/mp4", target.read_bytes()),
+            )
 
     def find_causes(self, permissions: Permissions = Permissions()) -> None:
         """Find out why the run does not solve its task, or the worst unsolved seed of a group."""
         unsolved = [member for member in self.runs if member.is_unsolved]
         if not unsolved:
             return
-        worst = min(unsolved, key=lambda member: (member.evaluation.success_rate or 0.0, member.evaluation.mean_return))
+        worst = min(
+            unsolved,
+            key=lambda member: (member.evaluation.success_rate or 0.0, member.evaluation.mean_return),
+        )
         self.diagnosed = worst.run.path.name
         try:
             self.causes = causes_after(worst.run.path, permissions)
@@ -302,29 +358,51 @@ class Report:
 
     def figures(self, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
         """Name, caption and figure; None where there is nothing to draw."""
-        logs, outcomes = [member.log for member in self.runs], [e for member in self.runs for e in member.evaluation.outcomes]
+        logs = [member.log for member in self.runs]
+        outcomes = [e for member in self.runs for e in member.evaluation.outcomes]
         defined = self.runs[0].evaluation.success_defined
-        seeds = "" if len(logs) == 1 else f" The line is the mean of {len(logs)} seeds, the band reaches from the lowest to the highest."
+        seeds = (
+            ""
+            if len(logs) == 1
+            else f" The line is the mean of {len(logs)} seeds, the band reaches from the lowest to the"
+            " highest."
+        )
         mean = "Moving means over 100 episodes of the training, in which the policy explores."
-        mean += " The script that teaches the policy drives at first." if any("driven_worlds" in log.lessons for log in logs) else ""
-        mean += " Each stage of the curriculum is averaged by itself." if any(log.stages for log in logs) else ""
-        diamond = " The diamond is the evaluation of the best model, at its step." if any(log.evaluation for log in logs) else ""
+        mean += (
+            " The script that teaches the policy drives at first."
+            if any("driven_worlds" in log.lessons for log in logs)
+            else ""
+        )
+        mean += (
+            " Each stage of the curriculum is averaged by itself." if any(log.stages for log in logs) else ""
+        )
+        diamond = (
+            " The diamond is the evaluation of the best model, at its step."
+            if any(log.evaluation for log in logs)
+            else ""
+        )
         yield "returns", f"{mean}{seeds}{diamond}", figures.returns(logs, theme)
         yield "successes", f"{mean}{seeds}{diamond if defined else ''}", figures.successes(logs, theme)
-        lessons = "While the policy only imitates, the imitation loss has the weight 1; then the weight falls to 0."
+        lessons = (
+            "While the policy only imitates, the imitation loss has the weight 1; then the weight falls to 0."
+        )
         if any("agreement" in log.lessons for log in logs):
-            lessons += " Agreement is the share of the states in which the policy does what the script would do."
+            lessons += (
+                " Agreement is the share of the states in which the policy does what the script would do."
+            )
         if any("driven_worlds" in log.lessons for log in logs):
             lessons += " Driven worlds are the share that the script drives."
         yield "teacher", lessons + seeds, figures.lessons(logs, theme)
-        shares = "Share of each reward term: absolute value of its sum over an episode, relative to all terms."
+        shares = (
+            "Share of each reward term: absolute value of its sum over an episode, relative to all terms."
+        )
         yield "shares", shares, figures.shares(logs, theme)
         yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
         colors = "green: success, orange: no success; " if defined else ""
         effects = by_drawn_value(outcomes, draw_labels(self.runs[0].run.program, self.units))
-        found = f"{effects.conclusion[:1].upper()}{effects.conclusion[1:]}."
+        conclusion = f"{effects.conclusion[:1].upper()}{effects.conclusion[1:]}."
         caption = (
-            f"{found} Each point is an evaluation episode ({colors}{len(outcomes):,} in all). "
+            f"{conclusion} Each point is an evaluation episode ({colors}{len(outcomes):,} in all). "
             "Bars are means over parts of the range, with 95 % intervals."
         )
         yield "starts", caption, figures.starts(outcomes, effects, theme, success_defined=defined)
@@ -335,7 +413,8 @@ class Report:
 
     def _trajectories_caption(self, world: WorldModel) -> str:
         names, targets = (
-            list(dict.fromkeys(trajectories.describe(world, part) for part in parts)) for parts in (self.moving.parts, self.moving.targets)
+            list(dict.fromkeys(trajectories.describe(world, part) for part in parts))
+            for parts in (self.moving.parts, self.moving.targets)
         )
         others = f"; dotted: {', '.join(names[1:])}" if names[1:] else ""
         marks = "disc: success, cross: none" if self.runs[0].evaluation.success_defined else "disc: end"
@@ -348,7 +427,9 @@ class Report:
         Raises:
             UsageError: A file cannot be written.
         """
-        return write_figure_files(folder, ((name, figure) for name, _, figure in self.figures("light") if figure is not None))
+        return write_figure_files(
+            folder, ((name, figure) for name, _, figure in self.figures("light") if figure is not None)
+        )
 
     # The page
 
@@ -365,12 +446,22 @@ class Report:
         clips = {label: self.clips[label] for label in EPISODE_LABELS if label in self.clips}
         notes = [*self.notes, *self.declines, *(note for member in self.runs for note in member.run.notes())]
         return render_template(
-            "report.html.j2", html=True, report=self, program=run.program, record=run.record, figures=drawn, clips=clips,
-            findings=[(_place(run, finding.span), finding) for finding in linted.findings], listings=_listings(run, linted),
+            "report.html.j2",
+            html=True,
+            report=self,
+            program=run.program,
+            record=run.record,
+            figures=drawn,
+            clips=clips,
+            findings=[(_place(run, finding.span), finding) for finding in linted.findings],
+            listings=_listings(run, linted),
             rows=[(member.run.path.name, member.run.record, member.verdict.text) for member in self.runs],
-            command=join(run.record.command) or "(from Python)", version=deepbots_cli.__version__, python=platform.python_version(),
-            matplotlib=version("matplotlib"), notes=dict.fromkeys(notes),
-        )  # fmt: skip
+            command=join(run.record.command) or "(from Python)",
+            version=deepbots_cli.__version__,
+            python=platform.python_version(),
+            matplotlib=version("matplotlib"),
+            notes=dict.fromkeys(notes),
+        )
 
 
 @dataclass(frozen=True)
@@ -383,10 +474,11 @@ class Listing:
 
 
 def _listings(run: Run, linted: LintedScenario) -> list[Listing]:
-    """The files that the findings name, the scenario first; `resolved.yaml` too where the scenario is more than its file."""
+    """The files that the findings name, the scenario first; `resolved.yaml` too where the scenario is more
+    than its file."""
     spans = [finding.span for finding in linted.findings]
     texts = dict.fromkeys([*([linted.text] if linted.text else []), *(span.source for span in spans)])
-    found = [
+    listings = [
         Listing(
             _name(run, text),
             text.text.splitlines(),
@@ -396,8 +488,8 @@ def _listings(run: Run, linted: LintedScenario) -> list[Listing]:
     ]
     resolved = (run.path / RESOLVED_NAME).read_text("utf-8")
     if not linted.is_whole and all(text.text != resolved for text in texts):
-        found.append(Listing(RESOLVED_NAME, resolved.splitlines(), frozenset()))
-    return found
+        listings.append(Listing(RESOLVED_NAME, resolved.splitlines(), frozenset()))
+    return listings
 
 
 def _place(run: Run, span: Span) -> str:
@@ -422,20 +514,24 @@ def _attempt(group: Group, number: int) -> tuple[str, str, str, str]:
 def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBOUNDED) -> str:
     from deepbots_cli.learning.statistics import mean_interval
 
-    found = mean_interval(values, bounds)
-    interval = "" if found is None else f" (95 % interval over seeds {form.format(found[0])} .. {form.format(found[1])})"
+    seed_interval = mean_interval(values, bounds)
+    interval = (
+        ""
+        if seed_interval is None
+        else f" (95 % interval over seeds {form.format(seed_interval[0])} .. {form.format(seed_interval[1])})"
+    )
     return form.format(fmean(values)) + interval
 
 
 def _standing(player: Player, shown: Sequence[ReportEpisode]) -> list[list[Triple]]:
     """The outlines of objects that have one form, and one place in all these episodes."""
-    found = []
+    outlines = []
     for thing in player.env.world.objects:
         poses = {links.get((thing.name, thing.name)) for each in shown for links in each.end_poses}
         pose = poses.pop() if len(poses) == 1 else None
         if pose is not None and not thing.variants:
-            found.append(figures.outline(thing.shape, pose))
-    return found
+            outlines.append(figures.outline(thing.shape, pose))
+    return outlines
 
 
 def write_figure_files(folder: Path, figures: Iterable[tuple[str, Figure]]) -> list[Path]:

@@ -1,15 +1,16 @@
-"""Trainings that follow one another until one solves the task, each with the values under `train` that a diagnosis advises.
+"""Trainings that follow one another until one solves the task, each with the values under `train` that a
+diagnosis advises.
 
     runs/cartpole-retry-1/
     ├── group.json               the attempts so far: what was changed, and the sentence of the cause
     ├── inputs/, resolved.yaml   the scenario, from which all attempts are trained
     └── try-1/, try-2/ ...       their runs
 
-The next attempt begins with the values of the last one, or of the best one if the last one is clearly worse, and with the advice of its
-first cause that has a value which was not tried yet. All attempts have the seed of the first one, so that the values are their only
-difference, and all policies are evaluated on the same starts. An attempt that only trains longer is a copy of the run before, and
-continues it. What was decided is in `group.json` before it is trained, so a group whose process was killed continues with the same
-attempts.
+The next attempt begins with the values of the last one, or of the best one if the last one is clearly worse,
+and with the advice of its first cause that has a value which was not tried yet. All attempts have the seed of
+the first one, so that the values are their only difference, and all policies are evaluated on the same
+starts. An attempt that only trains longer is a copy of the run before, and continues it. What was decided is
+in `group.json` before it is trained, so a group whose process was killed continues with the same attempts.
 """
 
 from __future__ import annotations
@@ -28,17 +29,11 @@ from deepbots_cli.insight.ends import TOTAL_TIMESTEPS
 from deepbots_cli.insight.linted import named_source
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.learning.campaign import evaluate_once, train_member
+from deepbots_cli.learning.directories import new_directory, run_lock
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.group import MAX_RETRIES, Group, RetryAttempt, new_record
+from deepbots_cli.learning.records import RunRecord, TrainingOptions, TrainingResult, changed_settings
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import (
-    RunRecord,
-    TrainingOptions,
-    TrainingResult,
-    changed_settings,
-    new_directory,
-    run_lock,
-)
 from deepbots_cli.learning.verdict import RunVerdict
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
@@ -60,8 +55,9 @@ class Attempted(NamedTuple):
 class RetriedTraining:
     """What the attempts came to.
 
-    `best` is the number of the best one, from 1. `diagnosed` is the one that was diagnosed last, `causes` are those of its causes whose
-    values were not tried; none where the task is solved. `stopped_by` says why no attempt follows.
+    `best` is the number of the best one, from 1. `diagnosed` is the one that was diagnosed last, `causes` are
+    those of its causes whose values were not tried; none where the task is solved. `stopped_by` says why no
+    attempt follows.
     """
 
     group: Path
@@ -87,7 +83,8 @@ def train_with_retries(
     on_episode: OnEpisode = None,
     **options: Unpack[TrainingOptions],
 ) -> RetriedTraining:
-    """Train a scenario, and up to `retries` times again with advised values, until an attempt solves it or no advice is left.
+    """Train a scenario, and up to `retries` times again with advised values, until an attempt solves it or no
+    advice is left.
 
     Args:
         group: The folder to make; by default `runs/<scenario>-retry-<n>`.
@@ -104,7 +101,10 @@ def train_with_retries(
     checked_settings(compiled.program, [seed], **options)
     if compiled.program.agent.solved is None and not compiled.program.defines_success:
         name = compiled.program.name
-        raise UsageError(f"{name} does not say when it is solved; add `solved`, such as `solved: mean_return >= 100 over 100 episodes`")
+        raise UsageError(
+            f"{name} does not say when it is solved; add `solved`, such as `solved: mean_return >= 100 over"
+            " 100 episodes`"
+        )
     path = new_directory(group, runs, compiled.program.name, "retry")
     with Group.created(path, new_record(compiled, [seed], options, retries), compiled) as created:
         return _Retries(created, compiled.permissions, progress, executor, on_attempt, on_episode).run()
@@ -174,7 +174,11 @@ class _Retries:
             causes = untried(self._causes(base), self.group.record.attempts, base)
             following = next_attempt(causes, self.group.record.attempts, base)
             if following is None:
-                reason = "no other value under `train` is advised" if causes else f"no other cause of try-{base} was found"
+                reason = (
+                    "no other value under `train` is advised"
+                    if causes
+                    else f"no other cause of try-{base} was found"
+                )
                 break
             if number > self.group.record.retries:
                 break
@@ -183,7 +187,9 @@ class _Retries:
 
     def _train(self, number: int) -> TrainingResult | None:
         """Train an attempt or continue it; None if it was trained before."""
-        record, path, attempt = self.group.record, self.group.planned[number - 1], self.group.record.attempts[number - 1]
+        record = self.group.record
+        path = self.group.planned[number - 1]
+        attempt = self.group.record.attempts[number - 1]
         compiled = self.group.compiled(self.group.attempts[number - 1].assignments, self.permissions)
         changes: dict[str, Any] = {}
         if self._is_longer(attempt):
@@ -206,10 +212,13 @@ class _Retries:
     def _is_longer(self, attempt: RetryAttempt) -> bool:
         """Whether an attempt only continues the one that it is based on."""
         base = self.group.record.attempts[attempt.base - 1].settings if attempt.base else attempt.settings
-        return {name for name in attempt.settings if attempt.settings[name] != base.get(name)} == {TOTAL_TIMESTEPS}
+        return {name for name in attempt.settings if attempt.settings[name] != base.get(name)} == {
+            TOTAL_TIMESTEPS
+        }
 
     def _is_given_up(self, number: int, best: int) -> bool:
-        """Whether the values of an attempt are worse than those of the best one; a longer training may have to be longer still."""
+        """Whether the values of an attempt are worse than those of the best one; a longer training may have
+        to be longer still."""
         worse = _is_worse(self.group.attempt_verdict(number), self.group.attempt_verdict(best))
         return worse and not self._is_longer(self.group.record.attempts[number - 1])
 
@@ -222,7 +231,9 @@ class _Retries:
     def _command(self, number: int) -> list[str]:
         """The command line of the group with the values of an attempt, for its record."""
         record, attempt = self.group.record, self.group.attempts[number - 1]
-        others = [text for text in changed_settings(record.command) if text.partition("=")[0] not in attempt.values]
+        others = [
+            text for text in changed_settings(record.command) if text.partition("=")[0] not in attempt.values
+        ]
         words = ["deepbots", "train", named_source(record.source), "--seed", str(record.seeds[0])]
         return [*words, *(word for text in (*others, *attempt.assignments) for word in ("--set", text))]
 
@@ -242,34 +253,59 @@ class _Retries:
         evaluate_once(self.group.planned[number - 1], self.permissions, self.on_episode)
         return self.group.attempt_verdict(number)
 
-    def _result(self, *, diagnosed: int, interrupted: bool, causes: Sequence[Statement], reason: str) -> RetriedTraining:
+    def _result(
+        self, *, diagnosed: int, interrupted: bool, causes: Sequence[Statement], reason: str
+    ) -> RetriedTraining:
         group, best = self.group, self.group.best_attempt
         numbered = enumerate(group.record.attempts, start=1)
-        attempts = tuple(Attempted(group.planned[number - 1], attempt, group.attempt_verdict(number)) for number, attempt in numbered)
+        attempts = tuple(
+            Attempted(group.planned[number - 1], attempt, group.attempt_verdict(number))
+            for number, attempt in numbered
+        )
         solved = attempts[best - 1].verdict.solved
-        return RetriedTraining(group.path, attempts, best, solved, diagnosed, interrupted, () if solved else tuple(causes), reason)
+        return RetriedTraining(
+            group.path,
+            attempts,
+            best,
+            solved,
+            diagnosed,
+            interrupted,
+            () if solved else tuple(causes),
+            reason,
+        )
 
 
 def _is_worse(verdict: RunVerdict, other: RunVerdict) -> bool:
-    """Whether an evaluation is clearly worse: the intervals of success rate, or else of mean return, have nothing in common."""
+    """Whether an evaluation is clearly worse: the intervals of success rate, or else of mean return, have
+    nothing in common."""
     one, best = verdict.evaluation, other.evaluation
     if one is None or best is None:
         return one is None
     pairs = ((one.success_interval, best.success_interval), (one.return_interval, best.return_interval))
-    interval, higher = next(((a, b) for a, b in pairs if a is not None and b is not None and a != b), (None, None))
+    interval, higher = next(
+        ((a, b) for a, b in pairs if a is not None and b is not None and a != b), (None, None)
+    )
     return interval is not None and higher is not None and interval[1] < higher[0]
 
 
 def untried(causes: Sequence[Statement], attempts: Sequence[RetryAttempt], base: int) -> list[Statement]:
     """The causes of an attempt without those whose values an attempt has had already."""
     tried = [dict(attempt.settings) for attempt in attempts]
-    return [cause for cause in causes if not cause.settings or {**attempts[base - 1].settings, **cause.settings} not in tried]
+    return [
+        cause
+        for cause in causes
+        if not cause.settings or {**attempts[base - 1].settings, **cause.settings} not in tried
+    ]
 
 
-def next_attempt(causes: Sequence[Statement], attempts: Sequence[RetryAttempt], base: int) -> RetryAttempt | None:
-    """The attempt that the causes of the attempt `base` advise, the most likely first; None if they advise no other value.
+def next_attempt(
+    causes: Sequence[Statement], attempts: Sequence[RetryAttempt], base: int
+) -> RetryAttempt | None:
+    """The attempt that the causes of the attempt `base` advise, the most likely first; None if they advise no
+    other value.
 
-    Behind a cause that is certain and asks for something else than values under `train`, other causes are no reason to train again.
+    Behind a cause that is certain and asks for something else than values under `train`, other causes are no
+    reason to train again.
     """
     for cause in untried(causes, attempts, base):
         if cause.settings:

@@ -26,8 +26,8 @@ def _per_step(traces: Sequence[Trace]) -> float:
 
 
 def term_dominates(t: TrainingEvidence) -> Numbers | None:
-    """The reward term '{term}' dominates: it is {share} of the reward. With random actions it gives {mean} per step, and all other terms
-    together give {others}.
+    """The reward term '{term}' dominates: it is {share} of the reward. With random actions it gives {mean}
+    per step, and all other terms together give {others}.
 
     Try: Scale '{term}' down until the other terms outweigh it, for example by a factor of 10.
     """
@@ -39,8 +39,13 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
     name = max(sums, key=lambda each: abs(sums[each]))
     share, rest = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
     varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in t.random if trace.steps)
-    others = [fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces) for traces in (t.random, t.policy or t.random)]
-    if share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]:  # the policy earns the others all the same
+    others = [
+        fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces)
+        for traces in (t.random, t.policy or t.random)
+    ]
+    if (
+        share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]
+    ):  # the policy earns the others all the same
         return None
     steps = sum(trace.steps for trace in t.random)
     return {
@@ -54,8 +59,8 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
 
 
 def reward_exploited(t: TrainingEvidence) -> Numbers | None:
-    """The reward pays for something other than the success: the mean return of {what} is {gained}, more than the {by_example} of
-    {example}, but the policy succeeds in {policy}{and_example}.{paying}
+    """The reward pays for something other than the success: the mean return of {what} is {gained}, more than
+    the {by_example} of {example}, but the policy succeeds in {policy}{and_example}.{paying}
 
     Try: {remedy}
     """
@@ -71,7 +76,10 @@ def reward_exploited(t: TrainingEvidence) -> Numbers | None:
     paying, named = "", "the term that pays for it"
     if term and extra[term] > 0:
         named = f"'{term}'"
-        paying = f" {named} pays most of the difference: {terms[term]:.3g} per episode, and {example.terms.get(term, 0.0):.3g}"
+        paying = (
+            f" {named} pays most of the difference: {terms[term]:.3g} per episode, and"
+            f" {example.terms.get(term, 0.0):.3g}"
+        )
         paying += f" in {example.episode}."
     once = f"Let {named} pay once, or only for a change (`delta(...)`), or end the episode where it pays"
     if term and t.facts.is_progress(term):
@@ -94,7 +102,8 @@ def reward_exploited(t: TrainingEvidence) -> Numbers | None:
 
 
 class _Example(NamedTuple):
-    """Episodes that succeed, or mostly, with which the policy is compared: what to call them and one, and their mean reward terms."""
+    """Episodes that succeed, or mostly, with which the policy is compared: what to call them and one, and
+    their mean reward terms."""
 
     name: str
     episode: str
@@ -105,7 +114,8 @@ class _Example(NamedTuple):
 
 
 def _examples(t: TrainingEvidence) -> list[_Example]:
-    """The script that succeeds most, and the successful episodes of the quoted evaluation if they are at least half of it."""
+    """The script that succeeds most, and the successful episodes of the quoted evaluation if they are at
+    least half of it."""
     if not t.program.defines_success:
         return []
     names = [term.name for term in t.program.agent.reward]
@@ -121,13 +131,17 @@ def _examples(t: TrainingEvidence) -> list[_Example]:
         terms = {name: fmean(float(np.nansum(trace.terms[name])) for trace in traces) for name in names}
         returns = [trace.returns for trace in traces]
         name = f"the script '{best}'"
-        examples.append(_Example(name, f"an episode of {name}", returns, successes(best), terms, is_script=True))
+        examples.append(
+            _Example(name, f"an episode of {name}", returns, successes(best), terms, is_script=True)
+        )
     succeeded = [episode for episode in t.final_episodes if episode.is_success] if t.is_last_stage else []
     if len(succeeded) >= max(MIN_EPISODES, len(t.final_episodes) / 2):
         terms = {name: fmean(episode.terms.get(name, 0.0) for episode in succeeded) for name in names}
         returns = [episode.total_return for episode in succeeded]
         name = "the successful episodes of the evaluation"
-        examples.append(_Example(name, "a successful one", returns, [1.0] * len(returns), terms, is_script=False))
+        examples.append(
+            _Example(name, "a successful one", returns, [1.0] * len(returns), terms, is_script=False)
+        )
     return examples
 
 
@@ -158,7 +172,7 @@ def _policy_outcomes(t: TrainingEvidence) -> list[_Outcome]:
     successes = [float(value) for each in late for value in each["successes"]]
     episodes = t.episodes_between(0.75, 1.0)[-100:]
     kept = t.final_episodes if t.is_last_stage else ()
-    found = [
+    outcomes = [
         _Outcome("its last evaluations", returns, successes),
         _Outcome("the last episodes of the training", episodes.returns, episodes.successes),
         _Outcome(
@@ -167,7 +181,7 @@ def _policy_outcomes(t: TrainingEvidence) -> list[_Outcome]:
             [float(each.is_success) for each in kept],
         ),
     ]
-    return [outcome for outcome in found if len(outcome.returns) >= MIN_EPISODES]
+    return [outcome for outcome in outcomes if len(outcome.returns) >= MIN_EPISODES]
 
 
 def _error_of_mean(values: Sequence[float]) -> float:
@@ -175,13 +189,17 @@ def _error_of_mean(values: Sequence[float]) -> float:
 
 
 def _term_means(t: TrainingEvidence, share: float = 0.75) -> dict[str, float]:
-    """The mean of each reward term per episode, after a share of the present stage; without those that were not logged."""
+    """The mean of each reward term per episode, after a share of the present stage; without those that were
+    not logged."""
     curves = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
-    return {name: float(curve[int(share * len(curve)) :].mean()) for name, curve in curves.items() if len(curve)}
+    return {
+        name: float(curve[int(share * len(curve)) :].mean()) for name, curve in curves.items() if len(curve)
+    }
 
 
 def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
-    """Failing early pays: a step earns {reward} on average, {failed} of the late episodes fail{correlated}.{sooner}{saving}{going_on}
+    """Failing early pays: a step earns {reward} on average, {failed} of the late episodes
+    fail{correlated}.{sooner}{saving}{going_on}
 
     Try: Make good steps earn a positive reward (check the signs of the terms), or {price}.
     """
@@ -193,34 +211,60 @@ def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
     if failed < 0.5 or late.successes.mean() > 0.2:
         return None
     sooner = _fails_sooner(t)
-    together = float(np.corrcoef(t.episodes.lengths, t.episodes.returns)[0, 1]) if np.ptp(t.episodes.returns) else 0.0
+    together = (
+        float(np.corrcoef(t.episodes.lengths, t.episodes.returns)[0, 1])
+        if np.ptp(t.episodes.returns)
+        else 0.0
+    )
     costs = per_step < 0 and _per_step(t.policy) <= 0 and together < -0.5
     if not costs and sooner is None:
         return None
     prices = [(name, t.facts.price_of(name)) for name in t.program.failures]
-    known = list_text([f"'{name}' costs {-cost:.3g} now" for name, cost in prices if cost is not None and cost < 0] or [""])
-    price = f"make a failure cost more than the steps that it saves{f' ({known})' if known else ''}"
+    priced = list_text(
+        [f"'{name}' costs {-cost:.3g} now" for name, cost in prices if cost is not None and cost < 0] or [""]
+    )
+    price = f"make a failure cost more than the steps that it saves{f' ({priced})' if priced else ''}"
     correlated = f", and longer episodes have lower returns (correlation {together:.3g})" if costs else ""
-    return {"likelihood": 0.93 if sooner is None else 0.956, "reward": per_step, "failed": Percentage(failed),
-            "length": float(late.lengths.mean()), "first": float(t.episodes_between(0.0, 0.25).lengths.mean()),
-            "correlation": together, "correlated": correlated, "price": price, "sooner": "", "saving": "",
-            **(sooner or {}), **_going_on(t)}  # fmt: skip
+    return {
+        "likelihood": 0.93 if sooner is None else 0.956,
+        "reward": per_step,
+        "failed": Percentage(failed),
+        "length": float(late.lengths.mean()),
+        "first": float(t.episodes_between(0.0, 0.25).lengths.mean()),
+        "correlation": together,
+        "correlated": correlated,
+        "price": price,
+        "sooner": "",
+        "saving": "",
+        **(sooner or {}),
+        **_going_on(t),
+    }
 
 
 def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
-    """That late episodes all end by one failure, in fewer steps than the first ones, and that this saves costs."""
-    first, late = t.episodes[: max(MIN_EPISODES, min(100, len(t.episodes) // 10))], t.episodes_between(0.75, 1.0)[-100:]
+    """That late episodes all end by one failure, in fewer steps than the first ones, and that this saves
+    costs."""
+    first = t.episodes[: max(MIN_EPISODES, min(100, len(t.episodes) // 10))]
+    late = t.episodes_between(0.75, 1.0)[-100:]
     if len(t.episodes) < 10 * MIN_EPISODES:
         return None
     name, count = Counter(late.endings).most_common(1)[0]
     before, now = float(first.lengths.mean()), float(late.lengths.mean())
     error = 2 * float(np.hypot(_error_of_mean(first.lengths), _error_of_mean(late.lengths)))
     gain = float(late.returns.mean() - first.returns.mean())
-    if name not in t.program.failures or count < 0.95 * len(late) or not now < min(before - error, 0.85 * before) or gain <= 0:
+    if (
+        name not in t.program.failures
+        or count < 0.95 * len(late)
+        or not now < min(before - error, 0.85 * before)
+        or gain <= 0
+    ):
         return None
     curves = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
     ends = {
-        each: (float(curve[: max(1, len(curve) // 20)].mean()), float(curve[-max(1, len(curve) // 4) :].mean()))
+        each: (
+            float(curve[: max(1, len(curve) // 20)].mean()),
+            float(curve[-max(1, len(curve) // 4) :].mean()),
+        )
         for each, curve in curves.items()
         if len(curve)
     }
@@ -228,9 +272,12 @@ def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
     if sum(saved.values()) < 0.5 * gain:  # what it does in these steps pays, such as coming nearer
         return None
     largest = sorted(saved, key=lambda each: -saved[each])
-    costs = list_text([f"'{each}' went from {ends[each][0]:.3g} to {ends[each][1]:.3g} per episode" for each in largest])
+    costs = list_text(
+        [f"'{each}' went from {ends[each][0]:.3g} to {ends[each][1]:.3g} per episode" for each in largest]
+    )
     return {
-        "sooner": f" '{name}' ends {Percentage(count / len(late)):.0%} of them after {now:.0f} steps on average; the first episodes"
+        "sooner": f" '{name}' ends {Percentage(count / len(late)):.0%} of them after {now:.0f} steps on"
+        " average; the first episodes"
         f" of the training lasted {before:.0f}.",
         "saving": f" The shorter episodes save costs: {costs}.",
         "ending": name,
@@ -239,23 +286,30 @@ def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
 
 
 def _going_on(t: TrainingEvidence) -> Numbers:
-    """What failing, lasting until the time limit and succeeding return, and how often an episode has to succeed before going on pays."""
+    """What failing, lasting until the time limit and succeeding return, and how often an episode has to
+    succeed before going on pays."""
     failed = t.episodes.returns[np.isin(t.episodes.endings, list(t.program.failures))]
     won = t.episodes.returns[t.episodes.successes > 0]
     lasted = t.episodes.returns[np.isin(t.episodes.endings, _LIMITS) & (t.episodes.successes == 0)]
     if min(len(failed), len(lasted)) < 3:
         return {"going_on": ""}
     fail, last = float(failed.mean()), float(lasted.mean())
-    text = f" The mean return is {fail:.3g} for a failure, and {last:.3g} for an episode that reaches its limit"
-    found = {"failing": fail, "lasting": last}
+    text = (
+        f" The mean return is {fail:.3g} for a failure, and {last:.3g} for an episode that reaches its limit"
+    )
+    returns = {"failing": fail, "lasting": last}
     if len(won) and (win := float(won.mean())) > fail > last:
-        found |= {"succeeding": win, "break_even": (fail - last) / (win - last)}
-        text += f"; for a success it is {win:.3g}, so continuing pays only if at least {found['break_even']:.0%} of such episodes succeed"
-    return {**found, "going_on": f"{text}."}
+        returns |= {"succeeding": win, "break_even": (fail - last) / (win - last)}
+        text += (
+            f"; for a success it is {win:.3g}, so continuing pays only if at least"
+            f" {returns['break_even']:.0%} of such episodes succeed"
+        )
+    return {**returns, "going_on": f"{text}."}
 
 
 def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
-    """Standing still pays: zero actions earn {still} per step, the policy earns {policy}, and {rate} of the late episodes succeed.
+    """Standing still pays: zero actions earn {still} per step, the policy earns {policy}, and {rate} of the
+    late episodes succeed.
 
     Try: {progress}, and make each step cost something instead of earning something.
     """
@@ -264,7 +318,12 @@ def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
         return None
     still, policy = _per_step(t.idle), _per_step(t.policy or t.random)
     outcomes = [trace.outcome for trace in t.idle]  # where standing still fails soon, it pays until then only
-    if still <= 0 or "success" in outcomes or 2 * outcomes.count("failure") > len(outcomes) or still < 0.8 * policy:
+    if (
+        still <= 0
+        or "success" in outcomes
+        or 2 * outcomes.count("failure") > len(outcomes)
+        or still < 0.8 * policy
+    ):
         return None
     own = [term for term in t.facts.terms_towards_success if t.facts.is_progress(term)]
     progress = "Reward progress towards success (such as the change of a distance)"
@@ -283,39 +342,73 @@ def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
 
 
 def loitering(t: TrainingEvidence) -> Numbers | None:
-    """Staying near success pays more than success: {share} of the late episodes reach the time limit. In the second half of such episodes,
-    '{term}' gives {per_step} per step, which is {whole} for {steps} steps. {compared}
+    """Staying near success pays more than success: {share} of the late episodes reach the time limit. In the
+    second half of such episodes, '{term}' gives {per_step} per step, which is {whole} for {steps} steps.
+    {compared}
 
-    Try: {nearer}nd the episode where it pays, or scale it down until an episode of it earns less than success.
+    Try: {nearer}nd the episode where it pays, or scale it down until an episode of it earns less than
+    success.
     """
     if not t.program.defines_success or not t.is_mature or not t.policy:
         return None
     late = t.episodes_between(0.5, 1.0)
     at_limit, won = np.isin(late.endings, _LIMITS) & (late.successes == 0), t.episodes.successes > 0
-    staying = [trace for trace in t.policy if trace.outcome in ("time limit", "not ended") and trace.steps >= 2 * MIN_EPISODES]
-    if len(late) < MIN_EPISODES or at_limit.mean() < 0.3 or 2 * sum(map(_stays_near, staying)) <= len(staying):
+    staying = [
+        trace
+        for trace in t.policy
+        if trace.outcome in ("time limit", "not ended") and trace.steps >= 2 * MIN_EPISODES
+    ]
+    if (
+        len(late) < MIN_EPISODES
+        or at_limit.mean() < 0.3
+        or 2 * sum(map(_stays_near, staying)) <= len(staying)
+    ):
         return None
     halves = {
-        term.name: np.concatenate([trace.terms[term.name][trace.steps // 2 :] for trace in staying]) for term in t.program.agent.reward
+        term.name: np.concatenate([trace.terms[term.name][trace.steps // 2 :] for trace in staying])
+        for term in t.program.agent.reward
     }
     paid = {name: float(values.mean()) for name, values in halves.items() if (values > 0).mean() >= 0.8}
-    if not paid or sum(values.mean() for values in halves.values()) <= 0 or (t.idle and _per_step(t.idle) >= 0.8 * _per_step(t.policy)):
+    if (
+        not paid
+        or sum(values.mean() for values in halves.values()) <= 0
+        or (t.idle and _per_step(t.idle) >= 0.8 * _per_step(t.policy))
+    ):
         return None
-    name, longest = max(paid, key=lambda each: paid[each]), t.program.truncation.max_episode_steps(t.program.period)
-    stayed, compared, gained = float(late.returns[at_limit].mean()), "No episode of the training succeeded.", None
+    name, longest = (
+        max(paid, key=lambda each: paid[each]),
+        t.program.truncation.max_episode_steps(t.program.period),
+    )
+    stayed = float(late.returns[at_limit].mean())
+    compared = "No episode of the training succeeded."
+    gained = None
     if won.any():
         gained = float(t.episodes.returns[won].mean())
-        compared = f"The mean return of {int(won.sum()):,} episodes with success is {gained:.3g}, that of late ones without {stayed:.3g}."
+        compared = (
+            f"The mean return of {int(won.sum()):,} episodes with success is {gained:.3g}, that of"
+            f" late ones without {stayed:.3g}."
+        )
         if won.sum() >= MIN_EPISODES and gained > stayed + 0.1 * abs(stayed):
             return None
-    return {"likelihood": 0.935, "share": Percentage(float(at_limit.mean())), "term": name, "per_step": paid[name],
-            "whole": paid[name] * longest, "steps": longest, "return_of_success": gained, "return_of_staying": stayed,
-            "compared": compared, "nearer": "E" if t.facts.is_progress(name) else
-            f"Make '{name}' reward coming nearer instead of being near (`delta(...)` of its value), e"}  # fmt: skip
+    return {
+        "likelihood": 0.935,
+        "share": Percentage(float(at_limit.mean())),
+        "term": name,
+        "per_step": paid[name],
+        "whole": paid[name] * longest,
+        "steps": longest,
+        "return_of_success": gained,
+        "return_of_staying": stayed,
+        "compared": compared,
+        "nearer": "E"
+        if t.facts.is_progress(name)
+        else f"Make '{name}' reward coming nearer instead of being near (`delta(...)` of its value), e",
+    }
 
 
 def _stays_near(trace: Trace) -> bool:
-    """Whether an episode came near to a success and stayed there: a comparison that was missing at its start is not far from holding."""
+    """Whether an episode came near to a success and stayed there: a comparison that was missing at its start
+    is not far from holding."""
     for name in trace.program.agent.success:
         condition = trace.instrumented.conditions.get(name)
         for outer in comparisons_in(condition) if condition is not None else ():
@@ -331,7 +424,8 @@ def _stays_near(trace: Trace) -> bool:
 def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
     """A higher return does not mean more success: {how}.{rising}
 
-    Try: Make a success earn more than an episode without success can collect, and scale down the terms that reward something else.
+    Try: Make a success earn more than an episode without success can collect, and scale down the terms that
+    reward something else.
     """
     if not t.program.defines_success or not t.is_mature:
         return None
@@ -340,33 +434,50 @@ def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
     won, lost = episodes.returns[episodes.successes > 0], episodes.returns[episodes.successes == 0]
     if min(len(won), len(lost)) < MIN_EPISODES or late.successes.mean() >= 0.8:
         return None
-    rates = [SuccessRate(part.successes) for part in (t.episodes_between(0.0, 0.25), t.episodes_between(0.75, 1.0))]
+    rates = [
+        SuccessRate(part.successes) for part in (t.episodes_between(0.0, 0.25), t.episodes_between(0.75, 1.0))
+    ]
     rise, term = returns_rise(t), rising_term(t)
-    rising = "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} per episode."
+    rising = (
+        "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} per episode."
+    )
     error = 2 * float(np.hypot(won.std() / np.sqrt(len(won)), lost.std() / np.sqrt(len(lost))))
-    numbers = {"return_of_success": float(won.mean()), "return_without": float(lost.mean()), "early": rates[0], "late": rates[1],
-               "term": term[0] if term else "", "rising": rising}  # fmt: skip
+    numbers = {
+        "return_of_success": float(won.mean()),
+        "return_without": float(lost.mean()),
+        "early": rates[0],
+        "late": rates[1],
+        "term": term[0] if term else "",
+        "rising": rising,
+    }
     if won.mean() < lost.mean() - error:
-        how = f"the mean return is {won.mean():.3g} in {len(won):,} episodes with success, and {lost.mean():.3g} in {len(lost):,} without"
+        how = (
+            f"the mean return is {won.mean():.3g} in {len(won):,} episodes with success, and"
+            f" {lost.mean():.3g} in {len(lost):,} without"
+        )
         return {**numbers, "likelihood": 0.925, "how": how}
     falls = rates[1].high < rates[0].low
     flat = plateau(t) is not None and rates[1].rate <= rates[0].rate + 0.03 and hides_success(t) is None
     if rise is None or not (falls or flat):
         return None
-    how = f"the mean return of the last quarter is {rise[1]:.3g}, {rise[2]:.3g} above that of the first half, and the success rate "
+    how = (
+        f"the mean return of the last quarter is {rise[1]:.3g}, {rise[2]:.3g} above that of the first"
+        " half, and the success rate "
+    )
     how += f"went from {rates[0]} in the first quarter to {rates[1]} in the last one"
     return {**numbers, "likelihood": 0.91 if falls else 0.72, "how": how}
 
 
 def rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
-    """The reward term that rises most in the present stage, with its mean per episode in the first and in the last quarter."""
+    """The reward term that rises most in the present stage, with its mean per episode in the first and in the
+    last quarter."""
     ends = []
     for term in t.program.agent.reward:
         if len(curve := t.curve(f"reward/{term.name}")):
             quarter = max(1, len(curve) // 4)
             ends.append((term.name, float(curve[:quarter].mean()), float(curve[-quarter:].mean())))
-    found = max(ends, key=lambda each: each[2] - each[1], default=None)
-    return found if found is not None and found[2] > found[1] else None
+    rising = max(ends, key=lambda each: each[2] - each[1], default=None)
+    return rising if rising is not None and rising[2] > rising[1] else None
 
 
 _CEILING = 0.01
@@ -376,8 +487,8 @@ _FLAT_EVALUATIONS = 3
 
 
 def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
-    """The return is at its ceiling: it is {mean} in all of {episodes} {what} (from {low} to {high}), it no longer grows, and no episode of
-    the training returned more than {most}.{bounded}{asked}
+    """The return is at its ceiling: it is {mean} in all of {episodes} {what} (from {low} to {high}), it no
+    longer grows, and no episode of the training returned more than {most}.{bounded}{asked}
 
     Try: {remedy}
     """
@@ -387,25 +498,40 @@ def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
         return None
     what, returns = "late episodes of the training", late.returns
     if len(t.final_episodes) >= MIN_EPISODES:
-        what, returns = "episodes of the evaluation", np.array([each.total_return for each in t.final_episodes])
+        what = "episodes of the evaluation"
+        returns = np.array([each.total_return for each in t.final_episodes])
     mean, low, high = float(returns.mean()), float(returns.min()), float(returns.max())
-    if mean <= 0 or (required is not None and mean >= required) or (t.program.defines_success and late.successes.mean() < 0.8):
+    if (
+        mean <= 0
+        or (required is not None and mean >= required)
+        or (t.program.defines_success and late.successes.mean() < 0.8)
+    ):
         return None
     most = max(high, float(t.episodes.returns.max()))
     _, bound = possible_returns(t.program)
     is_near = bound < np.inf and mean >= 0.95 * bound
-    # The same return in each episode may also be that of standing still, or that of a local optimum, which others exceed.
+    # The same return in each episode may also be that of standing still, or that of a local optimum, which
+    # others exceed.
     stands = bool(t.idle) and _per_step(t.idle) >= 0.9 * _per_step(t.policy or t.idle)
     is_same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
     has_grown = float(t.episodes_between(0.0, 0.1).returns.mean()) < 0.9 * mean
     if not is_near and (stands or not is_same or not has_grown or not _is_flat(t, mean)):
         return None
     steps = t.program.truncation.max_episode_steps(t.program.period)
-    remedy = "Pay more for what the policy should still improve, or accept the policy: more steps cannot raise this return."
+    remedy = (
+        "Pay more for what the policy should still improve, or accept the policy: more steps cannot"
+        " raise this return."
+    )
     if solved is not None and required is not None:
         remedy = "Ask for a return that is possible, such as"
-        remedy += f" `mean_return >= {np.floor(98 * mean) / 100:.3g} over {solved.episodes} episodes`, or raise what limits"
-        remedy += " it: the time of an episode, or the speed of the robot. More exploration or a longer training cannot."
+        remedy += (
+            f" `mean_return >= {np.floor(98 * mean) / 100:.3g} over {solved.episodes} episodes`, or"
+            " raise what limits"
+        )
+        remedy += (
+            " it: the time of an episode, or the speed of the robot. More exploration or a longer"
+            " training cannot."
+        )
     return {
         "likelihood": 0.952,
         "mean": mean,
@@ -423,7 +549,8 @@ def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
 
 
 def _is_flat(t: TrainingEvidence, mean: float) -> bool:
-    """Whether the evaluations of the second half of the stage all have this mean return, or else the training's own episodes."""
+    """Whether the evaluations of the second half of the stage all have this mean return, or else the
+    training's own episodes."""
     half = t.first_step + 0.5 * t.stage_steps
     done = [fmean(each["returns"]) for each in t.evaluations if "steps" in each and each["steps"] >= half]
     if len(done) >= _FLAT_EVALUATIONS:
@@ -439,9 +566,19 @@ def silent_terms(t: TrainingEvidence) -> Numbers | None:
     """
     names = [term.name for term in t.program.agent.reward]
     sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.probes) for name in names}
-    silent = [name for name, value in sums.items() if value == 0 and not np.abs(t.curve(f"reward/{name}")).max(initial=0.0)]
+    silent = [
+        name
+        for name, value in sums.items()
+        if value == 0 and not np.abs(t.curve(f"reward/{name}")).max(initial=0.0)
+    ]
     steps = sum(trace.steps for trace in t.probes)
     if not silent or not steps:
         return None
     likelihood = 0.9 if len(silent) == len(sums) else 0.3
-    return {"likelihood": likelihood, "names": list_text(silent), "count": len(silent), "of": len(sums), "steps": steps}
+    return {
+        "likelihood": likelihood,
+        "names": list_text(silent),
+        "count": len(silent),
+        "of": len(sums),
+        "steps": steps,
+    }

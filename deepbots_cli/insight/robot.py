@@ -1,8 +1,10 @@
-"""The simulation as a robot: a world that sends what its sensors measure over a link, and whose motors obey the commands that come.
+"""The simulation as a robot: a world that sends what its sensors measure over a link, and whose motors obey
+the commands that come.
 
-The link takes the place of the scenario's channels, and commands reach the motors as on a robot: what robot controllers compute under
-`apply` does not run. What the policy reads of the world is sent too, as a tracker would. The reward and the endings are those of the
-scenario; terms that use the action see the one that the policy sends beside its commands, else the middle of its range.
+The link takes the place of the scenario's channels, and commands reach the motors as on a robot: what robot
+controllers compute under `apply` does not run. What the policy reads of the world is sent too, as a tracker
+would. The reward and the endings are those of the scenario; terms that use the action see the one that the
+policy sends beside its commands, else the middle of its range.
 """
 
 from __future__ import annotations
@@ -60,14 +62,20 @@ def robot_program(program: Program) -> Program:
         UsageError: The scenario has copies of a robot.
     """
     if program.agent.copies is not None:
-        raise UsageError(f"{program.name} has copies of a robot (`agent.each`), which cannot be served one by one")
+        raise UsageError(
+            f"{program.name} has copies of a robot (`agent.each`), which cannot be served one by one"
+        )
     moved = program.agent.robots
-    robots = tuple(replace(each, to_route=Route(), from_route=Route()) if each.name in moved else each for each in program.robots)
+    robots = tuple(
+        replace(each, to_route=Route(), from_route=Route()) if each.name in moved else each
+        for each in program.robots
+    )
     return replace(program, robots=robots, timing="immediate")
 
 
 def sent_readings(program: Program) -> list[Reading]:
-    """What a robot sends: its sensors, and what a policy of the scenario reads of the world. `program` is one of `robot_program`.
+    """What a robot sends: its sensors, and what a policy of the scenario reads of the world. `program` is one
+    of `robot_program`.
 
     Raises:
         UsageError: A policy needs values between two actions.
@@ -76,14 +84,21 @@ def sent_readings(program: Program) -> list[Reading]:
     moved = [robot for robot in program.robots if robot.name in program.agent.robots]
     sampled = {robot.name: sampled_sensors(program, robot) for robot in moved}
     sensors = ((robot, sensor) for robot in moved for sensor in robot.sensors)
-    readings = [describe.sensor(robot, sensor) for robot, sensor in sensors if sensor.is_direct or sensor.name in sampled[robot.name]]
+    readings = [
+        describe.sensor(robot, sensor)
+        for robot, sensor in sensors
+        if sensor.is_direct or sensor.name in sampled[robot.name]
+    ]
     nodes = describe.deployment.nodes
     if program.action_repeat > 1 and any(isinstance(node, State) for _, node in nodes):
         raise UsageError(
-            f"{program.name} has `action_repeat: {program.action_repeat}` and an observation with a memory: its bundle needs values in"
+            f"{program.name} has `action_repeat: {program.action_repeat}` and an observation with a memory:"
+            " its bundle needs values in"
             " every timestep, and a simulated robot sends them once per action"
         )
-    readings += [reading for robot, node in nodes if (reading := _reading(program, describe, robot, node)) is not None]
+    readings += [
+        reading for robot, node in nodes if (reading := _reading(program, describe, robot, node)) is not None
+    ]
     return [*{reading.info.name: reading for reading in readings}.values()]
 
 
@@ -98,7 +113,9 @@ def _reading(program: Program, describe: Readings, robot: Robot | None, node: Sc
         case EngineRead():
             return describe.of_world(node)[0]
         case Name(name) if robot is not None:
-            return next((describe.sensor(robot, sensor) for sensor in robot.sensors if sensor.name == name), None)
+            return next(
+                (describe.sensor(robot, sensor) for sensor in robot.sensors if sensor.name == name), None
+            )
         case Name(name) if name in parameters:
             return describe.parameter(parameters[name])
     return None
@@ -107,7 +124,9 @@ def _reading(program: Program, describe: Readings, robot: Robot | None, node: Sc
 def _of_channel(program: Program, leaf: EngineRead) -> Scalar:
     """The age of a sensor, as its robot sends it; what is sent is new in every step."""
     robot, _, sensor = leaf.subjects[0].partition(".")
-    fields = {f"{each.name}.{name}": f"{each.name}.{field}" for each in program.robots for name, field in each.ages}
+    fields = {
+        f"{each.name}.{name}": f"{each.name}.{field}" for each in program.robots for name, field in each.ages
+    }
     return Name(fields[f"{robot}.{sensor}"]) if sensor else Const(leaf.function == "message_received")
 
 
@@ -117,8 +136,9 @@ def _of_channel(program: Program, leaf: EngineRead) -> Scalar:
 class SimulatedRobot(Driver):
     """Drives an environment by the commands that come over a link.
 
-    In real time a step lasts a period of the policy divided by `speed`, and the newest commands are obeyed; the time of an episode begins
-    with its first command. With `lockstep` each step waits for commands that answer its sensors.
+    In real time a step lasts a period of the policy divided by `speed`, and the newest commands are obeyed;
+    the time of an episode begins with its first command. With `lockstep` each step waits for commands that
+    answer its sensors.
     """
 
     note = "commands of a policy at the other end of a link"
@@ -156,9 +176,13 @@ class SimulatedRobot(Driver):
             self._take_over(environment, robot)
 
     def _take_over(self, environment: Supervisor, robot: str) -> None:
-        """Let the motors of a robot follow the commands of the link instead of the messages of the supervisor."""
+        """Let the motors of a robot follow the commands of the link instead of the messages of the
+        supervisor."""
         controller = environment.controllers[robot]
-        drives = [(f"{robot}.{entry.name}", getattr(controller, f"drive_{entry.name}")) for entry in controller.spec.commands]
+        drives = [
+            (f"{robot}.{entry.name}", getattr(controller, f"drive_{entry.name}"))
+            for entry in controller.spec.commands
+        ]
 
         def obey(_message: Any) -> None:
             for name, drive in drives:
@@ -168,7 +192,8 @@ class SimulatedRobot(Driver):
         controller.use_message_data = obey  # type: ignore[attr-defined]
 
     def begin(self, start: Start) -> None:
-        """Forget the commands of the last episode: until the first new one the motors hold what they hold at a reset."""
+        """Forget the commands of the last episode: until the first new one the motors hold what they hold at
+        a reset."""
         self._obeyed = {}
         self._action = self._still
         self._first = True
@@ -181,7 +206,9 @@ class SimulatedRobot(Driver):
         self.link.send(values, stamp)
         self.steps += 1
         if self._lockstep or self._first:
-            self._wait_for_answer(values, sent, stamp if self._lockstep else -np.inf)  # in real time commands have the time of the policy
+            self._wait_for_answer(
+                values, sent, stamp if self._lockstep else -np.inf
+            )  # in real time commands have the time of the policy
         if self._first:
             self._due = time.monotonic() + self._period
         if not self._lockstep:
@@ -190,12 +217,16 @@ class SimulatedRobot(Driver):
         return super().act(observation)
 
     def finish(self) -> None:
-        """Send what the last step of an episode led to, if the other end scores it; it answers before the next episode begins."""
+        """Send what the last step of an episode led to, if the other end scores it; it answers before the
+        next episode begins."""
         if any(other.scores for other in self.link.others()):
             self._obeyed = {}
             sent, stamp = time.monotonic(), time.time()
             self.link.send(self._watch.inputs(), stamp)
-            while not self._received(None, stamp if self._lockstep else -np.inf) and time.monotonic() < sent + _LAST:
+            while (
+                not self._received(None, stamp if self._lockstep else -np.inf)
+                and time.monotonic() < sent + _LAST
+            ):
                 self.link.wait(0.1)
 
     def _announce(self) -> None:
@@ -204,7 +235,9 @@ class SimulatedRobot(Driver):
         while not self.link.connected():
             self._look()
             if time.monotonic() > until:
-                raise UsageError(f"nobody listens on {self.link.name}; start the policy first: deepbots serve BUNDLE")
+                raise UsageError(
+                    f"nobody listens on {self.link.name}; start the policy first: deepbots serve BUNDLE"
+                )
             time.sleep(0.01)
         self.link.take()
         self.link.reset(self.episodes, time.time())
@@ -218,7 +251,9 @@ class SimulatedRobot(Driver):
             now = time.monotonic()
             if now > sent + self._patience:
                 refused = "; ".join(self.intake.examples.values()) or "is the policy one of this scenario?"
-                raise UsageError(f"no command came within {self._patience:g} s on {self.link.name}: {refused}")
+                raise UsageError(
+                    f"no command came within {self._patience:g} s on {self.link.name}: {refused}"
+                )
             if now > again:
                 self.link.send(values, time.time() if since == -np.inf else since)
                 again = now + AGAIN
@@ -239,7 +274,8 @@ class SimulatedRobot(Driver):
                 self._note(remark.text)
 
     def _follow(self, sent: float | None) -> None:
-        """Take commands until the step is due; the newest ones count. `sent` is None if what was sent is answered already."""
+        """Take commands until the step is due; the newest ones count. `sent` is None if what was sent is
+        answered already."""
         answered = sent is None
         while True:
             answered |= self._received(None if answered else sent, -np.inf)
@@ -285,8 +321,8 @@ def _fitting(value: Any, space: Any, other: Any) -> Any:
         return other
     if isinstance(space, spaces.Box):
         return np.clip(value.reshape(space.shape), space.low, space.high).astype(space.dtype)
-    found = value.astype(np.int64).reshape(space.shape)[()]
-    return found if space.contains(found) else other
+    fitted = value.astype(np.int64).reshape(space.shape)[()]
+    return fitted if space.contains(fitted) else other
 
 
 def _without_limits(entry: Output) -> Input:
@@ -308,7 +344,8 @@ def serve_robot(
     permissions: Permissions = Permissions(),
     note: Callable[[str], object] = lambda text: None,
 ) -> Iterator[tuple[Episode, SimulatedRobot]]:
-    """Episode after episode, with the starts of an evaluation with this seed; without end if `episodes` is None.
+    """Episode after episode, with the starts of an evaluation with this seed; without end if `episodes` is
+    None.
 
     `note` is called with what the user should know, such as a policy that has become silent.
 
@@ -317,17 +354,35 @@ def serve_robot(
     """
     bare = robot_program(program)
     readings = sent_readings(bare)
-    outputs = [output(bare, robot, command) for robot in bare.robots if robot.name in bare.agent.robots for command in robot.commands]
-    given = mapping(program)
+    outputs = [
+        output(bare, robot, command)
+        for robot in bare.robots
+        if robot.name in bare.agent.robots
+        for command in robot.commands
+    ]
+    topics = mapping(program)
     try:
-        sends = mapped([field_of(reading.info) for reading in readings], given)
-        receives = mapped([field_of(entry) for entry in outputs], given, commands=True)
-        about = About("robot", program.name, identity.task_digest(program), pace(lockstep=lockstep, speed=speed), rate=1.0 / bare.period)
+        sends = mapped([field_of(reading.info) for reading in readings], topics)
+        receives = mapped([field_of(entry) for entry in outputs], topics, commands=True)
+        about = About(
+            "robot",
+            program.name,
+            identity.task_digest(program),
+            pace(lockstep=lockstep, speed=speed),
+            rate=1.0 / bare.period,
+        )
         link = transport.open(receives, sends, robot=True, about=about)
     except ServeError as error:
         raise UsageError(str(error)) from None
-    with closing(link), closing(api.build(with_probes(bare, readings), engine=engine, permissions=permissions)) as environment:
-        robot = SimulatedRobot(environment, readings, outputs, link, lockstep=lockstep, speed=speed, patience=patience, note=note)
+    with (
+        closing(link),
+        closing(
+            api.build(with_probes(bare, readings), engine=engine, permissions=permissions)
+        ) as environment,
+    ):
+        robot = SimulatedRobot(
+            environment, readings, outputs, link, lockstep=lockstep, speed=speed, patience=patience, note=note
+        )
         number = 0
         while episodes is None or number < episodes:
             episode = play(environment, robot, Start.of_evaluation(seed, number))
@@ -340,7 +395,8 @@ def serve_robot(
 
 
 def report(episodes: Sequence[Episode], robot: SimulatedRobot, *, success_defined: bool) -> dict[str, Any]:
-    """What the episodes were like, and how fast commands came (s, from sending sensors to the last of their commands)."""
+    """What the episodes were like, and how fast commands came (s, from sending sensors to the last of their
+    commands)."""
     answers = np.array(robot.answers or [np.nan])
     endings = Counter(episode.ended_by for episode in episodes)
     return {
@@ -367,7 +423,8 @@ def report_lines(found: Mapping[str, Any]) -> list[str]:
     held, late = found["steps_without_new_command"], found["late_steps"]
     return [
         found["link"],
-        f"  episodes  {found['episodes']:,}{rate}, mean return {found['mean_return']:.6g}; ended by: {endings}",
+        f"  episodes  {found['episodes']:,}{rate}, mean return {found['mean_return']:.6g}; ended by:"
+        f" {endings}",
         f"  steps     {found['steps']:,}; {held:,} without a new command, {late:,} that began late",
         f"  answer    {times}",
         *(f"  refused   {count:,} commands: {kind}" for kind, count in found["refused"].items()),

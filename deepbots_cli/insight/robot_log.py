@@ -1,7 +1,8 @@
-"""The log of a robot: its episodes and what happened in them, and which of its values are distributed otherwise than in the simulation.
+"""The log of a robot: its episodes and what happened in them, and which of its values are distributed
+otherwise than in the simulation.
 
-A robot does not start as a simulated episode does, so their values cannot be compared step by step. The policy plays episodes in the
-simulation, and the values of each field are compared as distributions.
+A robot does not start as a simulated episode does, so their values cannot be compared step by step. The
+policy plays episodes in the simulation, and the values of each field are compared as distributions.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ from deepbots_cli.learning.run import ModelName, Run
 MIN_STEPS, MAX_STEPS = 50, 3_000
 """The smallest number of steps in a log, and how many of it and of the simulation are compared at most."""
 DIFFERENT = 0.2
-"""The Kolmogorov-Smirnov distance from which on two distributions may be called different. Steps of an episode depend on each other, so a
-test of significance that takes them for independent would find a difference in every log. Parts of the simulation that are as long as the
-log say which distance chance explains."""
+"""The Kolmogorov-Smirnov distance from which on two distributions may be called different. Steps of an
+episode depend on each other, so a test of significance that takes them for independent would find a
+difference in every log. Parts of the simulation that are as long as the log say which distance chance
+explains."""
 _BEYOND_CHANCE = 1.5
 """How many times the largest of these distances a difference must reach."""
 _PARTS = 6
@@ -48,8 +50,9 @@ class LoggedEvent(NamedTuple):
 class LoggedEpisode:
     """An episode of a log.
 
-    `number` counts the episodes of the log: a robot that restarts begins to count anew. `begun` is in s since the beginning of the log,
-    `seconds` the time until the last step of the policy, `answers` are answer times in s, of the steps that answer a new value.
+    `number` counts the episodes of the log: a robot that restarts begins to count anew. `begun` is in s since
+    the beginning of the log, `seconds` the time until the last step of the policy, `answers` are answer times
+    in s, of the steps that answer a new value.
     """
 
     number: int
@@ -72,7 +75,8 @@ class LoggedEpisode:
 
 
 def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: None) -> list[LoggedEpisode]:
-    """The episodes of a log, in order. Commands before the first one are an episode of their own; other events then belong to the first.
+    """The episodes of a log, in order. Commands before the first one are an episode of their own; other
+    events then belong to the first.
 
     Args:
         note: Called if the log is used in part; see `read_log`.
@@ -85,7 +89,7 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
         from deepbots_robot.log import read_log
     except ModuleNotFoundError as error:
         raise MissingExtraError("robot", "the log of a robot") from error
-    found: list[LoggedEpisode] = []
+    episodes: list[LoggedEpisode] = []
     before: list[tuple[float, str, str]] = []
     origin = None
     try:
@@ -93,15 +97,15 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
             origin = stamp if origin is None else origin
             kind, text = str(content.get("kind", "")), str(content.get("text", ""))
             if topic == "/event" and kind == "episode" and text.isdecimal():
-                found.append(_begun(len(found), stamp - origin, before))
+                episodes.append(_begun(len(episodes), stamp - origin, before))
             elif topic == "/event":
                 before.append((stamp - origin, kind, text))
-                if found:
-                    found[-1].take(before)
+                if episodes:
+                    episodes[-1].take(before)
             else:
-                if not found:
-                    found.append(_begun(0, 0.0, before))
-                episode = found[-1]
+                if not episodes:
+                    episodes.append(_begun(0, 0.0, before))
+                episode = episodes[-1]
                 if content.get("posture") == "safe":
                     episode.safe_steps += 1
                 else:
@@ -112,10 +116,10 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
     if before:
-        found = [_begun(0, 0.0, before)]
-    if not found:
+        episodes = [_begun(0, 0.0, before)]
+    if not episodes:
         raise UsageError(f"{path} contains no step: the robot sent no complete set of values")
-    return found
+    return episodes
 
 
 def _begun(number: int, begun: float, events: list[tuple[float, str, str]]) -> LoggedEpisode:
@@ -126,9 +130,19 @@ def _begun(number: int, begun: float, events: list[tuple[float, str, str]]) -> L
 
 def explain_log(episode: LoggedEpisode) -> list[str]:
     """What happened in an episode, one sentence each."""
-    answer = "" if episode.answer is None else f"; median answer {episode.answer * 1e3:.2f} ms, longest {max(episode.answers) * 1e3:.2f} ms"
-    lines = [f"episode {episode.number}: {episode.steps:,} steps of the policy in {episode.seconds:.1f} s{answer}"]
-    words = {"safe": "safe posture: ", "resumed": "the policy acts again: ", "refused": "a message was refused: "}
+    answer = (
+        ""
+        if episode.answer is None
+        else f"; median answer {episode.answer * 1e3:.2f} ms, longest {max(episode.answers) * 1e3:.2f} ms"
+    )
+    lines = [
+        f"episode {episode.number}: {episode.steps:,} steps of the policy in {episode.seconds:.1f} s{answer}"
+    ]
+    words = {
+        "safe": "safe posture: ",
+        "resumed": "the policy acts again: ",
+        "refused": "a message was refused: ",
+    }
     lines += [f"  {each.time:8.2f} s  {words.get(each.kind, '')}{each.text}" for each in episode.events]
     if episode.safe_steps:
         lines.append(f"  {episode.safe_steps:,} commands of the safe posture in all")
@@ -145,8 +159,10 @@ class FieldComparison(NamedTuple):
         simulated: Mean and standard deviation in the simulation.
         distance: The Kolmogorov-Smirnov distance of the two distributions, 0 to 1.
         chance: The largest distance of a part of the simulation, as long as the log, from the whole.
-        since: From which time of the log on, in s, it stays outside of the middle 98 % of the simulation; None if it does not.
-        advice: The line of the scenario that makes the simulation draw the difference; empty if none is known.
+        since: From which time of the log on, in s, it stays outside of the middle 98 % of the simulation;
+            None if it does not.
+        advice: The line of the scenario that makes the simulation draw the difference; empty if none is
+            known.
     """
 
     name: str
@@ -197,41 +213,60 @@ def compare_log(
         raise MissingExtraError("export", "reading the log of a robot") from error
     try:
         steps = [
-            (stamp, content) for topic, stamp, content in read_log(path, note) if topic == "/step" and content.get("posture") == "policy"
+            (stamp, content)
+            for topic, stamp, content in read_log(path, note)
+            if topic == "/step" and content.get("posture") == "policy"
         ]
     except (OSError, ValueError) as error:
         raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
     if len(steps) < MIN_STEPS:
-        raise UsageError(f"{path} has {len(steps)} steps of a policy; a comparison needs at least {MIN_STEPS}")
+        raise UsageError(
+            f"{path} has {len(steps)} steps of a policy; a comparison needs at least {MIN_STEPS}"
+        )
     steps = steps[:MAX_STEPS]
     learner = policy.loaded(run, model)
     control = ControlStep(run.program, learner)
     fields = [
-        _Field(info.name, place, f"{info.name}.{part}" if part else info.name, info.unit, info.name if info.source == "sensor" else "")
+        _Field(
+            info.name,
+            place,
+            f"{info.name}.{part}" if part else info.name,
+            info.unit,
+            info.name if info.source == "sensor" else "",
+        )
         for info in (reading.info for reading in control.readings.values())
         if info.dtype != "uint8"
         for place, part in enumerate(info.components or [""] * info.shape[0])
     ]
     count = min(_PARTS * len(steps), _PARTS * MAX_STEPS // 2)
     with torch_settings():
-        recorded = recorded_steps(control, lambda world: PolicyDriver(learner, world), engine=run.record.engine)
+        recorded = recorded_steps(
+            control, lambda world: PolicyDriver(learner, world), engine=run.record.engine
+        )
         simulated = [step.inputs for step in islice(recorded, count)]
         recorded.close()
     logged = [content.get("inputs") for _, content in steps]
     times = np.array([stamp for stamp, _ in steps]) - steps[0][0]
-    found = []
+    rows = []
     for number in fields:
         there = np.array([float(values[number.source].reshape(-1)[number.place]) for values in simulated])
         here = np.array([*_logged(logged, number, path)])
-        found.append(_compared(number, here, there, times))
-    return sorted(found, key=lambda each: -each.distance)
+        rows.append(_compared(number, here, there, times))
+    return sorted(rows, key=lambda each: -each.distance)
 
 
 def _logged(rows: Sequence[object], number: _Field, path: Path) -> Iterator[float]:
     for row in rows:
         values = row.get(number.source) if isinstance(row, dict) else None
-        if not isinstance(values, list) or len(values) <= number.place or not isinstance(values[number.place], int | float):
-            raise UsageError(f"{path} has no value of `{number.name}` in some step; compare it with the run whose bundle was served")
+        if (
+            not isinstance(values, list)
+            or len(values) <= number.place
+            or not isinstance(values[number.place], int | float)
+        ):
+            raise UsageError(
+                f"{path} has no value of `{number.name}` in some step; compare it with the run whose bundle"
+                " was served"
+            )
         yield float(values[number.place])
 
 
@@ -244,12 +279,15 @@ def _compared(number: _Field, here: Array, there: Array, times: Array) -> FieldC
     chance = max((distance(part, there) for part in parts), default=0.0) if len(parts) > 1 else 0.0
     advice = _advice(number, here, there) if number.sensor else ""
     robot, simulated = ((float(values.mean()), float(values.std())) for values in (here, there))
-    found = FieldComparison(number.name, number.unit, robot, simulated, distance(here, there), chance, since, advice)
-    return found if found.is_different else found._replace(since=None, advice="")
+    comparison = FieldComparison(
+        number.name, number.unit, robot, simulated, distance(here, there), chance, since, advice
+    )
+    return comparison if comparison.is_different else comparison._replace(since=None, advice="")
 
 
 def distance(one: Array, other: Array) -> float:
-    """The Kolmogorov-Smirnov distance of two samples: the largest difference of their distribution functions."""
+    """The Kolmogorov-Smirnov distance of two samples: the largest difference of their distribution
+    functions."""
     places = np.sort(np.concatenate([one, other]))
     shares = (np.searchsorted(np.sort(values), places, side="right") / len(values) for values in (one, other))
     return float(np.max(np.abs(next(shares) - next(shares))))
@@ -273,8 +311,10 @@ def _advice(number: _Field, here: Array, there: Array) -> str:
 
 
 def _variance_of_noise(values: Array) -> float:
-    """Of independent noise on a smooth motion, by second differences, which leave hardly anything of the motion.
+    """Of independent noise on a smooth motion, by second differences, which leave hardly anything of the
+    motion.
 
-    Their variance is 6 times that of the noise. The median of squares, which single jumps do not change, is 0.4549 times the variance.
+    Their variance is 6 times that of the noise. The median of squares, which single jumps do not change, is
+    0.4549 times the variance.
     """
     return float(np.median(np.diff(values, n=2) ** 2)) / (6 * 0.4549)

@@ -1,6 +1,7 @@
 """What a scenario has already: advice never asks for it, and sentences use the units of its file.
 
-The causes of a training ask here before they advise a value of the observation, a term of the reward or a script.
+The causes of a training ask here before they advise a value of the observation, a term of the reward or a
+script.
 """
 
 from __future__ import annotations
@@ -43,17 +44,20 @@ class ScenarioFacts:
 
     @property
     def history(self) -> int:
-        """The longest history of a value of the observation, in steps; 1 where the policy sees the newest values only."""
+        """The longest history of a value of the observation, in steps; 1 where the policy sees the newest
+        values only."""
         return max((entry.history for entry in self.program.agent.observation), default=1)
 
     def is_measured(self, number: ObservedNumber) -> bool:
-        """Whether a number of the observation may differ in each step: no parameter, and no value made of parameters."""
+        """Whether a number of the observation may differ in each step: no parameter, and no value made of
+        parameters."""
         entry = next(entry for entry in self.program.agent.observation if entry.name == number.name)
-        known = entry.value.typed.type.known
-        return entry.value.foreign is not None or known is Known.STEP or entry.noise is not None
+        known_when = entry.value.typed.type.known
+        return entry.value.foreign is not None or known_when is Known.STEP or entry.noise is not None
 
     def observes(self, name: str) -> bool:
-        """Whether the observation depends on a value, such as a drawn parameter; its effect in the world is left out."""
+        """Whether the observation depends on a value, such as a drawn parameter; its effect in the world is
+        left out."""
         trees = [tree for entry in self.program.agent.observation for tree in entry.value.scalars]
         return any(name in self._analysis.dependencies(tree) for tree in trees)
 
@@ -61,22 +65,30 @@ class ScenarioFacts:
 
     @cached_property
     def terms_towards_success(self) -> tuple[str, ...]:
-        """The terms that can pay in ordinary steps, and depend on what the success compares; progress first."""
+        """The terms that can pay in ordinary steps, and depend on what the success compares; progress
+        first."""
         reward = self._analysis.reward
         running, (ordinary, _) = reward.ranges_while_running(), reward.split_by_end()
         aims = {part for tree in self._success_trees for part in self._readings(tree)}
-        towards = [(term.name, node) for term, node in ordinary if running.of(node).high > 0.0 and aims.intersection(self._readings(node))]
-        return tuple(name for name, _ in sorted(towards, key=lambda each: not is_progress(self._analysis, each[1])))
+        towards = [
+            (term.name, node)
+            for term, node in ordinary
+            if running.of(node).high > 0.0 and aims.intersection(self._readings(node))
+        ]
+        return tuple(
+            name for name, _ in sorted(towards, key=lambda each: not is_progress(self._analysis, each[1]))
+        )
 
     def terms_about(self, comparison: str) -> tuple[str, ...]:
-        """The terms of ordinary steps that depend on what a comparison of the success compares, by its text."""
+        """The terms of ordinary steps that depend on what a comparison of the success compares, by its
+        text."""
         aims = {
             part
             for ending in self.program.successes
-            for found in comparisons(self._analysis, ending)
-            if found.value.text[found.node.start : found.node.end] == comparison
-            for side in found.node.args
-            for tree in self._analysis.lowered(side, found.value.owner)
+            for compared in comparisons(self._analysis, ending)
+            if compared.value.text[compared.node.start : compared.node.end] == comparison
+            for side in compared.node.args
+            for tree in self._analysis.lowered(side, compared.value.owner)
             for part in self._readings(tree)
         }
         ordinary, _ = self._analysis.reward.split_by_end()
@@ -88,7 +100,8 @@ class ScenarioFacts:
         return any(is_progress(self._analysis, node) for node in nodes)
 
     def price_of(self, failure: str) -> float | None:
-        """What terms that pay only at an end pay for a failure: negative for a cost, None where that is unknown."""
+        """What terms that pay only at an end pay for a failure: negative for a cost, None where that is
+        unknown."""
         reward = self._analysis.reward
         ending = next((ending for ending in self.program.endings if ending.name == failure), None)
         _, final = reward.split_by_end()
@@ -101,17 +114,24 @@ class ScenarioFacts:
     def _success_trees(self) -> list[Scalar]:
         trees: list[Scalar] = []
         for ending in self.program.successes:
-            for found in comparisons(self._analysis, ending):
-                trees += [tree for side in found.node.args for tree in self._analysis.lowered(side, found.value.owner)]
+            for comparison in comparisons(self._analysis, ending):
+                trees += [
+                    tree
+                    for side in comparison.node.args
+                    for tree in self._analysis.lowered(side, comparison.value.owner)
+                ]
             if ending.foreign is None and not trees:
                 trees += self._analysis.scalars(ending)
         goal = self.program.agent.goal
         return [*trees, *(goal.achieved.scalars if goal is not None else ())]
 
     def _readings(self, tree: Scalar) -> Iterator[int]:
-        """The values of the world and of sensors that a value is computed from, as numbers of `Analysis.identity`."""
+        """The values of the world and of sensors that a value is computed from, as numbers of
+        `Analysis.identity`."""
         for node in self._analysis.walk_definitions(tree):
-            if isinstance(node, EngineRead) or (isinstance(node, Name) and self._analysis.sensor(node) is not None):
+            if isinstance(node, EngineRead) or (
+                isinstance(node, Name) and self._analysis.sensor(node) is not None
+            ):
                 yield self._analysis.identity(node)
 
     # Units

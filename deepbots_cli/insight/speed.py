@@ -94,7 +94,7 @@ def measure(
     number of measurements that are done and that of all.
     """
     cases = [(name, count) for name in engines for count in (worlds if name == BATCH else [1])]
-    found: list[list[Speed]] = [[] for _ in cases]
+    speeds: list[list[Speed]] = [[] for _ in cases]
     started = time.perf_counter()
     for number in range(rounds):
         now = time.perf_counter()
@@ -103,10 +103,14 @@ def measure(
         started = now
         for place, (name, count) in enumerate(cases):
             on_measured(number * len(cases) + place, rounds * len(cases))
-            measured = _batch(compiled, count, steps, seed) if name == BATCH else _single(compiled, name, steps, seed)
-            found[place].append(measured)
+            measured = (
+                _batch(compiled, count, steps, seed)
+                if name == BATCH
+                else _single(compiled, name, steps, seed)
+            )
+            speeds[place].append(measured)
     on_measured(rounds * len(cases), rounds * len(cases))
-    return found
+    return speeds
 
 
 def medians(rounds: Sequence[Speed]) -> Speed:
@@ -139,8 +143,10 @@ class FasterEngine:
     def text(self) -> str:
         """What to write, and what changes by it."""
         return (
-            f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used} ({self.steps_per_second:,.0f} against "
-            f"{self.used_steps_per_second:,.0f} steps/s). To use it, add the line `engine: {self.engine}` to the section `world`, or give "
+            f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used}"
+            f" ({self.steps_per_second:,.0f} against "
+            f"{self.used_steps_per_second:,.0f} steps/s). To use it, add the line `engine: {self.engine}` to"
+            " the section `world`, or give "
             f"--engine {self.engine}. Motion and results may differ; `deepbots transfer RUN` shows how much."
         )
 
@@ -173,8 +179,8 @@ def engine_speeds(
 def faster_engine(speeds: Mapping[str, float], used: str) -> FasterEngine | None:
     """The fastest engine, if it is at least 1.5 times as fast as the engine `used`."""
     best = max(speeds, key=lambda name: speeds[name])
-    found = FasterEngine(best, speeds[best], used, speeds[used])
-    return found if found.ratio >= MIN_RATIO else None
+    faster = FasterEngine(best, speeds[best], used, speeds[used])
+    return faster if faster.ratio >= MIN_RATIO else None
 
 
 def engine_worth_naming(
@@ -196,9 +202,9 @@ def engine_worth_naming(
         return None
     used = chosen(None)
     with suppress(DeepbotsError):  # which the command that makes the world reports
-        found = faster_engine(engine_speeds(program, used, permissions=permissions), used)
-        if found and found.seconds_saved(planned) >= MIN_SECONDS_SAVED:
-            return found
+        faster = faster_engine(engine_speeds(program, used, permissions=permissions), used)
+        if faster and faster.seconds_saved(planned) >= MIN_SECONDS_SAVED:
+            return faster
     return None
 
 

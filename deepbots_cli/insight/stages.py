@@ -19,7 +19,9 @@ from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 
-_MIN_QUARTER = 30  # episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat
+_MIN_QUARTER = (
+    30  # episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat
+)
 _BINS = 20  # parts of a stage in which a plateau is sought
 _RARE = 0.03  # a success rate that is as good as none
 _MAX_SORTED = 2_000  # episodes of a training that are sorted by what they draw
@@ -29,7 +31,8 @@ _CHANCE = 1e-4  # of a value that has nothing to do with success to be named, ov
 
 
 def present_stage(t: TrainingEvidence) -> Numbers | None:
-    """The training is in stage '{stage}' ({number} of {count}), which began at step {since} of {steps}. {evaluated}{ends}"""
+    """The training is in stage '{stage}' ({number} of {count}), which began at step {since} of {steps}.
+    {evaluated}{ends}"""
     if not t.stages:
         return None
     late = t.late_success
@@ -39,8 +42,17 @@ def present_stage(t: TrainingEvidence) -> Numbers | None:
     until, value = criterion(t), criterion_value(t)
     now = "" if value is None or until is None else f"; now it is {criterion_number(until, value)}"
     ends = f"The stage ends at {criterion_text(until)}{now}." if until else "It is the last stage."
-    return {"stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "since": t.first_step, "steps": t.steps,
-            "success": late if late.episodes else None, "evaluated": evaluated, "ends": ends, "value": value}  # fmt: skip
+    return {
+        "stage": t.stage,
+        "number": t.stage_index + 1,
+        "count": len(t.stages),
+        "since": t.first_step,
+        "steps": t.steps,
+        "success": late if late.episodes else None,
+        "evaluated": evaluated,
+        "ends": ends,
+        "value": value,
+    }
 
 
 def criterion(t: TrainingEvidence) -> Criterion | None:
@@ -69,7 +81,11 @@ def criterion_value(t: TrainingEvidence) -> float | None:
     if until.metric == "steps":
         return float(t.stage_steps)
     if until.episodes is None:
-        values = t.evaluations[-1]["successes" if until.metric == "success_rate" else "returns"] if t.evaluations else []
+        values = (
+            t.evaluations[-1]["successes" if until.metric == "success_rate" else "returns"]
+            if t.evaluations
+            else []
+        )
     else:
         # The log of a training does not name worlds: with several, this is near what the training counts.
         training = t.program.agent.training
@@ -85,72 +101,126 @@ def _measured(episodes: Any, until: Criterion) -> Any:
 def _until(until: Criterion, value: float, *, in_evaluation: bool = False) -> str:
     """The key with another threshold, as the scenario writes it."""
     threshold = f"{math.floor(100 * value + 1e-9)} %" if until.metric == "success_rate" else f"{value:.4g}"
-    counted = "in evaluation" if in_evaluation or until.episodes is None else f"over {until.episodes} episodes"
+    counted = (
+        "in evaluation" if in_evaluation or until.episodes is None else f"over {until.episodes} episodes"
+    )
     return f"`until: {until.metric} >= {threshold} {counted}`"
 
 
 def stage_changes(t: TrainingEvidence) -> str:
-    """What the present stage sets otherwise than the one before: `near: 4 cm -> 1 mm`; "" where that is not known."""
+    """What the present stage sets otherwise than the one before: `near: 4 cm -> 1 mm`; "" where that is not
+    known."""
     try:
         root = Source.kept(t.run.path).document().root
     except DeepbotsError:
         return ""
     sets: list[dict[str, str]] = []
     for place in (t.stage_index - 1, t.stage_index):
-        sets.append({name: inline_text(entry.value) for name, entry in entries_at(root, "curriculum", place, "set").items()})
+        sets.append(
+            {
+                name: inline_text(entry.value)
+                for name, entry in entries_at(root, "curriculum", place, "set").items()
+            }
+        )
     before, now = sets
     usual = "the value of the scenario"
     changed = {name: (before.get(name, usual), now.get(name, usual)) for name in {**before, **now}}
-    return list_text([f"{name}: {was} -> {new}" for name, (was, new) in changed.items() if was != new] or [""])
+    return list_text(
+        [f"{name}: {was} -> {new}" for name, (was, new) in changed.items() if was != new] or [""]
+    )
 
 
 def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
-    """Stage '{stage}' is too hard after stage '{before}'. At the end of '{before}', the policy succeeded in {success_before}; in the second
-    half of the {steps} steps of '{stage}', it succeeds in {success}.
+    """Stage '{stage}' is too hard after stage '{before}'. At the end of '{before}', the policy succeeded in
+    {success_before}; in the second half of the {steps} steps of '{stage}', it succeeds in {success}.
 
-    Try: Add a stage between the two, with values between theirs{changes}, or let episodes of '{stage}' start nearer to success.
+    Try: Add a stage between the two, with values between theirs{changes}, or let episodes of '{stage}' start
+    nearer to success.
     """
     if not t.stage_index or not t.program.defines_success or not t.is_mature:
         return None
     before = t.stages[t.stage_index - 1].name
-    was, now = SuccessRate(t.episodes_of(before).successes[-100:]), SuccessRate(t.episodes_by_steps(0.5, 1.0).successes)
+    was = SuccessRate(t.episodes_of(before).successes[-100:])
+    now = SuccessRate(t.episodes_by_steps(0.5, 1.0).successes)
     rise = _rate(t.episodes_by_steps(0.75, 1.0)) - _rate(t.episodes_by_steps(0.5, 0.75))
-    if min(was.episodes, now.episodes) < MIN_EPISODES or was.rate < 0.5 or now.rate > 0.1 or now.high > 0.6 * was.low or rise > 0.05:
+    if (
+        min(was.episodes, now.episodes) < MIN_EPISODES
+        or was.rate < 0.5
+        or now.rate > 0.1
+        or now.high > 0.6 * was.low
+        or rise > 0.05
+    ):
         return None
     if t.late_success.rate > 0.3:
         return None
     changes = stage_changes(t)
-    return {"likelihood": 0.935, "stage": t.stage, "before": before, "success_before": was, "success": now, "steps": t.stage_steps,
-            "changes": f" ({changes})" if changes else ""}  # fmt: skip
+    return {
+        "likelihood": 0.935,
+        "stage": t.stage,
+        "before": before,
+        "success_before": was,
+        "success": now,
+        "steps": t.stage_steps,
+        "changes": f" ({changes})" if changes else "",
+    }
 
 
 def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
-    """The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of {count}). In this
-    stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.
+    """The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of {count}).
+    In this stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.
 
     Try: {remedy}
     """
     until, late = criterion(t), t.late_success
     if until is None or t.is_running or (t.steps < 0.5 * t.planned and not t.final_episodes):
         return None
-    if late.episodes < MIN_EPISODES or late.rate < 0.8 or _rate(t.episodes_between(0.75, 1.0)) < late.rate - 0.3:
+    if (
+        late.episodes < MIN_EPISODES
+        or late.rate < 0.8
+        or _rate(t.episodes_between(0.75, 1.0)) < late.rate - 0.3
+    ):
         return None
     if until.metric == "success_rate" and late.high < until.threshold:
         return None  # the stage asks for more
     final, value = SuccessRate([each.is_success for each in t.final_episodes]), criterion_value(t)
-    task = f", and in the scenario itself in {final}" if final.episodes else "; the task itself was not evaluated"
-    reached = f"the training made {t.stage_steps:,} steps there" if value is None or until.metric == "steps" else (
-        f"it was at {criterion_number(until, value)}")  # fmt: skip
+    task = (
+        f", and in the scenario itself in {final}"
+        if final.episodes
+        else "; the task itself was not evaluated"
+    )
+    reached = (
+        f"the training made {t.stage_steps:,} steps there"
+        if value is None or until.metric == "steps"
+        else (f"it was at {criterion_number(until, value)}")
+    )
     threshold = Criterion("success_rate", 0.8, None) if until.metric == "steps" else until
-    wanted = min(threshold.threshold, value) if value is not None and until.metric != "steps" else threshold.threshold
-    remedy = f"Let the stage end when the policy has learned it, for example with {_until(threshold, wanted, in_evaluation=True)}."
-    return {"likelihood": 0.93, "stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "success": late, "task": task,
-            "criterion": criterion_text(until), "reached": reached, "remedy": remedy, "value": value}  # fmt: skip
+    wanted = (
+        min(threshold.threshold, value)
+        if value is not None and until.metric != "steps"
+        else threshold.threshold
+    )
+    remedy = (
+        "Let the stage end when the policy has learned it, for example with"
+        f" {_until(threshold, wanted, in_evaluation=True)}."
+    )
+    return {
+        "likelihood": 0.93,
+        "stage": t.stage,
+        "number": t.stage_index + 1,
+        "count": len(t.stages),
+        "success": late,
+        "task": task,
+        "criterion": criterion_text(until),
+        "reached": reached,
+        "remedy": remedy,
+        "value": value,
+    }
 
 
 def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
-    """The training is stuck in stage '{stage}' ({number} of {count}), which began at step {since}: the {metric} was {before} in the third
-    quarter of the stage and {late} in the last quarter, but the stage ends at {threshold}.
+    """The training is stuck in stage '{stage}' ({number} of {count}), which began at step {since}: the
+    {metric} was {before} in the third quarter of the stage and {late} in the last quarter, but the stage ends
+    at {threshold}.
 
     Try: {remedy}. Also check the causes below: they apply to this stage.
     """
@@ -160,7 +230,11 @@ def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
     if t.program.defines_success and is_rare(t):
         return None
     third, last = (_measured(t.episodes_by_steps(*part), until) for part in ((0.5, 0.75), (0.75, 1.0)))
-    if min(len(third), len(last)) < _MIN_QUARTER or last.mean() >= until.threshold or hides_success(t) is not None:
+    if (
+        min(len(third), len(last)) < _MIN_QUARTER
+        or last.mean() >= until.threshold
+        or hides_success(t) is not None
+    ):
         return None
     error = float(np.hypot(third.std() / np.sqrt(len(third)), last.std() / np.sqrt(len(last))))
     # At this pace, the criterion would take as long again as the whole stage.
@@ -173,10 +247,23 @@ def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
     wanted = 0.9 * reached if until.metric == "success_rate" else reached - 0.1 * abs(reached)
     remedy = "Put an easier stage before it"
     if until.metric == "mean_return" or wanted >= 0.2:
-        remedy = f"Lower the criterion to a value that the stage reaches, such as {_until(until, wanted)}; or put an easier stage before it"
-    return {"likelihood": 0.75, "stage": t.stage, "number": t.stage_index + 1, "count": len(t.stages), "since": t.first_step,
-            "metric": until.metric.replace("_", " "), "before": before, "late": late_text, "value": float(last.mean()),
-            "threshold": criterion_number(until, until.threshold), "remedy": remedy}  # fmt: skip
+        remedy = (
+            f"Lower the criterion to a value that the stage reaches, such as {_until(until, wanted)};"
+            " or put an easier stage before it"
+        )
+    return {
+        "likelihood": 0.75,
+        "stage": t.stage,
+        "number": t.stage_index + 1,
+        "count": len(t.stages),
+        "since": t.first_step,
+        "metric": until.metric.replace("_", " "),
+        "before": before,
+        "late": late_text,
+        "value": float(last.mean()),
+        "threshold": criterion_number(until, until.threshold),
+        "remedy": remedy,
+    }
 
 
 # Success that does not rise
@@ -187,22 +274,30 @@ def _rate(episodes: Any) -> float:
 
 
 def is_rare(t: TrainingEvidence) -> bool:
-    """Whether a success in the present stage is as good as never seen, in its late episodes and evaluations too."""
+    """Whether a success in the present stage is as good as never seen, in its late episodes and evaluations
+    too."""
     of, last = SuccessRate(t.episodes.successes), t.episodes.successes[-100:]
-    seldom = not of["successes"] or (len(last) and float(last.mean()) <= _RARE and (of.high <= _RARE or _stays_rare(t)))
+    seldom = not of["successes"] or (
+        len(last) and float(last.mean()) <= _RARE and (of.high <= _RARE or _stays_rare(t))
+    )
     return bool(seldom) and t.late_success.rate <= 0.1
 
 
 def _stays_rare(t: TrainingEvidence) -> bool:
-    """Whether the last half of a stage that is mature has hardly more successes than a random policy may have."""
+    """Whether the last half of a stage that is mature has hardly more successes than a random policy may
+    have."""
     third, last = t.episodes_by_steps(0.5, 0.75), t.episodes_by_steps(0.75, 1.0)
-    return t.is_mature and min(len(third), len(last)) >= _MIN_QUARTER and max(_rate(third), _rate(last)) <= _RARE
+    return (
+        t.is_mature and min(len(third), len(last)) >= _MIN_QUARTER and max(_rate(third), _rate(last)) <= _RARE
+    )
 
 
 def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
-    """The step since which the success rate of the present stage has been flat, and the lowest and highest rate since then.
+    """The step since which the success rate of the present stage has been flat, and the lowest and highest
+    rate since then.
 
-    It is flat if it did not rise over the last half of the stage, also without exploration. None where success is rare, or nearly certain.
+    It is flat if it did not rise over the last half of the stage, also without exploration. None where
+    success is rare, or nearly certain.
     """
     if not t.program.defines_success or not t.is_mature or is_rare(t):
         return None
@@ -211,44 +306,67 @@ def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
         return None
     rates = [float(part.mean()) for part in quarters]
     chance = [0.5 * np.sqrt(0.25 / len(part) + 0.25 / len(quarters[2])) for part in quarters]
-    if rates[2] - rates[1] > 0.05 + chance[1] or rates[2] - rates[0] > 0.1 + chance[0] or fmean(rates[1:]) > 0.9:
+    if (
+        rates[2] - rates[1] > 0.05 + chance[1]
+        or rates[2] - rates[0] > 0.1 + chance[0]
+        or fmean(rates[1:]) > 0.9
+    ):
         return None
     quarter, middle = (t.first_step + share * t.stage_steps for share in (0.25, 0.5))
-    early = [float(s) for each in t.evaluations if quarter < each.get("steps", np.inf) < middle for s in each["successes"]]
+    early = [
+        float(s)
+        for each in t.evaluations
+        if quarter < each.get("steps", np.inf) < middle
+        for s in each["successes"]
+    ]
     if early and t.late_success.rate > max(0.9, fmean(early) + 0.15):
         return None
     bins = [t.episodes_by_steps(k / _BINS, (k + 1) / _BINS).successes for k in range(_BINS)]
     late, first = fmean(rates[1:]), _BINS
-    while first and (not len(part := bins[first - 1]) or abs(part.mean() - late) <= 0.05 + 2 * np.sqrt(0.25 / len(part))):
+    while first and (
+        not len(part := bins[first - 1]) or abs(part.mean() - late) <= 0.05 + 2 * np.sqrt(0.25 / len(part))
+    ):
         first -= 1
     first = min(first, _BINS // 2)
-    known = [float(part.mean()) for part in bins[first:] if len(part) >= MIN_EPISODES] or rates[1:]
-    return round(t.first_step + first / _BINS * t.stage_steps), min(known), max(known)
+    levels = [float(part.mean()) for part in bins[first:] if len(part) >= MIN_EPISODES] or rates[1:]
+    return round(t.first_step + first / _BINS * t.stage_steps), min(levels), max(levels)
 
 
 def success_plateau(t: TrainingEvidence) -> Numbers | None:
-    """The success rate no longer rises: it was between {low} and {high} from step {since} to {steps}{where}. In the second half of
-    {half_of}, the policy succeeds in {success}.
+    """The success rate no longer rises: it was between {low} and {high} from step {since} to {steps}{where}.
+    In the second half of {half_of}, the policy succeeds in {success}.
 
-    Try: Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots diagnose RUN --episode failed` shows
-    which condition they miss. More steps alone are unlikely to help.
+    Try: Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots
+    diagnose RUN --episode failed` shows which condition they miss. More steps alone are unlikely to help.
     """
-    found = plateau(t)
-    if found is None or some_starts_fail(t) is not None or stuck_in_stage(t) is not None or hides_success(t) is not None:
+    level = plateau(t)
+    if (
+        level is None
+        or some_starts_fail(t) is not None
+        or stuck_in_stage(t) is not None
+        or hides_success(t) is not None
+    ):
         return None
-    since, low, high = found
+    since, low, high = level
     late = SuccessRate(t.episodes_by_steps(0.5, 1.0).successes)
-    return {"likelihood": 0.6, "since": since, "low": Percentage(low), "high": Percentage(high), "steps": t.steps,
-            "where": f" in stage '{t.stage}'" if t.stage else "", "half_of": "the stage" if t.stage else "the training",
-            "success": late}  # fmt: skip
+    return {
+        "likelihood": 0.6,
+        "since": since,
+        "low": Percentage(low),
+        "high": Percentage(high),
+        "steps": t.steps,
+        "where": f" in stage '{t.stage}'" if t.stage else "",
+        "half_of": "the stage" if t.stage else "the training",
+        "success": late,
+    }
 
 
 def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
-    """{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with `{drawn}` {best}, it succeeds in
-    {succeeding} ({source}; by value: {parts}).
+    """{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with `{drawn}`
+    {best}, it succeeds in {succeeding} ({source}; by value: {parts}).
 
-    Try: Check that these starts can succeed, with a script or by hand (`deepbots play`){observed}. Then train more on these starts, for
-    example with a curriculum that draws them more often at first.
+    Try: Check that these starts can succeed, with a script or by hand (`deepbots play`){observed}. Then train
+    more on these starts, for example with a curriculum that draws them more often at first.
     """
     is_flat = plateau(t) is not None or stuck_in_stage(t) is not None
     if not is_flat and not t.final_episodes:  # they may still be learned
@@ -256,24 +374,46 @@ def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
     source, done = _episodes_with_draws(t)
     values = list(by_drawn_value(done, draw_labels(t.program, t.facts.units)).values.values())
     # A value whose middle fails has no trend, but its parts differ.
-    differing = (value for value in values if value.has_effect or _chance(value.parts) < _CHANCE / len(values))
+    differing = (
+        value for value in values if value.has_effect or _chance(value.parts) < _CHANCE / len(values)
+    )
     chosen = next((value for value in differing if _is_apart(value.parts)), None)
     if chosen is None:
         return None
     name, bins, label = chosen.name, chosen.parts, chosen.label
     worst, best = (choose(bins, key=lambda each: each.success_rate) for choose in (min, max))
-    rates = [{"low": b.low, "high": b.high, "episodes": b.episodes, "rate": b.success_rate, "interval": b.success_interval} for b in bins]
+    rates = [
+        {
+            "low": b.low,
+            "high": b.high,
+            "episodes": b.episodes,
+            "rate": b.success_rate,
+            "interval": b.success_interval,
+        }
+        for b in bins
+    ]
     parts = "; ".join(f"{_range(each, label)} {each.success_rate:.0%}" for each in bins)
     flat = "The success rate no longer rises, and it" if is_flat else "Success"
     sees = t.facts.observes(name.removeprefix("parameters."))
     observed = "" if sees else f", and that the policy observes `{name}` or its effect"
-    return {"likelihood": 0.92 if is_flat else 0.55, "flat": flat, "observed": observed,
-            "drawn": name, "worst": _range(worst, label), "failing": _bin_rate(worst),
-            "best": _range(best, label), "succeeding": _bin_rate(best), "source": source, "parts": parts, "bins": rates}  # fmt: skip
+    return {
+        "likelihood": 0.92 if is_flat else 0.55,
+        "flat": flat,
+        "observed": observed,
+        "drawn": name,
+        "worst": _range(worst, label),
+        "failing": _bin_rate(worst),
+        "best": _range(best, label),
+        "succeeding": _bin_rate(best),
+        "source": source,
+        "parts": parts,
+        "bins": rates,
+    }
 
 
 def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
-    """The episodes that are sorted by what they drew: those of the quoted evaluation, else late ones of the present stage."""
+    """The episodes that are sorted by what they drew: those of the quoted evaluation, else late ones of the
+    present stage."""
     if t.is_last_stage and len(t.final_episodes) >= 40:
         return "the evaluation", t.final_episodes
     late = t.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
@@ -284,22 +424,29 @@ def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
         except ValueError:
             continue
         if isinstance(drawn, Mapping):
-            done.append(Episode(each.returns, int(each.lengths), bool(each.successes), each.endings, drawn=drawn))
+            done.append(
+                Episode(each.returns, int(each.lengths), bool(each.successes), each.endings, drawn=drawn)
+            )
     return "late episodes of the training", done
 
 
 def _chance(bins: Sequence[DrawnBin]) -> float:
-    """The probability that success differs as much between the parts where it does not depend on them (chi-squared test)."""
+    """The probability that success differs as much between the parts where it does not depend on them
+    (chi-squared test)."""
     from scipy.special import chdtrc  # here, since commands that only read runs work without scipy
 
     counts = np.array([[each.successes, each.episodes - each.successes] for each in bins], float)
     expected = np.outer(counts.sum(axis=1), counts.sum(axis=0)) / counts.sum()
-    return float(chdtrc(len(bins) - 1, ((counts - expected) ** 2 / expected).sum())) if expected.all() else 1.0
+    return (
+        float(chdtrc(len(bins) - 1, ((counts - expected) ** 2 / expected).sum())) if expected.all() else 1.0
+    )
 
 
 def _is_apart(bins: Sequence[DrawnBin]) -> bool:
     """Whether the worst part succeeds less than half as often as the best one, in view of their intervals."""
-    return min(each.success_interval[1] for each in bins) < 0.5 * max(each.success_interval[0] for each in bins)
+    return min(each.success_interval[1] for each in bins) < 0.5 * max(
+        each.success_interval[0] for each in bins
+    )
 
 
 def _range(part: DrawnBin, label: DrawLabel) -> str:
@@ -313,23 +460,30 @@ def _bin_rate(part: DrawnBin) -> str:
 
 
 def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
-    """The success rates of late evaluations and of late episodes of the training, if exploration hides most of the success."""
+    """The success rates of late evaluations and of late episodes of the training, if exploration hides most
+    of the success."""
     explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), t.late_success
-    if min(without.episodes, explored.episodes) < MIN_EPISODES or without.rate < max(0.5, explored.rate + 0.3):
+    if min(without.episodes, explored.episodes) < MIN_EPISODES or without.rate < max(
+        0.5, explored.rate + 0.3
+    ):
         return None
     return without, explored
 
 
 def needs_exploration(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
-    """The success rates of late episodes of the training and of late evaluations, if most of the success needs exploration."""
+    """The success rates of late episodes of the training and of late evaluations, if most of the success
+    needs exploration."""
     explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), t.late_success
-    if min(without.episodes, explored.episodes) < MIN_EPISODES or explored.rate < max(0.5, without.rate + 0.3):
+    if min(without.episodes, explored.episodes) < MIN_EPISODES or explored.rate < max(
+        0.5, without.rate + 0.3
+    ):
         return None
     return explored, without
 
 
 def success_never_seen(t: TrainingEvidence) -> Numbers | None:
-    """{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns differ by {spread} (standard deviation).
+    """{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns differ by
+    {spread} (standard deviation).
 
     Try: {remedy} start nearer to success, or loosen its condition; a curriculum can do the latter two.
     """
@@ -338,25 +492,52 @@ def success_never_seen(t: TrainingEvidence) -> Numbers | None:
     flat, count = float(np.ptp(t.episodes.returns)) < 1e-9, int(t.episodes.successes.sum())
     names = t.program.agent.success or ("goal_reached",)
     late = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
-    paid = {name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean())) for name, curve in late.items() if len(curve)}
+    paid = {
+        name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean()))
+        for name, curve in late.items()
+        if len(curve)
+    }
     name, whole = max(paid, key=lambda each: paid[each], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
     though, remedy, own = "", "Add a reward term for progress towards success,", t.facts.terms_towards_success
     if own:
-        others = sum(float(curve[-max(1, len(curve) // 4) :].mean()) for each, curve in late.items() if len(curve) and each != own[0])
-        given = late[own[0]][-max(1, len(late[own[0]]) // 4) :]
+        others = sum(
+            float(curve[-max(1, len(curve) // 4) :].mean())
+            for each, curve in late.items()
+            if len(curve) and each != own[0]
+        )
+        late_part = late[own[0]][-max(1, len(late[own[0]]) // 4) :]
         remedy = f"Compare '{own[0]}', which leads towards success, with the other terms"
-        if len(given):
-            remedy += f" (per late episode it gives {float(given.mean()):.3g}, and they give {others:.3g})"
+        if len(late_part):
+            remedy += (
+                f" (per late episode it gives {float(late_part.mean()):.3g}, and they give {others:.3g})"
+            )
         remedy += " and raise it,"
     uses_path = any("path_distance" in term.text for term in t.program.agent.reward if term.name == name)
     if share >= 0.8 and not returns_rise(t):
-        though = f", and '{name}' gives {share:.0%} of the positive reward of late episodes: the policy is in a local optimum of this term"
-        remedy = f"Make '{name}' lead around obstacles, for example with path_distance instead of a straight distance,"
+        though = (
+            f", and '{name}' gives {share:.0%} of the positive reward of late episodes: the policy is"
+            " in a local optimum of this term"
+        )
+        remedy = (
+            f"Make '{name}' lead around obstacles, for example with path_distance instead of a straight"
+            " distance,"
+        )
         if uses_path:
             remedy = f"Make success earn more than '{name}' can,"
-    return {"likelihood": 0.93 if flat else 0.7 if t.is_mature else 0.45, "episodes": len(t.episodes), "count": count,
-            "seen": f"Only {count}" if count else "None", "verb": "are" if count > 1 else "is",
-            "where": f" in stage '{t.stage}'" if t.stage else "", "ending": " or ".join(names), "spread": float(t.episodes.returns.std()),
-            "mean": float(t.episodes.returns.mean()), "term": name if whole else None, "term_share": share, "though": though,
-            "remedy": remedy}  # fmt: skip
+    uncertain = 0.7 if t.is_mature else 0.45
+    return {
+        "likelihood": 0.93 if flat else uncertain,
+        "episodes": len(t.episodes),
+        "count": count,
+        "seen": f"Only {count}" if count else "None",
+        "verb": "are" if count > 1 else "is",
+        "where": f" in stage '{t.stage}'" if t.stage else "",
+        "ending": " or ".join(names),
+        "spread": float(t.episodes.returns.std()),
+        "mean": float(t.episodes.returns.mean()),
+        "term": name if whole else None,
+        "term_share": share,
+        "though": though,
+        "remedy": remedy,
+    }

@@ -1,6 +1,7 @@
 """Sentences with their evidence: the form of every row in the two tables.
 
-A row is a function that finds numbers, and whose docstring is the sentence that shows them. There is no sentence without its numbers.
+A row is a function that finds numbers, and whose docstring is the sentence that shows them. There is no
+sentence without its numbers.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ T_contra = TypeVar("T_contra", contravariant=True)
 
 
 class StatementRule(Protocol[T_contra]):
-    """A row: its name is the cause, its docstring the sentence, with a field in braces for each number, then `Try:` and what to try.
+    """A row: its name is the cause, its docstring the sentence, with a field in braces for each number, then
+    `Try:` and what to try.
 
-    It returns None where it does not apply. Evidence may hold more than the sentence shows; its entry `likelihood` (0 to 1) orders causes,
-    and `settings` become those of the statement.
+    It returns None where it does not apply. Evidence may hold more than the sentence shows; its entry
+    `likelihood` (0 to 1) orders causes, and `settings` become those of the statement.
     """
 
     __name__: str
@@ -32,8 +34,8 @@ class StatementRule(Protocol[T_contra]):
 class Statement:
     """A sentence with the numbers that it rests on.
 
-    `settings` is the part of the advice that is values of the scenario: the value as text, by the path of its setting. `command` is what to
-    run next.
+    `settings` is the part of the advice that is values of the scenario: the value as text, by the path of its
+    setting. `command` is what to run next.
     """
 
     cause: str
@@ -45,7 +47,12 @@ class Statement:
 
     def as_json(self) -> dict[str, Any]:
         further = {"advice": self.advice, "settings": self.settings, "command": self.command}
-        return {"cause": self.cause, "text": self.text, **{name: each for name, each in further.items() if each}, "evidence": self.evidence}
+        return {
+            "cause": self.cause,
+            "text": self.text,
+            **{name: each for name, each in further.items() if each},
+            "evidence": self.evidence,
+        }
 
 
 class Percentage(float):
@@ -53,7 +60,8 @@ class Percentage(float):
 
 
 class SuccessRate(dict[str, Any]):
-    """How many of some episodes succeed, with Wilson's 95 % interval; shown as `52% (46% to 58%) of 240 episodes`."""
+    """How many of some episodes succeed, with Wilson's 95 % interval; shown as `52% (46% to 58%) of 240
+    episodes`."""
 
     def __init__(self, successes: Sequence[float]) -> None:
         from deepbots_cli.learning.statistics import wilson  # which imports scipy
@@ -87,7 +95,8 @@ class SuccessRate(dict[str, Any]):
 class EvaluationRate(SuccessRate):
     """The successes in some evaluations of a training; shown as `52% of the episodes in 12 evaluations`.
 
-    Evaluations repeat their starts while the policy changes, so an interval over all episodes would be too narrow.
+    Evaluations repeat their starts while the policy changes, so an interval over all episodes would be too
+    narrow.
     """
 
     def __init__(self, evaluations: Sequence[Sequence[float]]) -> None:
@@ -103,23 +112,28 @@ class EvaluationRate(SuccessRate):
 
 def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Statement]:
     """The statements of the rows that apply, in the order of the table."""
-    found = []
+    statements = []
     for finder in rules:
         evidence = finder(subject)
         if evidence is not None:
             shown = {key: _number_text(value) for key, value in evidence.items()}
             text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
-            settings, kept = evidence.get("settings", {}), {key: value for key, value in evidence.items() if key != "settings"}
+            settings = evidence.get("settings", {})
+            kept = {key: value for key, value in evidence.items() if key != "settings"}
             sentence, remedy = (form.format(**shown).strip() for form in (text, advice))
-            found.append(Statement(finder.__name__, sentence, remedy, kept, settings))
-    return found
+            statements.append(Statement(finder.__name__, sentence, remedy, kept, settings))
+    return statements
 
 
 def _number_text(value: Any) -> str:
     match value:
         case Percentage():
             rounded = 0 < value < 0.005 or 0.995 <= value < 1
-            return f"{value:.0%}" if not rounded else "less than 1%" if value < 0.5 else "more than 99%"
+            if not rounded:
+                return f"{value:.0%}"
+            if value < 0.5:
+                return "less than 1%"
+            return "more than 99%"
         case float():
             return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}"
         case int() if not isinstance(value, bool):

@@ -1,4 +1,5 @@
-"""A report about a study of `deepbots tune`: one HTML file with its history, which values matter, and slices."""
+"""A report about a study of `deepbots tune`: one HTML file with its history, which values matter, and
+slices."""
 
 from __future__ import annotations
 
@@ -28,10 +29,13 @@ if TYPE_CHECKING:
 
 FIGURE_NAMES = ("history", "importance", "slices")
 MEANINGS = {
-    "solved": "The score is the fraction of the timesteps until the task is solved, the mean over the seeds. A seed that does not solve it"
+    "solved": "The score is the fraction of the timesteps until the task is solved, the mean over the seeds."
+    " A seed that does not solve it"
     " counts 1 to 2, by its distance from what `solved` requires.",
-    "success_rate": "The score is the success rate in the evaluation of the best models, the mean over the seeds.",
-    "mean_return": "The score is the mean return in the evaluation of the best models, the mean over the seeds.",
+    "success_rate": "The score is the success rate in the evaluation of the best models, the mean over the"
+    " seeds.",
+    "mean_return": "The score is the mean return in the evaluation of the best models, the mean over the"
+    " seeds.",
 }
 MIN_TRIALS = 8
 """Complete trials from which on the importance of values says something."""
@@ -57,14 +61,16 @@ class StudyReport:
         study = Study.open(path)
         journal = study.connect()
         trials = study.trials(journal)
-        found = StudyReport(study, journal, trials)
-        if not found.ranked:
+        report = StudyReport(study, journal, trials)
+        if not report.ranked:
             raise RunError(f"{path} has no complete trial yet; continue it with: deepbots resume {path}")
         if any(trial.state == "running" for trial in trials) or len(trials) < study.record.trials:
-            found.notes.append(f"the study is not complete; continue it with: deepbots resume {path}")
-        if found.importances is None:
-            found.notes.append(f"which values matter is shown from {MIN_TRIALS} complete trials with different scores on")
-        return found
+            report.notes.append(f"the study is not complete; continue it with: deepbots resume {path}")
+        if report.importances is None:
+            report.notes.append(
+                f"which values matter is shown from {MIN_TRIALS} complete trials with different scores on"
+            )
+        return report
 
     @property
     def path(self) -> Path:
@@ -80,8 +86,8 @@ class StudyReport:
         record = self.study.record
         if len(self.ranked) < MIN_TRIALS or len({trial.score for trial in self.ranked}) < MIN_TRIALS // 2:
             return None
-        found = self.journal.importances(len(record.seeds), lower_is_better=record.lower_is_better)
-        return {name: [each.get(name, 0.0) for each in found] for name in record.search}
+        by_seed = self.journal.importances(len(record.seeds), lower_is_better=record.lower_is_better)
+        return {name: [each.get(name, 0.0) for each in by_seed] for name in record.search}
 
     @property
     def result(self) -> str:
@@ -104,7 +110,8 @@ class StudyReport:
         )
         if self.importances is not None:
             caption = (
-                "How much each value matters for the best quarter of the trials (PED-ANOVA), as fractions of 1. Bars are means over the"
+                "How much each value matters for the best quarter of the trials (PED-ANOVA), as fractions of"
+                " 1. Bars are means over the"
                 " seeds, lines 95 % intervals; one alone says nothing."
             )
             yield "importance", "Importance", caption, self._importance(theme)
@@ -118,24 +125,35 @@ class StudyReport:
         better = min if self.study.record.lower_is_better else max
         best = [better(scores[: place + 1]) for place in range(len(scores))]
         panel.plot(numbers, scores, "o", color=COLORS[0], markersize=4, label="trials")
-        panel.step([*numbers, len(self.trials) - 1], [*best, best[-1]], where="post", color=COLORS[1], label="best so far")
+        panel.step(
+            [*numbers, len(self.trials) - 1],
+            [*best, best[-1]],
+            where="post",
+            color=COLORS[1],
+            label="best so far",
+        )
         ended = [trial.number for trial in self.trials if trial.state in ("pruned", "failed")]
         if ended:
             panel.plot(
-                ended, [0.02] * len(ended), "|", color=THEMES[theme][1], transform=panel.get_xaxis_transform(), label="pruned or failed"
+                ended,
+                [0.02] * len(ended),
+                "|",
+                color=THEMES[theme][1],
+                transform=panel.get_xaxis_transform(),
+                label="pruned or failed",
             )
         figure.set_figheight(figure.get_figheight() + style_panel(panel, "", theme, axes=("trial", "score")))
         return figure
 
     def _importance(self, theme: str) -> Figure:
-        found = sorted((self.importances or {}).items(), key=lambda entry: fmean(entry[1]))
-        figure, ((panel,),) = new_figure(theme, 0.9 + 0.32 * len(found))
-        for place, (_, values) in enumerate(found):
+        ordered = sorted((self.importances or {}).items(), key=lambda entry: fmean(entry[1]))
+        figure, ((panel,),) = new_figure(theme, 0.9 + 0.32 * len(ordered))
+        for place, (_, values) in enumerate(ordered):
             panel.barh(place, fmean(values), height=0.6, color=COLORS[0])
             interval = mean_interval(values, (0.0, 1.0))
             if interval is not None:
                 panel.plot(interval, [place, place], color=THEMES[theme][1], linewidth=1.2)
-        panel.set_yticks(range(len(found)), [name[-_MAX_NAME:] for name, _ in found], parse_math=False)
+        panel.set_yticks(range(len(ordered)), [name[-_MAX_NAME:] for name, _ in ordered], parse_math=False)
         panel.set_xlim(0, 1)
         style_panel(panel, "", theme, legend=False, axes=("importance", ""))
         return figure
@@ -145,18 +163,31 @@ class StudyReport:
 
         search = self.study.record.search
         columns = min(2, len(search))
-        figure, panels = new_figure(theme, 0.4 + 2.3 * ceil(len(search) / columns), columns, ceil(len(search) / columns), _WIDE_WIDTH)
+        figure, panels = new_figure(
+            theme, 0.4 + 2.3 * ceil(len(search) / columns), columns, ceil(len(search) / columns), _WIDE_WIDTH
+        )
         shades = LinearSegmentedColormap.from_list("trials", [THEMES[theme][2], COLORS[0]])
         complete, best = sorted(self.ranked, key=lambda trial: trial.number), self.ranked[0]
         for panel, (name, space) in zip(panels.flat, search.items(), strict=False):
-            at: list[Any] = [space.choices.index(t.values[name]) if space.choices else space.value_of(t.values[name]) for t in complete]
+            at: list[Any] = [
+                space.choices.index(t.values[name]) if space.choices else space.value_of(t.values[name])
+                for t in complete
+            ]
             scores = [trial.score for trial in complete]
             panel.scatter(at, scores, s=16, c=[trial.number for trial in complete], cmap=shades, linewidths=0)
             place = complete.index(best)
             panel.plot(at[place], scores[place], "o", color=COLORS[1], markerfacecolor="none", markersize=8)
-            style_panel(panel, "", theme, legend=False, axes=(f"{name}{f', {space.unit}' if space.unit else ''}", "score"))
+            style_panel(
+                panel,
+                "",
+                theme,
+                legend=False,
+                axes=(f"{name}{f', {space.unit}' if space.unit else ''}", "score"),
+            )
             if space.choices:
-                panel.set_xticks(range(len(space.choices)), [choice[:12] for choice in space.choices], parse_math=False)
+                panel.set_xticks(
+                    range(len(space.choices)), [choice[:12] for choice in space.choices], parse_math=False
+                )
             elif space.log:
                 panel.set_xscale("log")
         for panel in list(panels.flat)[len(search) :]:
@@ -177,18 +208,32 @@ class StudyReport:
         """The page."""
         record, dark = self.study.record, {name: figure for name, _, _, figure in self.figures("dark")}
         drawn = [
-            {"name": name, "title": title, "caption": caption, "light": svg_uri(figure), "dark": svg_uri(dark[name])}
+            {
+                "name": name,
+                "title": title,
+                "caption": caption,
+                "light": svg_uri(figure),
+                "dark": svg_uri(dark[name]),
+            }
             for name, title, caption, figure in self.figures("light")
         ]
         states = [trial.state for trial in self.trials]
         others = [trial for trial in self.trials if trial not in self.ranked]
         return render_template(
-            "study.html.j2", html=True, report=self, record=record, figures=drawn,
+            "study.html.j2",
+            html=True,
+            report=self,
+            record=record,
+            figures=drawn,
             rows=[self._row(trial) for trial in [*self.ranked, *others]],
-            counts=", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states)), meaning=MEANINGS[record.objective],
-            command=join(record.command) or "(from Python)", best=join(record.training_command(self.ranked[0].assignments)),
-            version=deepbots_cli.__version__, python=platform.python_version(), matplotlib=version("matplotlib"),
-        )  # fmt: skip
+            counts=", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states)),
+            meaning=MEANINGS[record.objective],
+            command=join(record.command) or "(from Python)",
+            best=join(record.training_command(self.ranked[0].assignments)),
+            version=deepbots_cli.__version__,
+            python=platform.python_version(),
+            matplotlib=version("matplotlib"),
+        )
 
     def _row(self, trial: StudyTrial) -> dict[str, object]:
         interval = self.study.record.score_interval(trial)

@@ -1,4 +1,5 @@
-"""Causes in who teaches the policy: a script that could, a teacher that fails itself, or one that sees more."""
+"""Causes in who teaches the policy: a script that could, a teacher that fails itself, or one that sees
+more."""
 
 from __future__ import annotations
 
@@ -18,14 +19,24 @@ def script_succeeds(t: TrainingEvidence) -> Numbers | None:
     Try: Let the script teach the policy, with `teacher: {script}` under `train`.
     """
     policy = policy_rate(t)
-    rates = {name: SuccessRate([trace.outcome == "success" for trace in traces]) for name, traces in t.scripts.items() if traces}
+    rates = {
+        name: SuccessRate([trace.outcome == "success" for trace in traces])
+        for name, traces in t.scripts.items()
+        if traces
+    }
     if not rates or policy.episodes < MIN_EPISODES or _has_teacher(t):
         return None
     name = max(rates, key=lambda each: rates[each].rate)
     # A script of less than 70 % hardly teaches what the policy cannot find itself.
     if rates[name].episodes < MIN_EPISODES or rates[name].rate < 0.7 or rates[name].low <= policy.high:
         return None
-    return {"likelihood": 0.89, "script": name, "by_script": rates[name], "by_policy": policy, "settings": {"train.teacher": name}}
+    return {
+        "likelihood": 0.89,
+        "script": name,
+        "by_script": rates[name],
+        "by_policy": policy,
+        "settings": {"train.teacher": name},
+    }
 
 
 def policy_rate(t: TrainingEvidence) -> SuccessRate:
@@ -40,8 +51,8 @@ def _has_teacher(t: TrainingEvidence) -> bool:
 
 
 def teacher_rate(t: TrainingEvidence) -> SuccessRate | None:
-    """How often the script that teaches succeeds: from the starts of the evaluations, as the training logged it, else in
-    short episodes."""
+    """How often the script that teaches succeeds: from the starts of the evaluations, as the training logged
+    it, else in short episodes."""
     training, logged = t.program.agent.training, t.curve("teacher/success_rate")
     if training is None or training.teacher is None:
         return None
@@ -54,11 +65,11 @@ def teacher_rate(t: TrainingEvidence) -> SuccessRate | None:
 
 
 def teacher_fails(t: TrainingEvidence) -> Numbers | None:
-    """The teacher fails itself: '{script}' succeeds in {by_script}, and the policy that it teaches in {by_policy}. A
-    policy hardly learns from a teacher what the teacher cannot do.
+    """The teacher fails itself: '{script}' succeeds in {by_script}, and the policy that it teaches in
+    {by_policy}. A policy hardly learns from a teacher what the teacher cannot do.
 
-    Try: Improve the script first: `deepbots try {scenario} --driver {script} --episodes 20` shows its endings. Or train
-    without it.
+    Try: Improve the script first: `deepbots try {scenario} --driver {script} --episodes 20` shows its
+    endings. Or train without it.
     """
     training, script, policy = t.program.agent.training, teacher_rate(t), policy_rate(t)
     if training is None or training.teacher is None or script is None:
@@ -70,25 +81,41 @@ def teacher_fails(t: TrainingEvidence) -> Numbers | None:
     if policy.rate < _AS_GOOD * script.rate or policy.rate >= required:
         return None
     name = training.teacher.script
-    return {"likelihood": 0.895, "script": name, "by_script": script, "by_policy": policy, "scenario": t.scenario_argument}
+    return {
+        "likelihood": 0.895,
+        "script": name,
+        "by_script": script,
+        "by_policy": policy,
+        "scenario": t.scenario_argument,
+    }
 
 
 def teacher_sees_more(t: TrainingEvidence) -> Numbers | None:
-    """The teacher sees more than the policy: '{script}' reads {names}, which the policy does not observe, so it acts differently in states
-    that look the same to the policy. It succeeds in {by_script}, and the policy in {by_policy}.
+    """The teacher sees more than the policy: '{script}' reads {names}, which the policy does not observe, so
+    it acts differently in states that look the same to the policy. It succeeds in {by_script}, and the policy
+    in {by_policy}.
 
-    Try: Add what the teacher reads to `observation`. If a robot could not measure it, show the policy more of the past: {past} for
-    the sensors that change with it.
+    Try: Add what the teacher reads to `observation`. If a robot could not measure it, show the policy more of
+    the past: {past} for the sensors that change with it.
     """
     training = t.program.agent.training
     if training is None or training.teacher is None or not (played := t.scripts.get(training.teacher.script)):
         return None
     script = SuccessRate([trace.outcome == "success" for trace in played])
-    policy = SuccessRate([each.is_success for each in t.final_episodes]) if t.final_episodes else t.late_success
+    policy = (
+        SuccessRate([each.is_success for each in t.final_episodes]) if t.final_episodes else t.late_success
+    )
     hidden = unobserved_reads(t.program, training.teacher.script)
     if not hidden or policy.episodes < MIN_EPISODES or policy.rate >= 0.9 * script.rate:
         return None
     longer = t.facts.history
     past = "`history: 4`" if longer == 1 else f"a `history` of more than the {longer} steps that it has"
-    return {"likelihood": 0.88, "script": training.teacher.script, "names": " and ".join(f"`{text}`" for text in hidden[:3]),
-            "by_script": script, "by_policy": policy, "hidden": hidden, "past": past}  # fmt: skip
+    return {
+        "likelihood": 0.88,
+        "script": training.teacher.script,
+        "names": " and ".join(f"`{text}`" for text in hidden[:3]),
+        "by_script": script,
+        "by_policy": policy,
+        "hidden": hidden,
+        "past": past,
+    }

@@ -17,9 +17,9 @@ def render_template(template: str, *, html: bool = False, **values: Any) -> str:
     """The text of a template of this package."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    known = Environment(
+    environment = Environment(
         loader=PackageLoader("deepbots_cli.insight", "."), undefined=StrictUndefined, autoescape=html,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
-    known.filters["plain"] = plain_markdown
-    return known.get_template(template).render(**values)
+    environment.filters["plain"] = plain_markdown
+    return environment.get_template(template).render(**values)

@@ -1,6 +1,7 @@
 """An episode that runs again, with what each step saw, did, earned and measured.
 
-Runs keep the seeds of their evaluations, recordings their actions, failures both: each of them gives the same episode once more.
+Runs keep the seeds of their evaluations, recordings their actions, failures both: each of them gives the same
+episode once more.
 """
 
 from __future__ import annotations
@@ -20,7 +21,13 @@ from deepbots_cli import api
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
-from deepbots_cli.insight.conditions import InstrumentedProgram, MeasuredComparison, StepValues, deciding_comparison, instrument_program
+from deepbots_cli.insight.conditions import (
+    InstrumentedProgram,
+    MeasuredComparison,
+    StepValues,
+    deciding_comparison,
+    instrument_program,
+)
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
@@ -40,10 +47,11 @@ Array = NDArray[np.float64]
 class Trace:
     """One episode of an agent. Of a team, it is the agent that ended the episode, or the first one.
 
-    Step k lies between moment k - 1 and moment k; moment 0 is the reset. `observations` (moments, numbers) holds the newest value of each
-    number as the policy sees it, `values` what the conditions of the endings compare in each moment. `terms` (steps) are the reward terms,
-    and `actions` the actions in the action space. `critic` holds the critic's value of each moment but the last; None for a policy without
-    a critic or with a memory, and for recordings and failures.
+    Step k lies between moment k - 1 and moment k; moment 0 is the reset. `observations` (moments, numbers)
+    holds the newest value of each number as the policy sees it, `values` what the conditions of the endings
+    compare in each moment. `terms` (steps) are the reward terms, and `actions` the actions in the action
+    space. `critic` holds the critic's value of each moment but the last; None for a policy without a critic
+    or with a memory, and for recordings and failures.
     """
 
     title: str
@@ -80,23 +88,34 @@ class Trace:
 
     @cached_property
     def end(self) -> MeasuredComparison | None:
-        """The comparison that ended the episode; None where an episode limit did, or the ending has no tree."""
-        at_limit = self.outcome == "success" and self.ended_by in ("max_steps", "max_time")  # of a scenario with a goal
+        """The comparison that ended the episode; None where an episode limit did, or the ending has no
+        tree."""
+        at_limit = self.outcome == "success" and self.ended_by in (
+            "max_steps",
+            "max_time",
+        )  # of a scenario with a goal
         condition = self.instrumented.conditions.get("goal_reached" if at_limit else self.ended_by or "")
         if condition is None or self.outcome in ("time limit", "error", "not ended"):
             return None
-        return deciding_comparison(condition, self.values[-2] if len(self.values) > 1 else None, self.values[-1])
+        return deciding_comparison(
+            condition, self.values[-2] if len(self.values) > 1 else None, self.values[-1]
+        )
 
     def action_array(self, key: Literal["choices", "ranges"]) -> Array:
-        """The numbers of the options, or the numbers of ranges in [-1, 1], that the actions hold: (steps, numbers)."""
+        """The numbers of the options, or the numbers of ranges in [-1, 1], that the actions hold: (steps,
+        numbers)."""
         rows = [action[key] if isinstance(action, dict) else action for action in self.actions]
-        return np.array([np.asarray(row, float).reshape(-1) for row in rows]).reshape(len(rows), -1 if rows else 0)
+        return np.array([np.asarray(row, float).reshape(-1) for row in rows]).reshape(
+            len(rows), -1 if rows else 0
+        )
 
 
 class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
     """A world that notes each step of an episode; a reset begins anew. The wrapper closes the world."""
 
-    def __init__(self, world: Supervisor, instrumented: InstrumentedProgram, units: ShownUnits | None = None) -> None:
+    def __init__(
+        self, world: Supervisor, instrumented: InstrumentedProgram, units: ShownUnits | None = None
+    ) -> None:
         super().__init__(world)
         self.world, self.instrumented, self.units = world, instrumented, units or ShownUnits()
         self.observations: list[Any] = []
@@ -104,7 +123,9 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
         self._terms: list[list[Mapping[str, float]]] = []
         self._values: list[list[StepValues]] = []
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         observation, info = self.env.reset(seed=seed, options=options)
         self.observations, self.actions, self._terms, self._values = [observation], [], [], []
         self._note()
@@ -125,20 +146,37 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
         """The episode so far."""
         world, program = self.world, self.instrumented.program
         names, team = list(world.agents), len(world.agents) > 1
-        row = next((n for n, agent in enumerate(world.agents.values()) if agent.ended_by and agent.ended_by == world.ended_by), 0)
+        row = next(
+            (
+                n
+                for n, agent in enumerate(world.agents.values())
+                if agent.ended_by and agent.ended_by == world.ended_by
+            ),
+            0,
+        )
         seen = [value_of_row(each, row) if team else each for each in self.observations]
         newest = [place for place, value in enumerate(program.agent.inputs) if value.steps_ago == 0]
         vectors = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in seen]
-        observations = np.array([np.asarray(vector, float)[newest] for vector in vectors]).reshape(len(vectors), len(newest))
+        observations = np.array([np.asarray(vector, float)[newest] for vector in vectors]).reshape(
+            len(vectors), len(newest)
+        )
         outcome: Any = "error" if error else "not ended"
         if world.ended_by is not None and not error:
-            outcome = "success" if world.is_success else "time limit" if world.truncated else "failure"
+            if world.is_success:
+                outcome = "success"
+            elif world.truncated:
+                outcome = "time limit"
+            else:
+                outcome = "failure"
         return Trace(
             title=title,
             instrumented=self.instrumented,
             observations=observations,
             actions=[value_of_row(each, row) if team else each for each in self.actions],
-            terms={term.name: np.array([terms[row][term.name] for terms in self._terms], float) for term in program.agent.reward},
+            terms={
+                term.name: np.array([terms[row][term.name] for terms in self._terms], float)
+                for term in program.agent.reward
+            },
             values=[values[row] for values in self._values],
             ended_by=world.ended_by,
             outcome=outcome,
@@ -172,22 +210,38 @@ def trace_episodes(
     from deepbots_cli.rollout.policies import PolicyDriver
 
     if not run.model(model).is_file() and run.record.status == "failed":
-        raise RunError(f"the training of {run.path} failed before it saved a model; find the cause with: deepbots diagnose {run.path}")
+        raise RunError(
+            f"the training of {run.path} failed before it saved a model; find the cause with: deepbots"
+            f" diagnose {run.path}"
+        )
     if not run.model(model).is_file():
-        raise RunError(f"{run.path} contains no model '{model}'; train it first, with: deepbots resume {run.path}")
+        raise RunError(
+            f"{run.path} contains no model '{model}'; train it first, with: deepbots resume {run.path}"
+        )
     watch = instrument_program(run.program)
-    with torch_settings(), closing(_world(watch, run.engine_for(run.program), permissions, run.compiled.units)) as world:
+    with (
+        torch_settings(),
+        closing(_world(watch, run.engine_for(run.program), permissions, run.compiled.units)) as world,
+    ):
         policy = evaluation.load_model(run, model, world)
         for number in numbers:
-            play(world, PolicyDriver(policy, world, deterministic=deterministic), Start.of_evaluation(seed, number))
+            play(
+                world,
+                PolicyDriver(policy, world, deterministic=deterministic),
+                Start.of_evaluation(seed, number),
+            )
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
-            observations = [seen if row is None else value_of_row(seen, row) for seen in world.observations[:-1]]
+            observations = [
+                seen if row is None else value_of_row(seen, row) for seen in world.observations[:-1]
+            ]
             trace.critic = policy.values(observations)
             yield trace
 
 
-def _world(watch: InstrumentedProgram, engine: str | None, permissions: Permissions, units: ShownUnits) -> TraceRecorder:
+def _world(
+    watch: InstrumentedProgram, engine: str | None, permissions: Permissions, units: ShownUnits
+) -> TraceRecorder:
     return TraceRecorder(api.build(watch.program, engine=engine, permissions=permissions), watch, units)
 
 
@@ -206,14 +260,21 @@ def trace_recorded(opened: ShowingState, episodes: Sequence[RecordedEpisode]) ->
     shown, units = opened.shown, opened.checked().units
     with closing(_world(instrument_program(opened.program), shown.engine, shown.permissions, units)) as world:
         for recorded in episodes:
-            again = steps(world, sequence_driver(actions(recording, recorded, world.action_space)), Start(recorded.seed))
+            again = steps(
+                world, sequence_driver(actions(recording, recorded, world.action_space)), Start(recorded.seed)
+            )
             for place in range(len(recorded.steps)):
                 try:
                     step = next(again, None)
                 except UsageError:  # the action is none of this scenario
                     step = None
-                if step is None or observation_hash_at(recording, recorded, place) != observation_hash(step.observation):
-                    reason = "; ".join(version_changes(recording)) or "it was made on another machine, or changed since then"
+                if step is None or observation_hash_at(recording, recorded, place) != observation_hash(
+                    step.observation
+                ):
+                    reason = (
+                        "; ".join(version_changes(recording))
+                        or "it was made on another machine, or changed since then"
+                    )
                     what = f"{recording.path}: the episode differs from its recording at step {place}"
                     raise UsageError(f"{what}, so it cannot be explained here: {reason}")
             yield world.trace(f"episode {recorded.number} of {recording.path}")
@@ -227,12 +288,14 @@ def trace_failure(path: Path, *, permissions: Permissions = Permissions()) -> Tr
     """
     failure, run, program = failures.read_failure(path)
     error = ""
-    with closing(_world(instrument_program(program), run.record.engine, permissions, run.compiled.units)) as world:
+    with closing(
+        _world(instrument_program(program), run.record.engine, permissions, run.compiled.units)
+    ) as world:
         try:
             for _ in failures.repeat_steps(failure, program, world, path):
                 pass
         except RunError:
             raise
-        except DeepbotsError as found:
-            error = str(found)
+        except DeepbotsError as raised:
+            error = str(raised)
         return world.trace(f"episode {failure.episode} of {path}", error=error)

@@ -29,9 +29,11 @@ from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
 from deepbots_cli.learning import failures
 from deepbots_cli.learning.decline import Decline, decline
+from deepbots_cli.learning.directories import is_training
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.order import measure_of
-from deepbots_cli.learning.run import Run, changed_settings, is_training
+from deepbots_cli.learning.records import changed_settings
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program import CurriculumStage, Program
@@ -43,7 +45,8 @@ from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.plots import logs_of, scalars_of
 
 PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
-"""Short episodes of the policy, of random actions and without commands, and their steps at most; and the steps of a constant action."""
+"""Short episodes of the policy, of random actions and without commands, and their steps at most; and the
+steps of a constant action."""
 
 SCRIPT_EPISODES = 8
 """Whole episodes of each script: from 8 successes of 8 follows a success rate of 68 % or more."""
@@ -59,13 +62,15 @@ MIN_EPISODES = 8
 class TrainingEvidence:
     """A training as its files tell it, and short episodes.
 
-    `all_episodes` and `all_evaluations` are those of `logs_of`; the quoted evaluation since the training is the last one, in stage "".
-    `episodes` and `evaluations` are those of the stage in which the training stands, and so is `program`: returns of another stage say
-    nothing about it. `scalars` are curves of TensorBoard by tag: steps and values. `failure` is the error that ended the training. The
-    short episodes have the same starts, in the present stage: `policy` those of the last policy, `random` those of random actions, `idle`
-    those of an action that commands zeros, and `constant_actions` one for each constant action, by the part of the action that alone
-    differs. `scripts` are whole episodes of the script that teaches the policy, or of each that could. `final_episodes` are those of the
-    evaluation that `verdict` quotes, and `failed` are the first ones of them without success, repeated.
+    `all_episodes` and `all_evaluations` are those of `logs_of`; the quoted evaluation since the training is
+    the last one, in stage "". `episodes` and `evaluations` are those of the stage in which the training
+    stands, and so is `program`: returns of another stage say nothing about it. `scalars` are curves of
+    TensorBoard by tag: steps and values. `failure` is the error that ended the training. The short episodes
+    have the same starts, in the present stage: `policy` those of the last policy, `random` those of random
+    actions, `idle` those of an action that commands zeros, and `constant_actions` one for each constant
+    action, by the part of the action that alone differs. `scripts` are whole episodes of the script that
+    teaches the policy, or of each that could. `final_episodes` are those of the evaluation that `verdict`
+    quotes, and `failed` are the first ones of them without success, repeated.
     """
 
     run: Run
@@ -91,9 +96,14 @@ class TrainingEvidence:
 
     @cached_property
     def stage_index(self) -> int:
-        """The place of the present stage, the furthest that an episode or an evaluation was in; 0 without a curriculum."""
+        """The place of the present stage, the furthest that an episode or an evaluation was in; 0 without a
+        curriculum."""
         names, result = [stage.name for stage in self.stages], self.run.record.result
-        seen = {*self.all_episodes.stages, *(each.get("stage", "") for each in self.all_evaluations), result.stage if result else ""}
+        seen = {
+            *self.all_episodes.stages,
+            *(each.get("stage", "") for each in self.all_evaluations),
+            result.stage if result else "",
+        }
         return max((names.index(name) for name in seen if name in names), default=0)
 
     @property
@@ -140,7 +150,11 @@ class TrainingEvidence:
         ends = self.run.record.result.stages if self.run.record.result else ()
         if self.stage_index and ends and ends[-1].name == self.stages[self.stage_index - 1].name:
             return ends[-1].steps
-        return int(self.episodes.steps[0] - self.episodes.lengths[0]) if self.stage_index and len(self.episodes) else 0
+        return (
+            int(self.episodes.steps[0] - self.episodes.lengths[0])
+            if self.stage_index and len(self.episodes)
+            else 0
+        )
 
     @property
     def stage_steps(self) -> int:
@@ -155,7 +169,8 @@ class TrainingEvidence:
 
     @property
     def is_mature(self) -> bool:
-        """Whether the present stage has had half of its share of the planned steps, so that what has not come yet may never come."""
+        """Whether the present stage has had half of its share of the planned steps, so that what has not come
+        yet may never come."""
         return self.stage_steps >= 0.5 * self.planned / max(1, len(self.stages))
 
     # Episodes
@@ -175,7 +190,8 @@ class TrainingEvidence:
         return sum(len(trace.values) for trace in self.probes)
 
     def episodes_between(self, first: float, last: float) -> Any:
-        """The episodes of the present stage from one share of them to another: `episodes_between(0.75, 1)` is the last quarter."""
+        """The episodes of the present stage from one share of them to another: `episodes_between(0.75, 1)` is
+        the last quarter."""
         return self.episodes[round(first * len(self.episodes)) : round(last * len(self.episodes))]
 
     def episodes_by_steps(self, first: float, last: float) -> Any:
@@ -198,7 +214,10 @@ class TrainingEvidence:
     @cached_property
     def settings(self) -> Mapping[str, Any]:
         """The hyperparameters that the training takes, by name."""
-        return {entry.name: entry.value for entry in effective_hyperparameters(self.run.program, self.run.record.total_timesteps)}
+        return {
+            entry.name: entry.value
+            for entry in effective_hyperparameters(self.run.program, self.run.record.total_timesteps)
+        }
 
     def number_setting(self, name: str) -> float | None:
         """A hyperparameter as a number, the first one of a schedule; None where it is none."""
@@ -210,27 +229,36 @@ class TrainingEvidence:
     def decline(self) -> Decline | None:
         """How far the evaluations fell in the present stage; None where they did not."""
         program = self.run.program
-        return decline(self.all_evaluations, measure_of(program.agent.solved, defines_success=program.defines_success))
+        return decline(
+            self.all_evaluations, measure_of(program.agent.solved, defines_success=program.defines_success)
+        )
 
     @property
     def steps(self) -> int:
         """Of the whole training; the result of one that runs is as old as its last process."""
-        result, known = self.run.record.result, int(self.all_episodes.steps[-1]) if len(self.all_episodes) else 0
-        return max(known, result.steps if result is not None else 0)
+        result = self.run.record.result
+        logged_steps = int(self.all_episodes.steps[-1]) if len(self.all_episodes) else 0
+        return max(logged_steps, result.steps if result is not None else 0)
 
     # What was learned
 
     @property
     def solved(self) -> bool:
-        """Whether the policy solves the task, as `run_verdict` says; before its evaluation also by those during the last stage."""
+        """Whether the policy solves the task, as `run_verdict` says; before its evaluation also by those
+        during the last stage."""
         solved = self.run.program.agent.solved
         if solved is None or self.final_episodes or self.verdict.solved:
             return bool(self.verdict.solved)
-        means = [(fmean(each["returns"]), fmean(each["successes"])) for each in self.evaluations if self.is_last_stage]
+        means = [
+            (fmean(each["returns"]), fmean(each["successes"]))
+            for each in self.evaluations
+            if self.is_last_stage
+        ]
         return any(meets_solved(solved, *each) for each in means)
 
     def curve(self, tag: str) -> Array:
-        """The values of a curve in the present stage, of `train/...` in all stages; none where TensorBoard has no such tag."""
+        """The values of a curve in the present stage, of `train/...` in all stages; none where TensorBoard
+        has no such tag."""
         if tag not in self.scalars:
             return np.zeros(0)
         steps, values = self.scalars[tag]
@@ -238,7 +266,8 @@ class TrainingEvidence:
 
 
 def returns_rise(t: TrainingEvidence) -> tuple[float, float, float, float] | None:
-    """Mean returns of the first half and of the last quarter of the present stage, their difference, and twice its standard error.
+    """Mean returns of the first half and of the last quarter of the present stage, their difference, and
+    twice its standard error.
 
     None where the return does not rise, or levels off.
     """
@@ -247,7 +276,8 @@ def returns_rise(t: TrainingEvidence) -> tuple[float, float, float, float] | Non
         return None
     gain = float(late.mean() - early.mean())
     chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
-    # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it levels off.
+    # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it
+    # levels off.
     start, before = (float(t.episodes_between(share, share + 0.25).returns.mean()) for share in (0.0, 0.5))
     if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
         return None
@@ -262,11 +292,14 @@ def usual_settings(t: TrainingEvidence) -> Mapping[str, Any]:
         return {}
     bare = replace(training, hyperparameters=(), action_noise=None, replay=None)
     unset = program.with_agents(training=bare)
-    return {entry.name: entry.value for entry in effective_hyperparameters(unset, t.run.record.total_timesteps)}
+    return {
+        entry.name: entry.value for entry in effective_hyperparameters(unset, t.run.record.total_timesteps)
+    }
 
 
 def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
-    """The command that trains the scenario of a run anew, with its seed, options and `--set`, and further assignments."""
+    """The command that trains the scenario of a run anew, with its seed, options and `--set`, and further
+    assignments."""
     record, settings = run.record, dict[str, str]()
     for text in (*changed_settings(record.command), *assignments):
         path, _, value = text.partition("=")
@@ -274,14 +307,26 @@ def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
         settings[path] = value
     words = ["deepbots", "train", named_source(record.source), "--seed", str(record.seed)]
     training = run.program.agent.training
-    if training is not None and record.total_timesteps != training.total_timesteps and "train.total_timesteps" not in settings:
+    if (
+        training is not None
+        and record.total_timesteps != training.total_timesteps
+        and "train.total_timesteps" not in settings
+    ):
         words += ["--timesteps", str(record.total_timesteps)]
-    given = training.teacher if training is not None and any(word.partition("=")[0] == "--teacher" for word in record.command) else None
-    words += [] if given is None or "train.teacher" in settings else ["--teacher", given.script]
+    teacher = (
+        training.teacher
+        if training is not None and any(word.partition("=")[0] == "--teacher" for word in record.command)
+        else None
+    )
+    words += [] if teacher is None or "train.teacher" in settings else ["--teacher", teacher.script]
     words += ["--teacher", str(run.demonstrations)] if run.demonstrations.exists() else []
     words += [word for path, value in settings.items() for word in ("--set", f"{path}={value}")]
     is_given = any(word.partition("=")[0] == "--engine" for word in record.command)
-    words += ["--engine", record.engine] if is_given or record.engine != engine_kinds.chosen(run.program.engine) else []
+    words += (
+        ["--engine", record.engine]
+        if is_given or record.engine != engine_kinds.chosen(run.program.engine)
+        else []
+    )
     words += [] if record.first_stage is None else ["--stage", record.first_stage]
     words += [] if record.stop_when_solved else ["--full"]
     return [*words, *(["--allow-code"] if "--allow-code" in record.command else [])]
@@ -305,7 +350,9 @@ def read_training(run: Run) -> TrainingEvidence:
         returns, successes = [each.total_return for each in done], [each.is_success for each in done]
         evaluations.append({"stage": "", "returns": returns, "successes": successes})
     verdict = run_verdict(run.path, run.record)
-    return TrainingEvidence(run, episodes, evaluations, scalars_of(run.tensorboard), error, done, verdict, running)
+    return TrainingEvidence(
+        run, episodes, evaluations, scalars_of(run.tensorboard), error, done, verdict, running
+    )
 
 
 def run_probes(
@@ -315,7 +362,8 @@ def run_probes(
     on_episode: Callable[[int, int], object] | None = None,
     seconds: float = math.inf,
 ) -> None:
-    """Run the short episodes of a training, all from the same starts; after `seconds`, the rest is left out."""
+    """Run the short episodes of a training, all from the same starts; after `seconds`, the rest is left
+    out."""
     from deepbots_cli.learning.evaluation import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
     from deepbots_cli.rollout.policies import PolicyDriver
@@ -323,7 +371,9 @@ def run_probes(
     run, deadline = training.run, time.monotonic() + seconds
     seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(PROBE_EPISODES)]
     watch = instrument_program(training.program, include_observation=True)
-    world = TraceRecorder(api.build(watch.program, engine=run.record.engine, permissions=permissions), watch, run.compiled.units)
+    world = TraceRecorder(
+        api.build(watch.program, engine=run.record.engine, permissions=permissions), watch, run.compiled.units
+    )
     with torch_settings(), closing(world):
         constant = _constant(world.world)
         idle = idle_action(training.program.agent.action)
@@ -332,7 +382,9 @@ def run_probes(
         name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
         model = None if name is None else load_model(run, name, world)
         scripts = _teachers(training)
-        total = PROBE_EPISODES * (1 + (idle is not None) + (model is not None)) + sum(map(len, constant.values()))
+        total = PROBE_EPISODES * (1 + (idle is not None) + (model is not None)) + sum(
+            map(len, constant.values())
+        )
         total += SCRIPT_EPISODES * len(scripts)
         done = 0
 
@@ -356,16 +408,25 @@ def run_probes(
         for seed in seeds:  # of each kind one after the other, so that a few seconds show something of all
             random += episode(seed, random_driver(world))
             policy += episode(seed, PolicyDriver(model, world)) if model is not None else []
-            still += episode(seed, constant_driver(world.world.make_action(*idle))) if idle is not None else []
+            still += (
+                episode(seed, constant_driver(world.world.make_action(*idle))) if idle is not None else []
+            )
         training.random, training.policy, training.idle = random, policy, still
         for part, actions in constant.items():
-            found = {name: episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS) for name, action in actions.items()}
-            training.constant_actions[part] = {name: trace for name, traces in found.items() for trace in traces}
+            probes = {
+                name: episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS)
+                for name, action in actions.items()
+            }
+            training.constant_actions[part] = {
+                name: trace for name, traces in probes.items() for trace in traces
+            }
         longest = training.program.truncation.max_episode_steps(training.program.period)
         for name in scripts:
             starts = (derive_seed(run.record.seed, "diagnosis", number) for number in range(SCRIPT_EPISODES))
             played = [trace for seed in starts for trace in episode(seed, named_driver(world, name), longest)]
-            training.scripts[name] = [trace for trace in played if trace.outcome != "not ended"]  # that the deadline cut
+            training.scripts[name] = [
+                trace for trace in played if trace.outcome != "not ended"
+            ]  # that the deadline cut
     training.failed = _repeat_failed(training, deadline, permissions)
 
 
@@ -374,20 +435,23 @@ def _repeat_failed(t: TrainingEvidence, deadline: float, permissions: Permission
     kept = quoted_episodes(t.run) if t.final_episodes and t.run.program.defines_success else None
     if kept is None or t.run.program.agent.copies is not None or time.monotonic() > deadline:
         return []
-    numbers = [number for number, each in enumerate(kept[1].outcomes) if not each.is_success][:FAILED_EPISODES]
-    found = []
+    numbers = [number for number, each in enumerate(kept[1].outcomes) if not each.is_success][
+        :FAILED_EPISODES
+    ]
+    traces = []
     try:
         for trace in trace_episodes(t.run, numbers, **kept[1].replay_options, permissions=permissions):
-            found.append(trace)
+            traces.append(trace)
             if time.monotonic() > deadline:
                 break
     except DeepbotsError:  # its model is missing, for example
         pass
-    return found
+    return traces
 
 
 def _teachers(t: TrainingEvidence) -> list[str]:
-    """The script that teaches the policy, or else those that could; none where no success compares them with it."""
+    """The script that teaches the policy, or else those that could; none where no success compares them with
+    it."""
     agent = t.program.agent
     if not t.program.defines_success or agent.copies is not None or agent.training is None:
         return []
@@ -397,8 +461,17 @@ def _teachers(t: TrainingEvidence) -> list[str]:
 
 
 def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
-    """For each part of the action, constant actions in which it alone differs: the first options of a choice, both ends of a range."""
+    """For each part of the action, constant actions in which it alone differs: the first options of a choice,
+    both ends of a range."""
     agent = env.scenario.agent
-    picks = {part.name: {option.name: n for n, option in enumerate(part.options[:4])} for part in agent.choices}
-    values: dict[str, Mapping[str, float]] = {**picks, **{name: {"-1": -1.0, "1": 1.0} for name in agent.range_names[:8]}}
-    return {name: {said: action_from_values(env, {name: value}) for said, value in found.items()} for name, found in values.items()}
+    picks = {
+        part.name: {option.name: n for n, option in enumerate(part.options[:4])} for part in agent.choices
+    }
+    values: dict[str, Mapping[str, float]] = {
+        **picks,
+        **{name: {"-1": -1.0, "1": 1.0} for name in agent.range_names[:8]},
+    }
+    return {
+        name: {word: action_from_values(env, {name: value}) for word, value in by_name.items()}
+        for name, by_name in values.items()
+    }

@@ -1,13 +1,16 @@
-"""What differs between two worlds of a scenario, such as two engines, or a simulation and one with another mass: first, and why.
+"""What differs between two worlds of a scenario, such as two engines, or a simulation and one with another
+mass: first, and why.
 
-The policy plays some episodes in the world of its training, and the other world repeats their starts and actions. The difference of each
-number of the observation and of each reward term then comes from the world, not from other actions. `causes` are changes of the first
-world that make it more like the second one: another order, sign, unit or age of a number, or another latency, mass, friction, strength,
-gain, lag or order of motors. Changes of the physics are simulated, each with the same starts and actions.
+The policy plays some episodes in the world of its training, and the other world repeats their starts and
+actions. The difference of each number of the observation and of each reward term then comes from the world,
+not from other actions. `causes` are changes of the first world that make it more like the second one: another
+order, sign, unit or age of a number, or another latency, mass, friction, strength, gain, lag or order of
+motors. Changes of the physics are simulated, each with the same starts and actions.
 
-Most kinds of changes explain nothing. A small, a middle and a large amount of each kind are therefore simulated first, in two episodes,
-and until the differences have grown; then all amounts of the likely kinds, and amounts between those of the best few. In the end the best
-amount of each kind is simulated in all episodes.
+Most kinds of changes explain nothing. A small, a middle and a large amount of each kind are therefore
+simulated first, in two episodes, and until the differences have grown; then all amounts of the likely kinds,
+and amounts between those of the best few. In the end the best amount of each kind is simulated in all
+episodes.
 """
 
 from __future__ import annotations
@@ -63,7 +66,8 @@ from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, PolicyDriver
 from deepbots_cli.rollout.source import Source
 
 EPISODES, MAX_STEPS = 6, 100
-"""How many episodes are compared, and how many steps of each: small differences grow, and in the end only show that they have grown."""
+"""How many episodes are compared, and how many steps of each: small differences grow, and in the end only
+show that they have grown."""
 _THRESHOLD = 0.01
 """A number differs if it is off by more than this share of the width that it spans in the first world."""
 _MEASURED = "order, sign, unit, offset and age of numbers"
@@ -71,23 +75,29 @@ _MEASURED = "order, sign, unit, offset and age of numbers"
 _LATEST = 8
 """The largest age of a number, in steps, that is tried."""
 _EXACT = 0.05
-"""A number is explained by its order, sign, unit or age if this share of the squared difference is left at most."""
+"""A number is explained by its order, sign, unit or age if this share of the squared difference is left at
+most."""
 _LEAST_EXPLAINED = 0.3
 """Share of the squared differences that a cause must explain."""
 _GROWN, _FEW = 0.1, 5
 """A difference has grown from this share of the width on; so many moments more are counted as early ones."""
 _PROBED_EPISODES, _PROBED_STEPS, _LEAST_STEPS = 2, 50, 15
-"""Episodes in which most changes are simulated, those with the largest differences, and steps of each at most and at least."""
+"""Episodes in which most changes are simulated, those with the largest differences, and steps of each at most
+and at least."""
 _REFINED = 8
-"""Kinds of changes that are simulated with all amounts in these episodes, and with the best one in all episodes."""
+"""Kinds of changes that are simulated with all amounts in these episodes, and with the best one in all
+episodes."""
 _SEARCHED, _SEARCH_STEPS = 6, 7
-"""Kinds whose amount is searched between the amounts beside the best one, and simulations of such a search."""
+"""Kinds whose amount is searched between the amounts beside the best one, and simulations of such a
+search."""
 _EXPLAINS_ALL = 0.9995
 """From this share on, no better amount is searched."""
 _SAME = 1e-3
-"""Two changes have the same effect if their squared difference is at most this share of that of the effect, and of the two worlds."""
+"""Two changes have the same effect if their squared difference is at most this share of that of the effect,
+and of the two worlds."""
 _LONGEST = 0.35
-"""The longest time that is tried, in s, unless it has fewer than three timesteps; amounts are doubled from one timestep on."""
+"""The longest time that is tried, in s, unless it has fewer than three timesteps; amounts are doubled from
+one timestep on."""
 MIN_EPISODES = FORWARD_BATCH_SIZE
 """Episodes of an evaluation that a number of steps does not leave out: deepbots plays as many at a time."""
 QUICK_EPISODES = 4
@@ -124,7 +134,8 @@ class Difference(NamedTuple):
         step: The first step of this episode in which it differs; 0 is the reset.
         here: The value in the first world, in SI units.
         there: The value in the other one.
-        share: The root mean square of its differences, as a share of the width that it spans in the first world.
+        share: The root mean square of its differences, as a share of the width that it spans in the first
+            world.
     """
 
     name: str
@@ -137,7 +148,8 @@ class Difference(NamedTuple):
 
 
 class Cause(NamedTuple):
-    """A change of the first world that makes it more like the other one; `explained` is the share of the squared differences that goes."""
+    """A change of the first world that makes it more like the other one; `explained` is the share of the
+    squared differences that goes."""
 
     text: str
     explained: float
@@ -145,7 +157,8 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True)
 class WorldComparison:
-    """`differences` in the order in which they begin, `causes` from the one that explains most, and in words the kinds of changes `tried`.
+    """`differences` in the order in which they begin, `causes` from the one that explains most, and in words
+    the kinds of changes `tried`.
 
     A cause explains numbers of the observation, so there is none if only reward terms differ.
     """
@@ -202,11 +215,15 @@ def compare_worlds(
         UsageError: The scenario has copies of a robot.
     """
     if here.program.agent.copies is not None:
-        raise UsageError(f"{here.program.name} has copies of a robot, whose worlds cannot be compared step by step")
+        raise UsageError(
+            f"{here.program.name} has copies of a robot, whose worlds cannot be compared step by step"
+        )
     columns = _columns(instrument_program(here.program, include_observation=True))
     recorded = _recorded(run, here, model, seed, episodes, permissions)
     comparison = _Comparison(columns, recorded, _repeated(there, recorded, permissions))
-    result = WorldComparison(len(recorded), max(len(each.actions) for each in recorded), tuple(comparison.differences()), ())
+    result = WorldComparison(
+        len(recorded), max(len(each.actions) for each in recorded), tuple(comparison.differences()), ()
+    )
     if not result.observation_differs:
         return result
     rows = [*comparison.measured_causes()]
@@ -219,7 +236,9 @@ def compare_worlds(
             else:
                 same.texts.extend(row.texts)
     causes = [Cause(_either(row.texts), comparison.explained(row.values)) for row in rows]
-    likely = sorted((cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained)  # stable
+    likely = sorted(
+        (cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained
+    )  # stable
     families = {kind.family: kind.tried for kind in reversed(kinds)}
     return replace(result, causes=tuple(likely), tried=(_MEASURED, *reversed(families.values())))
 
@@ -236,7 +255,9 @@ class _Row(NamedTuple):
     values: list[Array]
 
 
-def _simulated_causes(comparison: _Comparison, kinds: Sequence[_Kind], on_world: Callable[[int, int], object]) -> list[_Row]:
+def _simulated_causes(
+    comparison: _Comparison, kinds: Sequence[_Kind], on_world: Callable[[int, int], object]
+) -> list[_Row]:
     """The changes that explain most of a few short episodes, and how much they explain of all."""
     probe = comparison.part()
     scores: dict[tuple[_Kind, float], float] = {}
@@ -248,16 +269,29 @@ def _simulated_causes(comparison: _Comparison, kinds: Sequence[_Kind], on_world:
         return scores[kind, amount]
 
     def best(kind: _Kind) -> float:
-        return max((amount for known, amount in scores if known is kind), key=lambda amount: (round(scores[kind, amount], 9), amount))
+        return max(
+            (amount for scored_kind, amount in scores if scored_kind is kind),
+            key=lambda amount: (round(scores[kind, amount], 9), amount),
+        )
 
     groups: list[_Group] = []
     for number, kind in enumerate(kinds):
         effects = [values for amount in kind.probes if (values := probe.simulated(kind, amount)) is not None]
         on_world(number + 1, len(kinds))
-        likeness = max((probe.likeness(values) if kind.form else probe.explained(values) for values in effects), default=0.0)
+        likeness = max(
+            (probe.likeness(values) if kind.form else probe.explained(values) for values in effects),
+            default=0.0,
+        )
         if likeness <= 0.0:
             continue
-        same = next((group for group in groups if group.kinds[0].probes == kind.probes and probe.all_same(group.effects, effects)), None)
+        same = next(
+            (
+                group
+                for group in groups
+                if group.kinds[0].probes == kind.probes and probe.all_same(group.effects, effects)
+            ),
+            None,
+        )
         if same is None:
             groups.append(_Group([kind], effects, likeness))
         else:
@@ -282,9 +316,11 @@ def _simulated_causes(comparison: _Comparison, kinds: Sequence[_Kind], on_world:
 
 
 def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) -> None:
-    """Score amounts between the neighbors of an amount: on a logarithmic scale with two digits, and then one digit up and down.
+    """Score amounts between the neighbors of an amount: on a logarithmic scale with two digits, and then one
+    digit up and down.
 
-    A latency of a part of a timestep has the effect of a whole one, so of a time, the next number of timesteps is scored, too.
+    A latency of a part of a timestep has the effect of a whole one, so of a time, the next number of
+    timesteps is scored, too.
     """
     if len(kind.amounts) < 2 or score(kind, amount) >= _EXPLAINS_ALL:
         return
@@ -299,7 +335,9 @@ def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) 
     digit = 10.0 ** (floor(best.x / log(10.0)) - 1)
     amount = float(f"{exp(best.x):.2g}")
     for step in (-digit, digit):
-        while scale[place - 1] < (beside := float(f"{amount + step:.2g}")) < scale[place + 1] and score(kind, beside) > score(kind, amount):
+        while scale[place - 1] < (beside := float(f"{amount + step:.2g}")) < scale[place + 1] and score(
+            kind, beside
+        ) > score(kind, amount):
             amount = beside
     if kind.form == DELAY:
         timestep = kind.amounts[0]
@@ -308,7 +346,8 @@ def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) 
 
 @dataclass
 class _Group:
-    """Kinds whose changes have the same effect, and how much this effect is like the difference, whatever its amount."""
+    """Kinds whose changes have the same effect, and how much this effect is like the difference, whatever its
+    amount."""
 
     kinds: list[_Kind]
     effects: list[list[Array]]
@@ -323,18 +362,24 @@ class _Column(NamedTuple):
 def _columns(watch: InstrumentedProgram) -> list[_Column]:
     kept = _kept(watch)
     return [
-        *(_Column(each.full_name, each.unit.removeprefix("1")) for each in watch.program.agent.numbers if each.name in kept),
+        *(
+            _Column(each.full_name, each.unit.removeprefix("1"))
+            for each in watch.program.agent.numbers
+            if each.name in kept
+        ),
         *(_Column(f"{_REWARD}{term.name}", "") for term in watch.program.agent.reward),
     ]
 
 
 def _kept(watch: InstrumentedProgram) -> dict[str, str]:
-    """The kept value of each entry of the observation; without the previous action, which says nothing about a world."""
+    """The kept value of each entry of the observation; without the previous action, which says nothing about
+    a world."""
     return {name: kept for name, kept in watch.observed_signals.items() if name != "previous_action"}
 
 
 class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
-    """A world that notes the actions of an episode, and its values: those of the observation in SI units, and the reward terms."""
+    """A world that notes the actions of an episode, and its values: those of the observation in SI units, and
+    the reward terms."""
 
     def __init__(self, world: World, permissions: Permissions) -> None:
         self._watch = instrument_program(world.program, include_observation=True)
@@ -343,7 +388,9 @@ class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
         self.actions: list[Any] = []
         self._rows: list[list[float]] = []
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         self.actions, self._rows = [], []
         try:
             outcome = self.env.reset(seed=seed, options=options)
@@ -362,7 +409,9 @@ class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
     def _note(self) -> None:
         values = self._watch.read(self._made)
         terms = self._made.get_info()["reward_terms"] if self.actions else dict.fromkeys(self._terms, 0.0)
-        self._rows.append([*(number for name in _kept(self._watch).values() for number in values[name]), *terms.values()])
+        self._rows.append(
+            [*(number for name in _kept(self._watch).values() for number in values[name]), *terms.values()]
+        )
 
     @property
     def _terms(self) -> list[str]:
@@ -374,36 +423,40 @@ class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
         return np.array(self._rows, float)
 
 
-def _recorded(run: Run, here: World, model: ModelName, seed: int, episodes: int, permissions: Permissions) -> list[_Recorded]:
+def _recorded(
+    run: Run, here: World, model: ModelName, seed: int, episodes: int, permissions: Permissions
+) -> list[_Recorded]:
     from deepbots_cli.learning.evaluation import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
 
-    found = []
+    episodes_recorded = []
     with torch_settings(), closing(_Recorder(here, permissions)) as world:
         driver = PolicyDriver(load_model(run, model, world), world, deterministic=True)
         for number in range(episodes):
             start = Start.of_evaluation(seed, number)
             for _ in islice(steps(world, driver, start), MAX_STEPS + 1):
                 pass
-            found.append(_Recorded(start, world.actions, world.values))
-    return found
+            episodes_recorded.append(_Recorded(start, world.actions, world.values))
+    return episodes_recorded
 
 
 def _repeated(world: World, recorded: Sequence[_Recorded], permissions: Permissions) -> list[Array]:
     """The values of each episode with its start and actions in a world."""
-    with closing(_Recorder(world, permissions)) as made:
-        return _repeated_in(made, recorded)
+    with closing(_Recorder(world, permissions)) as recorder:
+        return _repeated_in(recorder, recorded)
 
 
-def _repeated_in(made: _Recorder, recorded: Sequence[_Recorded], act: Act = lambda action: action) -> list[Array]:
+def _repeated_in(
+    recorder: _Recorder, recorded: Sequence[_Recorded], act: Act = lambda action: action
+) -> list[Array]:
     """The same in a world that exists; `act` changes the actions."""
     values = []
     for episode in recorded:
         driver = sequence_driver([act(action) for action in episode.actions])
         with suppress(EvaluationError):  # an ending is true at the reset
-            for _ in islice(steps(made, driver, episode.start), len(episode.actions) + 1):
+            for _ in islice(steps(recorder, driver, episode.start), len(episode.actions) + 1):
                 pass
-        values.append(made.values)
+        values.append(recorder.values)
     return values
 
 
@@ -414,7 +467,11 @@ class _Comparison:
     """
 
     def __init__(
-        self, columns: Sequence[_Column], recorded: Sequence[_Recorded], found: Sequence[Array], width: Array | None = None
+        self,
+        columns: Sequence[_Column],
+        recorded: Sequence[_Recorded],
+        found: Sequence[Array],
+        width: Array | None = None,
     ) -> None:
         self._columns, self._recorded = columns, recorded
         self._here = [episode.values for episode in recorded]
@@ -431,12 +488,15 @@ class _Comparison:
         return min(length, (int(np.argmax(large)) if large.any() else length) + _FEW)
 
     def _errors(self, values: Sequence[Array], until: Sequence[int] | None = None) -> Array:
-        """The mean squared difference of each column from the other world, in squared widths; 1 at most, since errors grow without end.
+        """The mean squared difference of each column from the other world, in squared widths; 1 at most,
+        since errors grow without end.
 
         `until` is the number of moments of each episode; by default all that both worlds have.
         """
         squares = []
-        for mine, other, usual, most in zip(values, self._there, self._here, until or [MAX_STEPS + 1] * len(self._here), strict=True):
+        for mine, other, usual, most in zip(
+            values, self._there, self._here, until or [MAX_STEPS + 1] * len(self._here), strict=True
+        ):
             length = min(len(usual), len(other), most)
             both = min(length, len(mine))
             squares.append(np.minimum(((mine[:both] - other[:both]) / self._width) ** 2, 1.0))
@@ -444,10 +504,12 @@ class _Comparison:
         return np.asarray(np.mean(np.vstack(squares), axis=0), float)
 
     def explained(self, values: Sequence[Array]) -> float:
-        """The share of the squared differences of the observation that another world does not have; below 0 if it has larger ones.
+        """The share of the squared differences of the observation that another world does not have; below 0
+        if it has larger ones.
 
-        It is the mean of two shares: of all moments, and of those before the differences have grown. In these, the difference is nearly
-        linear in the change, so a mass that is too small shows as well as the right one.
+        It is the mean of two shares: of all moments, and of those before the differences have grown. In
+        these, the difference is nearly linear in the change, so a mass that is too small shows as well as the
+        right one.
         """
         shares = []
         for until in (None, self._early):
@@ -456,42 +518,53 @@ class _Comparison:
         return float(np.mean(shares))
 
     def likeness(self, values: Sequence[Array]) -> float:
-        """How much of the difference the change would explain with another amount if its effect grew in proportion: the squared cosine.
+        """How much of the difference the change would explain with another amount if its effect grew in
+        proportion: the squared cosine.
 
         It is 0 if the effect has the other direction.
         """
-        effect, difference = (np.vstack([*map(self._off, self._here, world)]) for world in (values, self._there))
+        effect, difference = (
+            np.vstack([*map(self._off, self._here, world)]) for world in (values, self._there)
+        )
         along = float((effect * difference).sum())
         size = float((effect**2).sum() * (difference**2).sum())
         return along**2 / size if along > 0.0 else 0.0
 
     def all_same(self, effects: Sequence[Sequence[Array]], others: Sequence[Sequence[Array]]) -> bool:
-        """Whether worlds have the same values, apart from what is small beside their effects and beside the difference."""
+        """Whether worlds have the same values, apart from what is small beside their effects and beside the
+        difference."""
         if len(effects) != len(others):
             return False
-        size = sum(min(self._apart(self._here, values), self._apart(self._here, self._there)) for values in effects)
+        size = sum(
+            min(self._apart(self._here, values), self._apart(self._here, self._there)) for values in effects
+        )
         return sum(map(self._apart, effects, others)) <= _SAME * size
 
     def _apart(self, one: Sequence[Array], other: Sequence[Array]) -> float:
         return sum(float(np.square(off).sum()) for off in map(self._off, one, other))
 
     def _off(self, mine: Array, other: Array) -> Array:
-        """The difference of the numbers of an episode in widths, 1 at most, and 0 where one of both worlds has ended."""
+        """The difference of the numbers of an episode in widths, 1 at most, and 0 where one of both worlds
+        has ended."""
         both = min(len(mine), len(other))
         off = np.clip((other[:both] - mine[:both]) / self._width, -1.0, 1.0)[:, self._numbers]
         return np.pad(off, ((0, max(len(mine), len(other)) - both), (0, 0)))
 
     def part(self) -> _Comparison:
-        """The comparison of a few episodes, those with the largest differences, until these have grown, and of a few steps."""
-        apart = [np.square((mine[:early] - other[:early]) / self._width)[:, self._numbers].mean() for mine, other, early in self._pairs()]
+        """The comparison of a few episodes, those with the largest differences, until these have grown, and
+        of a few steps."""
+        apart = [
+            np.square((mine[:early] - other[:early]) / self._width)[:, self._numbers].mean()
+            for mine, other, early in self._pairs()
+        ]
         chosen = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:_PROBED_EPISODES])
-        recorded, found = [], []
+        recorded, repeated = [], []
         for number in chosen:
             length = min(max(self._early[number], _LEAST_STEPS + 1), _PROBED_STEPS + 1)
             start, actions, values = self._recorded[number]
             recorded.append(_Recorded(start, actions[: length - 1], values[:length]))
-            found.append(self._there[number][:length])
-        return _Comparison(self._columns, recorded, found, self._width)
+            repeated.append(self._there[number][:length])
+        return _Comparison(self._columns, recorded, repeated, self._width)
 
     def _pairs(self) -> Iterator[tuple[Array, Array, int]]:
         """The values of each episode in both worlds, and the moments before the differences have grown."""
@@ -506,21 +579,30 @@ class _Comparison:
         return values if all(np.isfinite(each).all() for each in values) else None
 
     def differences(self) -> list[Difference]:
-        found = []
+        rows = []
         for place, column in enumerate(self._columns):
             first: tuple[int, int] | None = None
             for number, (mine, other) in enumerate(zip(self._here, self._there, strict=True)):
                 length = min(len(mine), len(other))
-                off = np.flatnonzero(np.abs(mine[:length, place] - other[:length, place]) > _THRESHOLD * self._width[place])
+                off = np.flatnonzero(
+                    np.abs(mine[:length, place] - other[:length, place]) > _THRESHOLD * self._width[place]
+                )
                 if len(off) and (first is None or off[0] < first[1]):
                     first = number, int(off[0])
             if first is not None:
-                here, there = (float(values[first[0]][first[1], place]) for values in (self._here, self._there))
-                found.append(Difference(column.name, column.unit, *first, here, there, float(np.sqrt(self._base[place]))))
-        return sorted(found, key=lambda each: (each.step, -each.share))
+                here, there = (
+                    float(values[first[0]][first[1], place]) for values in (self._here, self._there)
+                )
+                rows.append(
+                    Difference(
+                        column.name, column.unit, *first, here, there, float(np.sqrt(self._base[place]))
+                    )
+                )
+        return sorted(rows, key=lambda each: (each.step, -each.share))
 
     def measured_causes(self) -> Iterator[_Row]:
-        """Errors of measured numbers: all that are exact, together, since each explains only its own number."""
+        """Errors of measured numbers: all that are exact, together, since each explains only its own
+        number."""
         texts: list[str] = []
         late: dict[int, list[str]] = {}
         fixed = [values.copy() for values in self._here]
@@ -536,33 +618,60 @@ class _Comparison:
             else:
                 texts.append(text)
         texts += [
-            f"{listed(names)} {'is' if len(names) == 1 else 'are'} {age} step{'s' if age > 1 else ''} late" for age, names in late.items()
+            f"{listed(names)} {'is' if len(names) == 1 else 'are'} {age} step{'s' if age > 1 else ''} late"
+            for age, names in late.items()
         ]
         if texts:
             yield _Row(["; ".join(texts)], fixed)
 
     def _exact(self, place: int) -> tuple[str, int, list[Array]] | None:
-        """The change of a number after which hardly a difference is left: in words, its age in steps, and the number."""
+        """The change of a number after which hardly a difference is left: in words, its age in steps, and the
+        number."""
         column, mine = self._columns[place], [values[:, place] for values in self._here]
-        pairs = [(a[: min(len(a), len(b))], b[: min(len(a), len(b)), place]) for a, b in zip(mine, self._there, strict=True)]
+        pairs = [
+            (a[: min(len(a), len(b))], b[: min(len(a), len(b)), place])
+            for a, b in zip(mine, self._there, strict=True)
+        ]
         x, y = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
         tried: list[tuple[str, int, list[Array]]] = []
         if x @ x > 0.0:
             factor = float(x @ y / (x @ x))
-            known = next((words for value, words in _UNITS.items() if abs(factor / value - 1.0) < 0.02), None)
-            words = "has the other sign" if abs(factor + 1.0) < 0.02 else f"is {known}" if known else f"is multiplied by {factor:.3g}"
+            exact = next((words for value, words in _UNITS.items() if abs(factor / value - 1.0) < 0.02), None)
+            if abs(factor + 1.0) < 0.02:
+                words = "has the other sign"
+            elif exact:
+                words = f"is {exact}"
+            else:
+                words = f"is multiplied by {factor:.3g}"
             tried.append((f"{column.name} {words}", 0, [factor * values for values in mine]))
             offset = float(np.mean(y - x))
             tried.append(
-                (f"{column.name} is larger by {offset:.3g}{column.unit and ' ' + column.unit}", 0, [values + offset for values in mine])
+                (
+                    f"{column.name} is larger by {offset:.3g}{column.unit and ' ' + column.unit}",
+                    0,
+                    [values + offset for values in mine],
+                )
             )
         for other in self._numbers:
             if other != place and self._columns[other].unit == column.unit:
                 tried.append(
-                    (f"{column.name} has the value of {self._columns[other].name}", 0, [values[:, other] for values in self._here])
+                    (
+                        f"{column.name} has the value of {self._columns[other].name}",
+                        0,
+                        [values[:, other] for values in self._here],
+                    )
                 )
         for age in range(1, _LATEST + 1):
-            tried.append(("", age, [np.concatenate([values[:1].repeat(age), values[:-age]])[: len(values)] for values in mine]))
+            tried.append(
+                (
+                    "",
+                    age,
+                    [
+                        np.concatenate([values[:1].repeat(age), values[:-age]])[: len(values)]
+                        for values in mine
+                    ],
+                )
+            )
         scored = [(self._left(place, replaced), number) for number, (_, _, replaced) in enumerate(tried)]
         left, number = min(scored, default=(inf, 0))
         return tried[number] if left <= _EXACT * self._base[place] else None
@@ -571,14 +680,17 @@ class _Comparison:
         squares = []
         for mine, other in zip(replaced, self._there, strict=True):
             length = min(len(mine), len(other))
-            squares.append(np.minimum(((mine[:length] - other[:length, place]) / self._width[place]) ** 2, 1.0))
+            squares.append(
+                np.minimum(((mine[:length] - other[:length, place]) / self._width[place]) ** 2, 1.0)
+            )
         return float(np.mean(np.concatenate(squares)))
 
 
 # Changes of the first world
 
 _FACTORS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.25, 0.5, 0.8, 1.25, 2.0, 4.0, 8.0)
-"""Factors on a value. Motors are often much stronger than needed, so only a small share of their strength has an effect."""
+"""Factors on a value. Motors are often much stronger than needed, so only a small share of their strength has
+an effect."""
 _PROBED_FACTORS = (0.003, 0.5, 2.0)
 _MASS_FACTORS = tuple(factor for factor in _FACTORS if factor >= 0.1)
 _PROBED_MASSES = (0.5, 2.0)
@@ -614,14 +726,18 @@ class _Kind:
         return f"{self.family} ({smallest} .. {largest})" if self.form else self.family
 
 
-def _kinds(here: World, unchanged: _Recorder, document: Document, permissions: Permissions) -> Iterator[_Kind]:
+def _kinds(
+    here: World, unchanged: _Recorder, document: Document, permissions: Permissions
+) -> Iterator[_Kind]:
     """What may be different in a world. `unchanged` is `here`, for other actions."""
 
     def with_actions(act: Callable[[float], Act]) -> Callable[[float, Sequence[_Recorded]], list[Array]]:
         return lambda amount, recorded: _repeated_in(unchanged, recorded, act(amount))
 
     def with_plan(plan: Plan) -> Callable[[float, Sequence[_Recorded]], list[Array]]:
-        return lambda amount, recorded: _repeated(World(changed_program(document, plan.change(amount)), here.engine), recorded, permissions)
+        return lambda amount, recorded: _repeated(
+            World(changed_program(document, plan.change(amount)), here.engine), recorded, permissions
+        )
 
     for family, name, act in _actions(here.program):
         yield _Kind(family, name, with_actions(partial(_always, act)))
@@ -645,7 +761,9 @@ def _kinds(here: World, unchanged: _Recorder, document: Document, permissions: P
             amounts, probes = (_MASS_FACTORS, _PROBED_MASSES) if is_mass else (_FACTORS, _PROBED_FACTORS)
             yield _Kind(family, plan.name, with_plan(plan), amounts, probes, FACTOR)
     for plan, largest in _torque_limits(program):
-        limits, first = (tuple(factor * largest for factor in each if factor < 1.0) for each in (_FACTORS, _PROBED_FACTORS))
+        limits, first = (
+            tuple(factor * largest for factor in each if factor < 1.0) for each in (_FACTORS, _PROBED_FACTORS)
+        )
         yield _Kind("torque limit", plan.name, with_plan(plan), limits, first, plan.form)
 
 
@@ -657,7 +775,11 @@ def _times(timestep: float) -> tuple[float, ...]:
 
 def _frictions(root: MappingNode, program: Program) -> Iterator[Plan]:
     """Another friction of each object that can move."""
-    for name in (body.name for body in program.world.objects if not body.fixed and body.name in entries_at(root, "objects")):
+    for name in (
+        body.name
+        for body in program.world.objects
+        if not body.fixed and body.name in entries_at(root, "objects")
+    ):
         yield Plan(f"friction of {name}", partial(_friction_of, root, name))
 
 
@@ -670,12 +792,19 @@ def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
     for robot in program.robots:
         for sensor in entries_at(root, "robots", robot.name, "sensors"):
             path = ("robots", robot.name, "sensors", sensor, "latency")
-            yield Plan(f"latency of the sensor {robot.name}.{sensor}", partial(_later, root, [path]), form=DELAY)
+            yield Plan(
+                f"latency of the sensor {robot.name}.{sensor}", partial(_later, root, [path]), form=DELAY
+            )
 
 
 def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """For each actuator and for all together: another gain of the command, a delay, and a larger time constant."""
-    places = [(robot.name, name) for robot in program.robots for name in entries_at(root, "robots", robot.name, "actuators")]
+    """For each actuator and for all together: another gain of the command, a delay, and a larger time
+    constant."""
+    places = [
+        (robot.name, name)
+        for robot in program.robots
+        for name in entries_at(root, "robots", robot.name, "actuators")
+    ]
     chosen = {f"{robot}.{name}": [(robot, name)] for robot, name in places[:_MAX_MOTORS]}
     if len(places) > 1:
         chosen["all actuators"] = places
@@ -697,7 +826,10 @@ def _torque_limits(program: Program) -> Iterator[tuple[Plan, float]]:
                 continue
             path = ("robots", robot.name, "actuators", motor.name, "max_torque")
             form = "{:g} N" if models[robot.name].joint(motor.joints[0]).type == "prismatic" else "{:g} N*m"
-            yield Plan(f"torque limit of {robot.name}.{motor.name}", partial(_limit, path, form), form=form), max(limits)
+            yield (
+                Plan(f"torque limit of {robot.name}.{motor.name}", partial(_limit, path, form), form=form),
+                max(limits),
+            )
 
 
 def _limit(path: tuple[str, ...], form: str, limit: float) -> Change:
@@ -725,7 +857,8 @@ def _together(values: Mapping[tuple[str, ...], str]) -> Change:
 
 
 def _actions(program: Program) -> Iterator[tuple[str, str, Act]]:
-    """Ranges with another sign or order, or options of one choice: what is tried, the change in words, and what changes an action."""
+    """Ranges with another sign or order, or options of one choice: what is tried, the change in words, and
+    what changes an action."""
     names, choices = program.agent.range_names, program.agent.choices
     if len(choices) == 1 and not names:
         options = choices[0].options
@@ -735,7 +868,11 @@ def _actions(program: Program) -> Iterator[tuple[str, str, Act]]:
     if choices:
         return
     for name, is_part in _parts(program).items():
-        yield "sign of actions", f"the action {name} has the other sign", _negated(np.where(is_part, -1.0, 1.0))
+        yield (
+            "sign of actions",
+            f"the action {name} has the other sign",
+            _negated(np.where(is_part, -1.0, 1.0)),
+        )
     for one, other in combinations(range(len(names)), 2) if len(names) <= _MAX_MOTORS else ():
         places = np.arange(len(names))
         places[[one, other]] = other, one
@@ -746,14 +883,18 @@ def _action_gains(program: Program) -> Iterator[tuple[str, Callable[[float], Act
     """Actions of ranges with another gain."""
     if program.agent.choices:
         return
-    # The value of an action is its middle plus a share of its half width, so a gain also moves the share where the middle is not 0.
-    middles = np.array([(part.high + part.low) / (part.high - part.low) for part in program.agent.ranges for _ in part.names])
+    # The value of an action is its middle plus a share of its half width, so a gain also moves the share
+    # where the middle is not 0.
+    middles = np.array(
+        [(part.high + part.low) / (part.high - part.low) for part in program.agent.ranges for _ in part.names]
+    )
     for name, is_part in _parts(program).items():
         yield f"the action {name}", partial(_scaled, is_part, middles)
 
 
 def _parts(program: Program) -> dict[str, NDArray[np.bool_]]:
-    """Each range, and each component of a vector unless there are many, by its name: which numbers of an action it is."""
+    """Each range, and each component of a vector unless there are many, by its name: which numbers of an
+    action it is."""
     names = program.agent.range_names
     parts = {part.name: np.array([name in part.names for name in names]) for part in program.agent.ranges}
     components = {name: np.array([name == other for other in names]) for name in names}
@@ -774,7 +915,9 @@ def _negated(signs: Array) -> Callable[[Any], Any]:
 
 def _scaled(is_part: NDArray[np.bool_], middles: Array, factor: float) -> Callable[[Any], Any]:
     factors = np.where(is_part, factor, 1.0)
-    return lambda action: np.asarray(np.clip(factors * action + (factors - 1.0) * middles, -1.0, 1.0), action.dtype)
+    return lambda action: np.asarray(
+        np.clip(factors * action + (factors - 1.0) * middles, -1.0, 1.0), action.dtype
+    )
 
 
 def _ordered(places: Any) -> Callable[[Any], Any]:
@@ -804,8 +947,8 @@ class Transfer:
         comparison: What differs between the worlds.
         robustness: The policy under changed conditions; None if they were left out.
         gates: The requirements; empty if no success rate is required.
-        works: Whether the policy works in each of the two worlds: it meets the requirements, or else `solved` of the scenario. None where
-            neither is given.
+        works: Whether the policy works in each of the two worlds: it meets the requirements, or else `solved`
+            of the scenario. None where neither is given.
         required: What working means, in words; empty where nothing is given.
     """
 
@@ -826,23 +969,32 @@ class Transfer:
 
     @property
     def is_much_lower(self) -> bool:
-        """Whether the return in the other world is lower by more than a fifth, and the intervals of both do not overlap."""
+        """Whether the return in the other world is lower by more than a fifth, and the intervals of both do
+        not overlap."""
         one, other = self.here, self.there
-        if one.return_interval is None or other.return_interval is None or other.return_interval[1] >= one.return_interval[0]:
+        if (
+            one.return_interval is None
+            or other.return_interval is None
+            or other.return_interval[1] >= one.return_interval[0]
+        ):
             return False
         return other.mean_return < one.mean_return - (1 - SHARE_OF_NOMINAL) * abs(one.mean_return)
 
 
-def _names(scenarios: tuple[str, str], engines: tuple[str, str], is_other_scenario: bool) -> tuple[tuple[str, str], str]:
+def _names(
+    scenarios: tuple[str, str], engines: tuple[str, str], is_other_scenario: bool
+) -> tuple[tuple[str, str], str]:
     """Different names of two worlds, and the worlds with their scenarios and engines, in words."""
     if not is_other_scenario:
         return engines, f"{scenarios[0]} in {engines[0]} and in {engines[1]}"
     is_same = scenarios[0] == scenarios[1]
     names = ("training", "other") if is_same else scenarios
-    said = "both " + (f"{scenarios[0]} " if is_same else "")
+    both = "both " + (f"{scenarios[0]} " if is_same else "")
     if engines[0] == engines[1]:
-        return names, f"{names[0]} and {names[1]}, {said}in {engines[0]}"
-    return names, f"{names[0]} in {engines[0]} and {names[1]} in {engines[1]}" + (f", {said.rstrip()}" if is_same else "")
+        return names, f"{names[0]} and {names[1]}, {both}in {engines[0]}"
+    return names, f"{names[0]} in {engines[0]} and {names[1]} in {engines[1]}" + (
+        f", {both.rstrip()}" if is_same else ""
+    )
 
 
 def transfer(
@@ -868,11 +1020,12 @@ def transfer(
         engine: The engine of the other world.
         model: The name of the model.
         scenario: The scenario of the other world; by default that of the run.
-        min_success: The success rate that the policy must reach in both worlds, and at the first level of each side of each condition.
+        min_success: The success rate that the policy must reach in both worlds, and at the first level of
+            each side of each condition.
         min_return: The same for the mean return.
         episodes: Episodes of each evaluation.
-        max_steps: The evaluation in the world of the training ends after this number of steps, but not before 8 episodes, and the other
-            one has as many episodes. Fewer episodes are compared, too.
+        max_steps: The evaluation in the world of the training ends after this number of steps, but not before
+            8 episodes, and the other one has as many episodes. Fewer episodes are compared, too.
         with_conditions: Whether the policy is also evaluated under changed conditions.
         seed: Root seed of the starts; by default that of the training.
         executor: Where the evaluations under changed conditions run.
@@ -883,18 +1036,18 @@ def transfer(
         UsageError: The scenario has copies of a robot.
     """
     base = Source.kept(run.path, permissions)
-    known = api.compile(base.checked())
+    trained_in = api.compile(base.checked())
     root = run.record.seed if seed is None else seed
-    given: dict[str, Any] = {"seed": root, "model": model, "permissions": permissions}
+    settings: dict[str, Any] = {"seed": root, "model": model, "permissions": permissions}
 
     def is_enough(done: Sequence[Episode]) -> bool:
         return len(done) >= MIN_EPISODES and sum(episode.length for episode in done) >= max_steps
 
-    here = evaluate(run, episodes=episodes, until=is_enough, **given)
-    given["episodes"] = here.episodes
-    there = evaluate(run, scenario=scenario, engine=engine, **given)
-    program = known.program if scenario is None else scenario.program
-    worlds = World(known.program, run.record.engine), World(program, engine)
+    here = evaluate(run, episodes=episodes, until=is_enough, **settings)
+    settings["episodes"] = here.episodes
+    there = evaluate(run, scenario=scenario, engine=engine, **settings)
+    program = trained_in.program if scenario is None else scenario.program
+    worlds = World(trained_in.program, run.record.engine), World(program, engine)
     watch = on_world or (lambda done, planned: None)
     comparison = compare_worlds(
         run,
@@ -908,8 +1061,17 @@ def transfer(
     )
     robustness = None
     if with_conditions:
-        robustness = evaluate_robustness(run, min_success=min_success, min_return=min_return, on_level=on_world, executor=executor, **given)
-    names, between = _names((run.program.name, program.name), (run.record.engine, engine), scenario is not None)
+        robustness = evaluate_robustness(
+            run,
+            min_success=min_success,
+            min_return=min_return,
+            on_level=on_world,
+            executor=executor,
+            **settings,
+        )
+    names, between = _names(
+        (run.program.name, program.name), (run.record.engine, engine), scenario is not None
+    )
     conditions = robustness.conditions if robustness is not None else ()
     judged = [*zip(names, (here, there), strict=True)]
     easiest = ((each.name, side.levels[0]) for each in conditions for side in each.sides if side.levels)
@@ -918,16 +1080,25 @@ def transfer(
     for name, result in judged:
         if min_success is not None:
             met = result.success_rate >= min_success
-            gates.append(Gate(f"{name}: success rate {result.success_rate:.0%} of at least {min_success:.0%}", met))
+            gates.append(
+                Gate(f"{name}: success rate {result.success_rate:.0%} of at least {min_success:.0%}", met)
+            )
         if min_return is not None:
             met = result.mean_return >= min_return
-            gates.append(Gate(f"{name}: mean return {result.mean_return:.4g} of at least {min_return:g}", met))
-    works, required = _works(names, (here, there), gates, known.program.agent.solved)
-    return Transfer(run.path, names, between, here, there, comparison, robustness, tuple(gates), works, required)
+            gates.append(
+                Gate(f"{name}: mean return {result.mean_return:.4g} of at least {min_return:g}", met)
+            )
+    works, required = _works(names, (here, there), gates, trained_in.program.agent.solved)
+    return Transfer(
+        run.path, names, between, here, there, comparison, robustness, tuple(gates), works, required
+    )
 
 
 def _works(
-    names: tuple[str, str], results: tuple[EvaluationResult, EvaluationResult], gates: Sequence[Gate], solved: Solved | None
+    names: tuple[str, str],
+    results: tuple[EvaluationResult, EvaluationResult],
+    gates: Sequence[Gate],
+    solved: Solved | None,
 ) -> tuple[tuple[bool | None, bool | None], str]:
     """Whether the policy works in each of two worlds, and what that means."""
     if gates:

@@ -1,14 +1,19 @@
 """Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
 
 training.py      train and resume: joins all of the below
+training_loop.py  a training from its last checkpoint to its end
 evaluation.py    evaluate: a policy on held-out starts, with intervals; `load_model`, the model of a run
+held_out.py      held-out episodes: the worlds that play them; those of a training
 verdict.py       which evaluation of a run counts, and whether the run is solved
-run.py           the run directory: what is kept, written atomically, read with suspicion
+run.py           the run directory: what is kept, written atomically, read with suspicion; models of runs
+records.py       what `run.json` and the evaluations of a run say
+directories.py   directories of runs, groups and studies: their names and locks, files that are written whole
 learner.py       what learns: the interface of an algorithm, and a base for algorithms of other packages
 sb3/             the learner of the built-in algorithms
 checkpoints.py   the whole state of a training, from which it goes on to the bit
 checkpoint_files.py  the files of a checkpoint, and what they may hold
 callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
+signals.py       Ctrl-C and SIGTERM
 order.py         which of two policies is better, and the best models of a training
 keeping.py       the best model of a run, chosen again on new starts or by hand
 decline.py       whether the last evaluations of a training are worse than earlier ones
@@ -32,7 +37,7 @@ listing.py       what is known of runs, groups and studies from their files, als
 comparison.py    compare: groups of runs on the same starts; a group as one
 robustness.py    a policy under changed conditions
 statistics.py    intervals, gates that may stop early, comparisons of groups of runs
-report.py        results as JSON, progress of a training and of a group
+report.py        progress of a training and of a group
 failures.py      what failed in an episode, kept to be reproduced
 policy.py        a trained policy as an object to call
 
@@ -48,20 +53,32 @@ from deepbots_cli.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import Comparison, GroupResult, compare, evaluate_group
-    from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, evaluate_baselines, evaluate_cases, evaluate_trained
+    from deepbots_cli.learning.evaluation import (
+        EvaluationResult,
+        evaluate,
+        evaluate_baselines,
+        evaluate_cases,
+        evaluate_trained,
+    )
     from deepbots_cli.learning.group import resume_group, train_group
     from deepbots_cli.learning.policy import Policy, load_policy
+    from deepbots_cli.learning.records import TrainingResult
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
-    from deepbots_cli.learning.run import TrainingResult
     from deepbots_cli.learning.training import checked_settings, resume, train
 
 _MODULES = {
     "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
-    "evaluation": ("EvaluationResult", "evaluate", "evaluate_baselines", "evaluate_cases", "evaluate_trained"),
+    "evaluation": (
+        "EvaluationResult",
+        "evaluate",
+        "evaluate_baselines",
+        "evaluate_cases",
+        "evaluate_trained",
+    ),
     "group": ("resume_group", "train_group"),
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
-    "run": ("TrainingResult",),
+    "records": ("TrainingResult",),
     "training": ("checked_settings", "resume", "train"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
@@ -96,4 +113,6 @@ def __getattr__(name: str) -> object:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("deepbots_cli"):
             raise
-        raise MissingExtraError("train", "training" if _HOMES[name] in ("group", "training") else "evaluating") from error
+        raise MissingExtraError(
+            "train", "training" if _HOMES[name] in ("group", "training") else "evaluating"
+        ) from error

@@ -1,234 +1,73 @@
-"""What happens during a training, beside learning: evaluations, the best model, scalars, progress, and when to stop.
+"""What happens during a training, beside learning: evaluations, the best model, scalars, progress, and when
+to stop.
 
-The callback counts steps, so that the best model does not depend on the speed of the machine, and evaluates from the same starts each time.
+The callback counts steps, so that the best model does not depend on the speed of the machine, and evaluates
+from the same starts each time.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
-import torch
 from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.analysis import possible_returns, unobserved_reads
-from deepbots_cli.api import build_batch
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.confirmation import COST_SHARE, Confirmation
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.episodes import Interval, Statistics, Summary
-from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.held_out import (
+    EVALUATION_EPISODES,
+    Evaluator,
+    confirmation_root,
+    evaluation_seeds,
+    play_script,
+)
 from deepbots_cli.learning.order import SHORTLIST, Candidate, Shortlist, measure_of, most_episodes
+from deepbots_cli.learning.records import PATIENCE
 from deepbots_cli.learning.report import LINE_INTERVAL_S, Reporter, TrainingProgress
-from deepbots_cli.learning.run import PATIENCE, Run
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.learning.teacher import Plan, TeacherState, Teaching
-from deepbots_cli.program import Program
-from deepbots_cli.rollout import Episode, Start, play
-from deepbots_cli.rollout.collector import ShardedCollector
-from deepbots_cli.rollout.drivers import named_driver
-from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import Predictor, play_batch, play_episodes
-from deepbots_cli.runtime.batch import BatchSupervisor
-from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.rollout import Episode, Start
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
     from deepbots_cli.learning.sb3.logs import TrainingLog
 
-EVALUATION_EPISODES = 20
-"""Starts of an evaluation, the same each time: two networks differ by what they do there, not by their luck."""
 
 CONFIRMATION_PART = 40
-"""Episodes of a confirmation until it is checked whether it can still pass; a multiple of the rows of a forward pass."""
+"""Episodes of a confirmation until it is checked whether it can still pass; a multiple of the rows of a
+forward pass."""
 MAX_CHECK_INTERVAL = 2_000
-"""Steps after which the callback looks at evaluations, scalars and the progress display; in a short training it does so earlier."""
+"""Steps after which the callback looks at evaluations, scalars and the progress display; in a short training
+it does so earlier."""
 
 EVALUATION_SHARE, URGENT_SHARE, UNLIMITED_SHARE = 0.1, 0.4, math.inf
-"""Largest ratio of the steps of evaluations to the steps of the training: as a rule, and when one evaluation may end the
-training soon, because its recent episodes meet `solved` or a teacher drives."""
+"""Largest ratio of the steps of evaluations to the steps of the training: as a rule, and when one evaluation
+may end the training soon, because its recent episodes meet `solved` or a teacher drives."""
 OFF_POLICY_FACTOR = 5.0
-"""An off-policy algorithm may take so many times more: its steps take 10 to 20 times as long as those of an evaluation."""
+"""An off-policy algorithm may take so many times more: its steps take 10 to 20 times as long as those of an
+evaluation."""
 
 
 MET_IN_A_ROW, OFF_POLICY_MET_IN_A_ROW = 1, 2
-"""Evaluations in a row that meet `solved` before a confirmation. The network of an off-policy algorithm changes in every
-step: of 8 trainings of FindBall with TD3, 2 had 20 of 20 successes after 2,528 steps, and 94 % of new starts. Such an early
-confirmation takes 16 times the steps of the training so far, and delays the next one."""
-
-
-class Interruption:
-    """Whether someone wants the training to end: Ctrl-C or SIGTERM."""
-
-    def __init__(self) -> None:
-        self.requested = False
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
-            # Whoever asks twice does not want to wait for the end of an update.
-            raise KeyboardInterrupt
-        self.requested = True
-
-
-@contextmanager
-def signals_handled(interruption: Interruption) -> Iterator[None]:
-    """Within, the first signal only sets `requested`; the second raises KeyboardInterrupt. Restores the handlers.
-
-    Python hands signals to the main thread only; elsewhere this changes nothing.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, interruption) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-
-
-class EvaluationWorld:
-    """A world for the evaluations during a training."""
-
-    def __init__(self, build: WorldFactory, run: Run | None = None) -> None:
-        self._build, self._run = build, run
-        self._scenario: Program | None = None
-        self._world: FailureRecorder | None = None
-
-    def play(
-        self,
-        policy: Predictor,
-        scenario: Program,
-        seeds: Sequence[int],
-        stage: str | None,
-        numbers: Sequence[int] | None = None,
-        on_episode: OnEpisode | None = None,
-    ) -> list[Episode]:
-        """An episode from each seed in `scenario`, which is that of `stage`, or only the episodes with these `numbers`."""
-        if self._world is None or scenario is not self._scenario:
-            self.close()
-            self._world = FailureRecorder(self._build(scenario), self._run, scenario, stage=stage)
-            self._scenario = scenario
-        self._world.seeds = seeds
-        return play_episodes(
-            policy,
-            [self._world],
-            seeds,
-            deterministic=True,
-            numbers=numbers,
-            on_episode=on_episode,
-        )
-
-    def play_script(self, name: str, scenario: Program, seeds: Sequence[int]) -> list[Episode]:
-        """The episodes of a script from these seeds."""
-        with closing(self._build(scenario)) as world:
-            return [play(world, named_driver(world, name), Start(seed)) for seed in seeds]
-
-    def close(self) -> None:
-        if self._world is not None:
-            self._world.close()
-        self._world = None
-
-
-def evaluation_seeds(seed: int, numbers: range) -> list[int]:
-    """The starts of evaluations during a training with the root seed `seed`, which neither the training nor a later
-    evaluation has. Each evaluation has the first `EVALUATION_EPISODES` of them."""
-    return [derive_seed(seed, "trial", number) for number in numbers]
-
-
-def confirmation_root(seed: int, number: int) -> int:
-    """The root seed of the starts of a confirmation, by its number from 1: six digits, which are easy to repeat."""
-    return 100_000 + derive_seed(seed, "confirmation", number) % 900_000
-
-
-class Evaluator:
-    """Plays held-out episodes of the current policy without noise: in a batch of worlds if engine and scenario support it, otherwise in
-    the shards of the training if it has several, otherwise in a world of its own."""
-
-    def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
-        self.steps = 0
-        """Those of all evaluations, without confirmations and the last choice."""
-        self.shards: ShardedCollector | None = None
-        self.starts = evaluation_seeds(seed, range(EVALUATION_EPISODES))
-        """The starts of every evaluation."""
-        self._build = build
-        self._engine = "" if run is None else run.record.engine
-        self._world = EvaluationWorld(build, run)
-        self._scenario: Program | None = None
-        self._batch: BatchSupervisor | None = None
-
-    def evaluate(self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None) -> list[Episode]:
-        """The episodes of an evaluation; arguments and errors are those of `play`."""
-        done = self.play(model, scenario, interruption, self.starts, stage)
-        self.steps += sum(episode.length for episode in done)
-        return done
-
-    def play(
-        self,
-        model: Learner,
-        scenario: Program,
-        interruption: Interruption,
-        seeds: Sequence[int],
-        stage: str | None = None,
-        *,
-        here: bool = False,
-    ) -> list[Episode]:
-        """An episode from each seed in `scenario`, which is that of `stage`. The training's random numbers stay as they were.
-
-        Args:
-            here: Whether to leave out the shards, such as for another model than that of the training.
-
-        Raises:
-            KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before this evaluation. Shards
-                complete their part first.
-        """
-        state = torch.get_rng_state()
-
-        def look(done: int = 0, of: int = len(seeds)) -> None:
-            if interruption.requested:
-                raise KeyboardInterrupt
-
-        look()
-        if scenario is not self._scenario:
-            self.close()
-            self._scenario = scenario
-            if not reasons_against_batch(scenario, EVALUATION_EPISODES, self._engine, self._build):
-                self._batch = build_batch(scenario, EVALUATION_EPISODES, engine=self._engine)
-        try:
-            episodes = None
-            if self._batch is not None and len(seeds) >= EVALUATION_EPISODES:
-                episodes = play_batch(model, self._batch, seeds, on_episode=look)
-            if episodes is None and self.shards is not None and not here:
-                episodes = self.shards.evaluate(model.actor(), seeds, stage)
-            if episodes is None:
-                episodes = self._world.play(model, scenario, seeds, stage, on_episode=look)
-        finally:
-            torch.set_rng_state(state)
-        return episodes
-
-    def play_script(self, name: str, scenario: Program) -> list[Episode]:
-        """The episodes of a script from the starts of the evaluations."""
-        return self._world.play_script(name, scenario, self.starts)
-
-    def close(self) -> None:
-        self._world.close()
-        if self._batch is not None:
-            self._batch.close()
-        self._batch = None
+"""Evaluations in a row that meet `solved` before a confirmation. The network of an off-policy algorithm
+changes in every step: of 8 trainings of FindBall with TD3, 2 had 20 of 20 successes after 2,528 steps, and 94
+% of new starts. Such an early confirmation takes 16 times the steps of the training so far, and delays the
+next one."""
 
 
 OnEvaluation = Callable[[Path], str | None]
-"""Called after each evaluation of a training with the run directory; returns the name of who stops the training, None to go on."""
+"""Called after each evaluation of a training with the run directory; returns the name of who stops the
+training, None to go on."""
 
 
 class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
@@ -249,7 +88,8 @@ class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
 
 
 class Confirmed(NamedTuple):
-    """The confirmation that showed that the task is solved: the root seed of its starts, its number, and its episodes."""
+    """The confirmation that showed that the task is solved: the root seed of its starts, its number, and its
+    episodes."""
 
     seed: int
     number: int
@@ -259,8 +99,8 @@ class Confirmed(NamedTuple):
 class TrainingCallback:
     """Called by the learner after every step of all rows.
 
-    Every `check_interval` steps it looks after evaluations, scalars and the progress display; whether to stop it asks each time. A model
-    with a number that is not finite is refused, so the last good one stays.
+    Every `check_interval` steps it looks after evaluations, scalars and the progress display; whether to stop
+    it asks each time. A model with a number that is not finite is refused, so the last good one stays.
     """
 
     def __init__(
@@ -311,8 +151,11 @@ class TrainingCallback:
         self._postponed = 0
         """The number of the confirmation that was postponed last."""
         newest = zip(run.program.agent.numbers, run.program.agent.newest, strict=True)
-        self._seen = {number.full_name: place for number, place in newest if number.clip and not number.is_truth}
-        """Where the newest value of each clipped number stands in an observation; a truth value is always at an end of its range."""
+        self._seen = {
+            number.full_name: place for number, place in newest if number.clip and not number.is_truth
+        }
+        """Where the newest value of each clipped number stands in an observation; a truth value is always at
+        an end of its range."""
         self._began = time.monotonic(), statistics.steps
 
     def attach(self, learner: Learner, log: TrainingLog) -> None:
@@ -356,8 +199,11 @@ class TrainingCallback:
         self._returns, self._evaluated_at = state.returns, state.evaluated_at
         self._met_in_a_row = state.met_in_a_row
         self._kept_candidates = state.candidates
-        # Older versions spent up to half of the steps on evaluations: without a limit, none would follow for long.
-        self.evaluator.steps = min(state.evaluation_steps, round(URGENT_SHARE * OFF_POLICY_FACTOR * self.statistics.steps))
+        # Older versions spent up to half of the steps on evaluations: without a limit, none would follow for
+        # long.
+        self.evaluator.steps = min(
+            state.evaluation_steps, round(URGENT_SHARE * OFF_POLICY_FACTOR * self.statistics.steps)
+        )
         self._steps_before = self.evaluation_steps
         if self.teaching is not None and state.teacher is not None:
             self.teaching.restore(state.teacher)
@@ -367,7 +213,8 @@ class TrainingCallback:
         self.shortlist.restore(self._kept_candidates)
 
     def plan_lesson(self) -> Plan:
-        """What the teacher does next. Episodes that it drives say nothing about the policy, so they do not solve the task."""
+        """What the teacher does next. Episodes that it drives say nothing about the policy, so they do not
+        solve the task."""
         teaching = self.teaching
         assert teaching is not None
         self._take_agreement()
@@ -377,7 +224,9 @@ class TrainingCallback:
             if teaching.demonstrations is not None:
                 played = list(teaching.demonstrations.episodes)
             else:
-                played = self.evaluator.play_script(teaching.teacher.script, scenario)
+                played = play_script(
+                    self.evaluator.build, scenario, teaching.teacher.script, self.evaluator.starts
+                )
                 hidden = unobserved_reads(scenario, teaching.teacher.script)
             reads = f"; the policy does not observe what it reads: {', '.join(hidden)}" if hidden else ""
             self.reporter.note(teaching.begin(stage, played, scenario.defines_success) + reads)
@@ -395,7 +244,8 @@ class TrainingCallback:
         return plan
 
     def _take_agreement(self) -> None:
-        """A checkpoint lies between the update that measures the agreement and the plan that follows from it."""
+        """A checkpoint lies between the update that measures the agreement and the plan that follows from
+        it."""
         if self.teaching is not None and self.learner.agreement is not None:
             self.teaching.agreement, self.learner.agreement = self.learner.agreement, None
 
@@ -416,7 +266,9 @@ class TrainingCallback:
         stage = self.curriculum.describe(s.steps) if self.curriculum.stages else ""
         success_rate, mean_return = s.success_rate if self.defines_success else None, s.mean_return
         if self.is_taught:
-            success_rate, mean_return, stage = None, None, f"{stage}; the teacher drives" if stage else "the teacher drives"
+            success_rate = None
+            mean_return = None
+            stage = f"{stage}; the teacher drives" if stage else "the teacher drives"
         return TrainingProgress(
             steps=s.steps,
             total_steps=self.total,
@@ -461,7 +313,9 @@ class TrainingCallback:
             self._report()
         if self.interruption.requested and not self._stop_noted:
             self._stop_noted = True
-            self.reporter.note(f"stopping after this rollout; continue with: deepbots resume {quote(str(self.run.path))}")
+            self.reporter.note(
+                f"stopping after this rollout; continue with: deepbots resume {quote(str(self.run.path))}"
+            )
         return not self._is_ending
 
     @property
@@ -479,7 +333,8 @@ class TrainingCallback:
         return OFF_POLICY_FACTOR if self.learner.is_off_policy else 1.0
 
     def _seems_solved(self) -> bool:
-        """Whether the recent episodes of the training, with exploration, meet `solved`, which no confirmation has shown."""
+        """Whether the recent episodes of the training, with exploration, meet `solved`, which no confirmation
+        has shown."""
         statistics = self.statistics
         if statistics.solved_at is not None or statistics.solved is None or not self.curriculum.is_last:
             return False
@@ -488,12 +343,15 @@ class TrainingCallback:
 
     def on_collected(self) -> None:
         self._has_new_weights = True  # by the update that follows; so it is in each checkpoint, too
-        if self._check_passed:  # always False between two rollouts of a checkpoint, which therefore does not keep it
+        if (
+            self._check_passed
+        ):  # always False between two rollouts of a checkpoint, which therefore does not keep it
             self._check_passed = False
             self._record_policy()
 
     def evaluate(self, share: float) -> None:
-        """Evaluate the networks, once there are enough episodes, keep them if they are among the best, and confirm a solved task.
+        """Evaluate the networks, once there are enough episodes, keep them if they are among the best, and
+        confirm a solved task.
 
         Evaluations do not take more than their `share` of the steps.
         """
@@ -527,17 +385,21 @@ class TrainingCallback:
         if self._met_in_a_row >= required and self._may_confirm:
             self._confirm(done)
         self.evaluation_seconds += time.monotonic() - began
-        if self.curriculum.add_evaluation(summary.mean_return, summary.success_rate, steps, statistics.episodes):
+        if self.curriculum.add_evaluation(
+            summary.mean_return, summary.success_rate, steps, statistics.episodes
+        ):
             self.begin_stage()
         self._check_patience()
 
     @property
     def _may_confirm(self) -> bool:
-        """Whether a confirmation may still end the training: not where it was confirmed before, or stops for another reason."""
+        """Whether a confirmation may still end the training: not where it was confirmed before, or stops for
+        another reason."""
         return self.curriculum.is_last and self.statistics.solved_at is None and self.stopped_by is None
 
     def _confirm(self, evaluated: Sequence[Episode]) -> None:
-        """Play new starts to show that the present networks solve the task, unless failed confirmations took their share of the steps.
+        """Play new starts to show that the present networks solve the task, unless failed confirmations took
+        their share of the steps.
 
         The task is the scenario: the last stage of a curriculum may have other settings.
         """
@@ -547,7 +409,8 @@ class TrainingCallback:
                 self._postponed = number
                 following = math.ceil(self._confirmation_steps / (self._off_policy_factor * COST_SHARE))
                 self.reporter.note(
-                    f"an evaluation meets `solved`, but no confirmation begins before {following:,} steps: those that fail may take "
+                    f"an evaluation meets `solved`, but no confirmation begins before {following:,} steps:"
+                    " those that fail may take "
                     f"at most {COST_SHARE * self._off_policy_factor:.0%} of the steps"
                 )
             return
@@ -557,7 +420,8 @@ class TrainingCallback:
             if not self._refused_noted:
                 self._refused_noted = True
                 self.reporter.note(
-                    "an evaluation meets `solved`, but 100,000 new starts are too few to confirm it, and the training goes on; "
+                    "an evaluation meets `solved`, but 100,000 new starts are too few to confirm it, and the"
+                    " training goes on; "
                     "write fewer episodes, such as `over 100 episodes`, or a lower value"
                 )
             return
@@ -589,12 +453,14 @@ class TrainingCallback:
             self.shortlist.put_first(Candidate.of(self._evaluated.steps, summary), self.learner.save)
 
     def _possible_returns(self) -> Interval:
-        """The lowest and the highest return: the possible ones, or where they are unknown, those of all episodes of the stage so far."""
+        """The lowest and the highest return: the possible ones, or where they are unknown, those of all
+        episodes of the stage so far."""
         low, high = possible_returns(self.run.program)
         assert self._returns is not None
         lowest, highest = self._returns
         if self.statistics.returns is not None:
-            lowest, highest = min(lowest, self.statistics.returns[0]), max(highest, self.statistics.returns[1])
+            lowest = min(lowest, self.statistics.returns[0])
+            highest = max(highest, self.statistics.returns[1])
         return low if math.isfinite(low) else lowest, high if math.isfinite(high) else highest
 
     def _check_patience(self) -> None:
@@ -604,7 +470,10 @@ class TrainingCallback:
             return
         if self.statistics.steps - best.steps >= training.patience:
             self.stopped_by = PATIENCE
-            self.reporter.note(f"no better model since {best.steps:,} steps (`patience: {training.patience}`); the training stops")
+            self.reporter.note(
+                f"no better model since {best.steps:,} steps (`patience: {training.patience}`); the training"
+                " stops"
+            )
 
     def choose_best(self, load: Callable[[Path], Learner]) -> None:
         """After the training: play new starts with the models of the best evaluations, and keep the best one.
@@ -619,7 +488,10 @@ class TrainingCallback:
 
         def play(model: Path, numbers: range) -> list[Episode]:
             nonlocal played
-            self._activity = f"choosing the best of {count} models on new starts: {played} of at most {most_episodes(count)} episodes"
+            self._activity = (
+                f"choosing the best of {count} models on new starts: {played} of at most"
+                f" {most_episodes(count)} episodes"
+            )
             self._report()
             played += len(numbers)
             first = EVALUATION_EPISODES
@@ -636,7 +508,8 @@ class TrainingCallback:
         best = self.best
         if best is not None and self.chosen_steps:
             self.reporter.note(
-                f"of the {count} best models, that of {best.steps:,} steps is the best on new starts ({self.describe(best)})"
+                f"of the {count} best models, that of {best.steps:,} steps is the best on new starts"
+                f" ({self.describe(best)})"
             )
 
     def describe(self, model: Candidate) -> str:
@@ -685,9 +558,10 @@ class TrainingCallback:
     def _record_policy(self) -> None:
         """What the policy has seen and done in the last rollout, or in the last steps of the replay buffer.
 
-        `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` how often an option was chosen, and
-        `action/probability` the mean probability of the chosen actions. `critic/value` is what the critic of an off-policy algorithm
-        predicts, and `critic/followed` the discounted return that followed.
+        `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` how often
+        an option was chosen, and `action/probability` the mean probability of the chosen actions.
+        `critic/value` is what the critic of an off-policy algorithm predicts, and `critic/followed` the
+        discounted return that followed.
         """
         if (checked := self.learner.critic_check()) is not None:
             for name, mean in zip(("value", "followed"), checked, strict=True):
@@ -697,12 +571,16 @@ class TrainingCallback:
             self.log.record("action/probability", float(np.exp(log_probs).mean()))
         if isinstance(observations, dict):
             observations = observations.get("observation")
-        if observations is not None and observations.shape[-1] > max(self._seen.values(), default=0):  # not a world of the caller's
+        if observations is not None and observations.shape[-1] > max(
+            self._seen.values(), default=0
+        ):  # not a world of the caller's
             shares = (np.abs(observations) >= 1.0).mean(axis=(0, 1))
             for name, place in self._seen.items():
                 self.log.record(f"saturation/{name}", float(shares[place]))
         choices = self.run.program.agent.choices
-        for part, column in zip(choices, np.asarray(actions).reshape(-1, max(1, len(choices))).T, strict=False):
+        for part, column in zip(
+            choices, np.asarray(actions).reshape(-1, max(1, len(choices))).T, strict=False
+        ):
             for index, option in enumerate(part.options):
                 name = f"{part.name}/{option.name}" if len(choices) > 1 else option.name
                 self.log.record(f"action/{name}", float((column == index).mean()))
@@ -718,5 +596,6 @@ def check_finite(learner: Learner, run: Run) -> None:
     if name is not None:
         raise RunError(
             f"the training diverged: '{name}' contains infinite or NaN values after {learner.steps:,} steps; "
-            f"the last good model is in {run.model('last').parent}; try a lower learning rate or smaller rewards"
+            f"the last good model is in {run.model('last').parent}; try a lower learning rate or smaller"
+            " rewards"
         )

@@ -4,8 +4,9 @@
     a group of attempts   try-1/, try-2/ ...      the values that a diagnosis advises   `insight/retry.py`
     a study               trial-0/, trial-1/ ...  the values of a search                `learning/study.py`
 
-Each has a record, the copies of its scenario (`inputs/`, `resolved.yaml`), the output of workers (`workers/`) and its members. A member
-is a run; that of a study is a group of seeds. Importing this module does not load torch.
+Each has a record, the copies of its scenario (`inputs/`, `resolved.yaml`), the output of workers (`workers/`)
+and its members. A member is a run; that of a study is a group of seeds. Importing this module does not load
+torch.
 """
 
 from __future__ import annotations
@@ -26,20 +27,16 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME, write_copies
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError
-from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import (
+from deepbots_cli.learning.directories import (
     WORKERS_FOLDER,
     RecordFormat,
-    Run,
-    RunRecord,
-    TrainingResult,
     has_ended,
     read_json,
-    remove_incomplete,
     run_lock,
-    timestamp,
     write_text,
 )
+from deepbots_cli.learning.records import RunRecord, TrainingResult, timestamp
+from deepbots_cli.learning.run import Run, remove_incomplete
 from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 
@@ -49,7 +46,8 @@ _MAX_RECORD_BYTES = 1_000_000
 
 
 class CampaignRecord(BaseModel):
-    """What the records of all campaigns have: the seeds of the trainings, and the engine unless a scenario names one."""
+    """What the records of all campaigns have: the seeds of the trainings, and the engine unless a scenario
+    names one."""
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
@@ -114,21 +112,25 @@ class Campaign(ABC, Generic[R]):
         """A campaign that exists.
 
         Raises:
-            RunError: The folder is no such campaign, its record is damaged, or another version of deepbots wrote it.
+            RunError: The folder is no such campaign, its record is damaged, or another version of deepbots
+                wrote it.
         """
         folder = Source.open(path, Permissions(), cls.kind).path
         record = folder / cls.record_name
         version = read_json(record, RecordFormat, _MAX_RECORD_BYTES).format
         if version != FORMAT:
             raise RunError(
-                f"{folder} is a {cls.noun} of format {version}, but this version of deepbots reads {FORMAT}; use the version that wrote it"
+                f"{folder} is a {cls.noun} of format {version}, but this version of deepbots reads {FORMAT};"
+                " use the version that wrote it"
             )
         campaign = cls(folder, read_json(record, cls.record_type, _MAX_RECORD_BYTES))  # type: ignore[arg-type]  # R is its record_type
         if len(set(campaign.record.seeds)) < len(campaign.record.seeds):
             raise RunError(f"{record} is damaged: it lists a seed twice")
         for member in (record, *(folder / name for name in cls.files), *campaign.planned):
             if member.is_symlink():
-                raise RunError(f"{member} is a symbolic link; deepbots does not write symbolic links into a {cls.noun}")
+                raise RunError(
+                    f"{member} is a symbolic link; deepbots does not write symbolic links into a {cls.noun}"
+                )
         return campaign
 
     @classmethod
@@ -154,7 +156,8 @@ class Campaign(ABC, Generic[R]):
     @property
     @abstractmethod
     def best(self) -> Member | None:
-        """The member whose values are the best; None if all members have the values of the scenario, or none is complete.
+        """The member whose values are the best; None if all members have the values of the scenario, or none
+        is complete.
 
         Raises:
             RunError: A record is damaged.
@@ -163,7 +166,9 @@ class Campaign(ABC, Generic[R]):
     @property
     def runs(self) -> list[Path]:
         """The folders of the members that have begun, in their order."""
-        return [folder for folder in self.planned if folder_kind(folder) in (SourceKind.RUN, SourceKind.GROUP)]
+        return [
+            folder for folder in self.planned if folder_kind(folder) in (SourceKind.RUN, SourceKind.GROUP)
+        ]
 
     def write(self) -> None:
         """Write the record."""
@@ -199,7 +204,8 @@ def train_member(
         seed: The root seed.
         options: Options of `train`, with which the run begins.
         changes: Options of `resume` that differ from these.
-        is_repeated: Whether the worker of an earlier call was lost: what is left to do may be to read its result.
+        is_repeated: Whether the worker of an earlier call was lost: what is left to do may be to read its
+            result.
         further: Arguments of `train` and `resume` alike.
     """
     from deepbots_cli.learning.training import resume, train  # which imports torch
@@ -210,13 +216,17 @@ def train_member(
         remove_incomplete(path)
         return train(compiled, run=path, seed=seed, **{**options, **changes}, **further)
     record = RunRecord.read(path)
-    is_done = record.status == "finished" and record.total_timesteps == changes.get("total_timesteps", record.total_timesteps)
+    is_done = record.status == "finished" and record.total_timesteps == changes.get(
+        "total_timesteps", record.total_timesteps
+    )
     if is_repeated and is_done and record.result is not None:
         return TrainingResult(run=path, initialized_from=record.initialized_from, **vars(record.result))
     return resume(path, permissions=compiled.permissions, **changes, **further)
 
 
-def evaluate_once(path: Path, permissions: Permissions, on_episode: Callable[[int, int], None] | None = None) -> None:
+def evaluate_once(
+    path: Path, permissions: Permissions, on_episode: Callable[[int, int], None] | None = None
+) -> None:
     """Evaluate the best model of a run and keep the evaluation, unless the run has one.
 
     Raises:
@@ -226,4 +236,6 @@ def evaluate_once(path: Path, permissions: Permissions, on_episode: Callable[[in
 
     run = Run.open(path)
     if quoted_evaluation(path, run.record) is None:
-        run.write_evaluation(to_json(evaluate(run, permissions=permissions, on_episode=on_episode)))
+        run.write_evaluation(
+            evaluate(run, permissions=permissions, on_episode=on_episode).model_dump(mode="json")
+        )

@@ -1,7 +1,8 @@
 """The files of a checkpoint: what `state.json` and the arrays may hold, and how they are read.
 
-A run may come from someone else, and libraries do not check the state that they are given. Therefore every number has bounds here, and
-an array must have the dtype and the shape of the one that it replaces, which are compared before the array is read. Nothing is unpickled.
+A run may come from someone else, and libraries do not check the state that they are given. Therefore every
+number has bounds here, and an array must have the dtype and the shape of the one that it replaces, which are
+compared before the array is read. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.callbacks import MAX_CHECK_INTERVAL, CallbackState
 from deepbots_cli.learning.curriculum import CurriculumState
+from deepbots_cli.learning.directories import read_json
 from deepbots_cli.learning.episodes import StatisticsState
-from deepbots_cli.learning.run import Run, read_json
+from deepbots_cli.learning.run import Run
 
 Array = npt.NDArray[Any]
 Arrays = Mapping[str, Array]
@@ -37,7 +39,8 @@ _MAX_STATE_BYTES = 64_000_000
 """A state with 1,024 worlds that have 50 random generators each takes 12 MB."""
 _MAX_WORLDS = 1_024
 _WORDS = 624
-"""Numbers of 32 bits in the state of a Mersenne Twister, the generator of Python, of numpy's functions and of torch."""
+"""Numbers of 32 bits in the state of a Mersenne Twister, the generator of Python, of numpy's functions and of
+torch."""
 
 Text = Annotated[str, Field(max_length=2_000)]
 Count = Annotated[int, Field(ge=0, lt=2**62)]
@@ -52,9 +55,23 @@ class CheckpointPart(BaseModel, strict=True, extra="forbid", allow_inf_nan=False
 
 
 class NumpyScalar(CheckpointPart):
-    """A number with its type in numpy: the mean of float32 is not that of float64. JSON has no NaN, which is None."""
+    """A number with its type in numpy: the mean of float32 is not that of float64. JSON has no NaN, which is
+    None."""
 
-    dtype: Literal["bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float16", "float32", "float64"]
+    dtype: Literal[
+        "bool",
+        "int8",
+        "int16",
+        "int32",
+        "int64",
+        "uint8",
+        "uint16",
+        "uint32",
+        "uint64",
+        "float16",
+        "float32",
+        "float64",
+    ]
     value: bool | int | float | None
 
     @model_validator(mode="after")
@@ -71,7 +88,8 @@ class NumpyScalar(CheckpointPart):
 
 Number = int | float | NumpyScalar
 Pending = tuple[dict[Text, bool | Number | str | None], dict[Text, Count], dict[Text, list[Text]]]
-"""What was recorded for the log and is not yet written: values, their numbers, and where they are left out."""
+"""What was recorded for the log and is not yet written: values, their numbers, and where they are left
+out."""
 
 
 class _GeneratorWords(CheckpointPart):
@@ -89,7 +107,8 @@ class GeneratorState(CheckpointPart):
 
 
 class StreamsState(CheckpointPart):
-    """The random generators of a world (`Supervisor.random_state`), and those of each copy of a robot in it."""
+    """The random generators of a world (`Supervisor.random_state`), and those of each copy of a robot in
+    it."""
 
     root: Annotated[int, Field(ge=0, lt=2**64)]
     generators: Annotated[dict[Text, GeneratorState], Field(max_length=10_000)]
@@ -107,12 +126,17 @@ class CheckpointState(CheckpointPart):
     callback: CallbackState
     stages: Annotated[list[NonNegativeInt], Field(max_length=_MAX_WORLDS)]
     """The stage of the curriculum that each world is in."""
-    starts: Annotated[list[Annotated[int, Field(ge=0, lt=2**64)] | GeneratorState | StreamsState], Field(max_length=_MAX_WORLDS)]
+    starts: Annotated[
+        list[Annotated[int, Field(ge=0, lt=2**64)] | GeneratorState | StreamsState],
+        Field(max_length=_MAX_WORLDS),
+    ]
     """How the running episode of each world began: its seed, or the states of its random generators."""
     observed: Text
     """The fingerprint of the last observations."""
     pending: Pending
-    python: tuple[Literal[3], Annotated[list[Word], Field(min_length=_WORDS + 1, max_length=_WORDS + 1)], float | None]
+    python: tuple[
+        Literal[3], Annotated[list[Word], Field(min_length=_WORDS + 1, max_length=_WORDS + 1)], float | None
+    ]
     numpy: tuple[Place, Bit, float]
     logs: dict[Text, Count]
     """Bytes of each log."""
@@ -124,9 +148,17 @@ class CheckpointState(CheckpointPart):
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
-        steps, found = self.steps, self.statistics
-        places = [self.callback.evaluated_at, self.callback.next_beat - MAX_CHECK_INTERVAL, self.curriculum.first_step]
-        places += [found.episodes, *(stage.steps for stage in self.curriculum.ends), *([found.solved_at.steps] if found.solved_at else [])]
+        steps, statistics = self.steps, self.statistics
+        places = [
+            self.callback.evaluated_at,
+            self.callback.next_beat - MAX_CHECK_INTERVAL,
+            self.curriculum.first_step,
+        ]
+        places += [
+            statistics.episodes,
+            *(stage.steps for stage in self.curriculum.ends),
+            *([statistics.solved_at.steps] if statistics.solved_at else []),
+        ]
         if max(places) > steps:
             raise ValueError("its counts of steps contradict each other")
         if len(self.stages) != len(self.starts):
@@ -140,14 +172,20 @@ S = TypeVar("S", bound=CheckpointState)
 def latest_checkpoint(run: Run) -> Path | None:
     """The last checkpoint of a run, if there is one."""
     folders = run.checkpoints.iterdir() if run.checkpoints.is_dir() else ()
-    return max((path for path in folders if len(path.name) == 12 and path.name.isdecimal() and path.name.isascii()), default=None)
+    return max(
+        (path for path in folders if len(path.name) == 12 and path.name.isdecimal() and path.name.isascii()),
+        default=None,
+    )
 
 
 def read_state(folder: Path, model: type[S]) -> S:
     """Raises: RunError: The checkpoint is damaged."""
     state = read_json(folder / "state.json", model, _MAX_STATE_BYTES)
     if state.steps != int(folder.name):
-        raise RunError(f"{folder} is damaged: its state was saved after {state.steps:,} steps, which its name contradicts")
+        raise RunError(
+            f"{folder} is damaged: its state was saved after {state.steps:,} steps, which its name"
+            " contradicts"
+        )
     return state
 
 
@@ -156,16 +194,32 @@ def damage_explained(run: Run, folder: Path | None) -> Iterator[None]:
     """Within, whatever a damaged checkpoint leads to becomes one sentence, with what to do instead."""
     try:
         yield
-    except (ArithmeticError, AttributeError, DeepbotsError, LookupError, MemoryError, RuntimeError, TypeError, ValueError) as error:
-        known = error
+    except (
+        ArithmeticError,
+        AttributeError,
+        DeepbotsError,
+        LookupError,
+        MemoryError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ) as error:
+        explained = error
         if not isinstance(error, RunError):
             reason = " ".join(str(error).split())[:200]
-            known = RunError(f"{folder} is damaged, or belongs to another training ({type(error).__name__}: {reason})")
+            explained = RunError(
+                f"{folder} is damaged, or belongs to another training ({type(error).__name__}: {reason})"
+            )
         path = quote(str(run.path))
-        known.add_note("the run has no earlier checkpoint; its policies can still be evaluated: deepbots eval " + path)
+        explained.add_note(
+            "the run has no earlier checkpoint; its policies can still be evaluated: deepbots eval " + path
+        )
         scenario = quote(str(run.path / RESOLVED_NAME))
-        known.add_note(f"to start a new run with the weights of the best policy: deepbots train {scenario} --initialize-from {path}")
-        raise known from error
+        explained.add_note(
+            f"to start a new run with the weights of the best policy: deepbots train {scenario}"
+            f" --initialize-from {path}"
+        )
+        raise explained from error
 
 
 # The arrays
@@ -175,7 +229,8 @@ _OVERHEAD_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """What an array must be. Where there are `max_rows`, it may have fewer rows, of any numeric type of up to 8 bytes."""
+    """What an array must be. Where there are `max_rows`, it may have fewer rows, of any numeric type of up to
+    8 bytes."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
@@ -188,13 +243,21 @@ class ArraySpec:
 
     @property
     def max_bytes(self) -> int:
-        return math.prod(self.shape) * self.dtype.itemsize if self.max_rows is None else math.prod((self.max_rows, *self.shape)) * 8
+        return (
+            math.prod(self.shape) * self.dtype.itemsize
+            if self.max_rows is None
+            else math.prod((self.max_rows, *self.shape)) * 8
+        )
 
     def accepts(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
         if self.max_rows is None:
             return shape == self.shape and dtype == self.dtype
         is_empty = shape == (0,)
-        return dtype.kind in "biuf" and dtype.itemsize <= 8 and (is_empty or (shape[0:1] <= (self.max_rows,) and shape[1:] == self.shape))
+        return (
+            dtype.kind in "biuf"
+            and dtype.itemsize <= 8
+            and (is_empty or (shape[0:1] <= (self.max_rows,) and shape[1:] == self.shape))
+        )
 
 
 def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
@@ -204,11 +267,14 @@ def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
             archive.writestr("data", data)
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, np.asarray(array, order="C"), version=(1, 0), allow_pickle=False)
+                np.lib.format.write_array(
+                    member, np.asarray(array, order="C"), version=(1, 0), allow_pickle=False
+                )
 
 
 def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str] = ()) -> dict[str, Array]:
-    """The arrays of an uncompressed `.npz`, which are those of `specs`; all numbers are finite. Members in `others` are not read.
+    """The arrays of an uncompressed `.npz`, which are those of `specs`; all numbers are finite. Members in
+    `others` are not read.
 
     Raises:
         RunError: The file is missing, damaged, or holds anything else.
@@ -220,17 +286,22 @@ def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str
             raise ValueError("it is larger than what it should hold")
         with zipfile.ZipFile(path) as archive:
             members = [member for member in archive.infolist() if member.filename not in others]
-            if sum(member.file_size for member in members) > path.stat().st_size or any(m.compress_type for m in members):
+            if sum(member.file_size for member in members) > path.stat().st_size or any(
+                m.compress_type for m in members
+            ):
                 raise ValueError("it is compressed")
             names = [member.filename.removesuffix(".npy") for member in members]
-            found = {name: _read_array(archive, member, specs.get(name)) for name, member in zip(names, members, strict=True)}
-        missing = [name for name, spec in specs.items() if name not in found and not spec.is_optional]
+            arrays = {
+                name: _read_array(archive, member, specs.get(name))
+                for name, member in zip(names, members, strict=True)
+            }
+        missing = [name for name, spec in specs.items() if name not in arrays and not spec.is_optional]
         if missing:
             raise ValueError(f"'{missing[0]}' is missing")
     except Exception as error:  # numpy parses headers as Python, and raises a dozen kinds
         reason = str(error).splitlines()[0][:120] if str(error) else "cut short"
         raise RunError(f"{path} is damaged ({reason})") from error
-    return found
+    return arrays
 
 
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, spec: ArraySpec | None) -> Array:
@@ -254,7 +325,8 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, spec: ArraySp
 def check_torch_generator(state: Array) -> None:
     """Refuse a state that leads torch's generator beyond its own numbers.
 
-    torch itself compares `left`, how many of the 624 numbers it has not used, and `following`, the place of the next one, with 624 each.
+    torch itself compares `left`, how many of the 624 numbers it has not used, and `following`, the place of
+    the next one, with 624 each.
     """
     left, following = struct.unpack_from("<i4xQ", state.tobytes(), 8)
     if left + following not in (1, _WORDS + 1):  # 1 after a seed

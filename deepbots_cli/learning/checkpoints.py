@@ -1,11 +1,13 @@
 """Checkpoints, from which a killed training continues bit for bit as if it had never been interrupted.
 
-    checkpoints/000012288/      state.json, arrays.npz, model.zip: a checkpoint after 12 288 steps; only the last one is kept
+    checkpoints/000012288/      state.json, arrays.npz, model.zip: a checkpoint after 12 288 steps; only the
+                                last one is kept
     checkpoints/replay/         the rows of a replay buffer, in segments that are written once
 
-A checkpoint is taken between an update and the next fragment, before anything of this fragment happens. The learner says what it
-consists of there; the running episodes are kept as starts and actions, and repeated. Random generators are restored last. What was
-logged after the checkpoint is cut off, and logged again. `checkpoint_files` says what the files may hold.
+A checkpoint is taken between an update and the next fragment, before anything of this fragment happens. The
+learner says what it consists of there; the running episodes are kept as starts and actions, and repeated.
+Random generators are restored last. What was logged after the checkpoint is cut off, and logged again.
+`checkpoint_files` says what the files may hold.
 """
 
 from __future__ import annotations
@@ -51,11 +53,13 @@ if TYPE_CHECKING:
 INTERVAL_S = 10.0
 """Time between checkpoints: what a killed training loses, unless a large replay buffer makes them rare."""
 MIN_INTERVAL_PER_COST = 40
-"""A checkpoint that takes a second is followed by 40 without one: at most 2.5 % of the time goes into checkpoints."""
+"""A checkpoint that takes a second is followed by 40 without one: at most 2.5 % of the time goes into
+checkpoints."""
 
 
 class Checkpoints:
-    """Takes the checkpoints of a run, and goes back to the last of them. Reading it changes nothing in the run.
+    """Takes the checkpoints of a run, and goes back to the last of them. Reading it changes nothing in the
+    run.
 
     Args:
         run: The run.
@@ -68,7 +72,8 @@ class Checkpoints:
     def __init__(self, run: Run, model: type[CheckpointState]) -> None:
         self.run = run
         self.on_restored: list[Callable[[], None]] = [self._cut_logs]
-        """Called once the state of the last checkpoint is in its place. Until then, no file of the run changes."""
+        """Called once the state of the last checkpoint is in its place. Until then, no file of the run
+        changes."""
         self.stages: list[int] = []
         """The stage that each world is in, which the training keeps up to date."""
         self.inexact: list[str] = []
@@ -95,13 +100,20 @@ class Checkpoints:
         """Whose state the checkpoints keep."""
         if learner.setup.collector is None:
             raise RuntimeError("a learner without worlds has no checkpoints")
-        self.callback, self._learner, self._collector, self._log = callback, learner, learner.setup.collector, log
+        self.callback = callback
+        self._learner = learner
+        self._collector = learner.setup.collector
+        self._log = log
         learner.attach(self.run.checkpoints)
 
     def _logs(self) -> list[Path]:
-        found = [self.run.monitor, self.run.evaluations / "training.jsonl", *self.run.tensorboard.glob("events.out.tfevents.*")]
-        found += (self.run.path / "logs").glob("*")
-        return [path for path in found if path.is_file()]
+        logs = [
+            self.run.monitor,
+            self.run.evaluations / "training.jsonl",
+            *self.run.tensorboard.glob("events.out.tfevents.*"),
+        ]
+        logs += (self.run.path / "logs").glob("*")
+        return [path for path in logs if path.is_file()]
 
     # Taking one
 
@@ -136,7 +148,8 @@ class Checkpoints:
         self._previous = steps
 
     def save(self) -> None:
-        """Write the models of the moment and a checkpoint; until there are enough episodes to tell, the last model is the best too.
+        """Write the models of the moment and a checkpoint; until there are enough episodes to tell, the last
+        model is the best too.
 
         Raises:
             RunError: The model is not finite, or nothing can be written; the last checkpoint stays.
@@ -174,7 +187,10 @@ class Checkpoints:
             raise StorageError(unwritable_message(self.run.checkpoints, error)) from error
         shared = set(self._learner.shared_files())
         kept = {whole, *shared, *(path.parent for path in shared)}
-        for path in [*self.run.checkpoints.iterdir(), *(path for parent in kept - {whole} if parent.is_dir() for path in parent.iterdir())]:
+        for path in [
+            *self.run.checkpoints.iterdir(),
+            *(path for parent in kept - {whole} if parent.is_dir() for path in parent.iterdir()),
+        ]:
             if path not in kept:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
         self._last = steps
@@ -183,15 +199,23 @@ class Checkpoints:
 
     def _arrays(self) -> dict[str, Array]:
         arrays = self._learner.arrays()
-        arrays |= {f"actions/{index}": np.array(episode.actions) for index, episode in enumerate(self._collector.state().episodes)}
+        arrays |= {
+            f"actions/{index}": np.array(episode.actions)
+            for index, episode in enumerate(self._collector.state().episodes)
+        }
         arrays |= {f"stale/{name}": array for name, array in self._collector.stale.items()}
-        arrays |= {"torch": torch.get_rng_state().numpy(), "numpy": np.random.get_state(legacy=False)["state"]["key"]}
+        arrays |= {
+            "torch": torch.get_rng_state().numpy(),
+            "numpy": np.random.get_state(legacy=False)["state"]["key"],
+        }
         if self._learner.device == "cuda":
             arrays["cuda"] = torch.cuda.get_rng_state().numpy()
         return arrays
 
     def _state(self) -> CheckpointState:
-        shard, python_state, numpy_state = self._collector.state(), random.getstate(), np.random.get_state(legacy=False)
+        shard = self._collector.state()
+        python_state = random.getstate()
+        numpy_state = np.random.get_state(legacy=False)
         self._log.flush()
         return self._learner.State(
             digest=self.run.digest,
@@ -223,7 +247,8 @@ class Checkpoints:
     # Going back to one
 
     def restore(self) -> None:
-        """Put the state of the checkpoint in the place of a fresh one; without a checkpoint, the training begins.
+        """Put the state of the checkpoint in the place of a fresh one; without a checkpoint, the training
+        begins.
 
         Raises:
             RunError: The checkpoint is damaged, or of another network.
@@ -242,14 +267,29 @@ class Checkpoints:
         worlds = len(self._collector.state().episodes)
         if len(state.starts) != worlds:
             raise ValueError(f"{len(state.starts)} worlds after {state.steps} steps")
-        specs = {name: ArraySpec.like(array) for name, array in self._arrays().items() if not name.startswith("actions/")}
+        specs = {
+            name: ArraySpec.like(array)
+            for name, array in self._arrays().items()
+            if not name.startswith("actions/")
+        }
         shape, rows = np.shape(self._collector.action_space.sample()), self._collector.rows // worlds
         team = (rows, *shape) if rows > 1 else shape
-        specs |= {f"actions/{index}": ArraySpec(np.dtype(float), team, longest_episode(self.run.program)) for index in range(worlds)}
+        specs |= {
+            f"actions/{index}": ArraySpec(np.dtype(float), team, longest_episode(self.run.program))
+            for index in range(worlds)
+        }
         if state.steps and self._learner.setup.training.staleness:
             weights = self._learner.actor().parameters()
-            specs |= {f"stale/{name}": ArraySpec.like(array) for name, array in weights.items() if isinstance(array, np.ndarray)}
-        return specs | self._learner.specs(state) | {"cuda": ArraySpec(np.dtype(np.uint8), (16,), is_optional=True)}
+            specs |= {
+                f"stale/{name}": ArraySpec.like(array)
+                for name, array in weights.items()
+                if isinstance(array, np.ndarray)
+            }
+        return (
+            specs
+            | self._learner.specs(state)
+            | {"cuda": ArraySpec(np.dtype(np.uint8), (16,), is_optional=True)}
+        )
 
     def _restore(self, state: CheckpointState, arrays: Arrays) -> None:
         here = self._arithmetic()
@@ -259,7 +299,9 @@ class Checkpoints:
         if state.digest != self.run.digest:
             self.note(f"the scenario now compiles to a different program than at {state.steps:,} steps")
         self._learner.restore(state, arrays, self._repeat_episodes(state, arrays))
-        self._collector.stale = {name.removeprefix("stale/"): array for name, array in arrays.items() if name.startswith("stale/")}
+        self._collector.stale = {
+            name.removeprefix("stale/"): array for name, array in arrays.items() if name.startswith("stale/")
+        }
         self._log.restore(state.pending)
         version, words, gauss = state.python
         random.setstate((version, tuple(words), gauss))
@@ -275,15 +317,24 @@ class Checkpoints:
             self.inexact.append(reason)
 
     def _repeat_episodes(self, state: CheckpointState, arrays: Arrays) -> bool:
-        """Bring the worlds back to where they were; whether that gave the same observations. If not, new episodes begin."""
+        """Bring the worlds back to where they were; whether that gave the same observations. If not, new
+        episodes begin."""
         episodes = [
-            EpisodeHistory(start if isinstance(start, int) else start.model_dump(exclude_none=True), list(arrays[f"actions/{index}"]))
+            EpisodeHistory(
+                start if isinstance(start, int) else start.model_dump(exclude_none=True),
+                list(arrays[f"actions/{index}"]),
+            )
             for index, start in enumerate(state.starts)
         ]
         for episode in episodes:
             check_actions(np.array(episode.actions), self._collector.action_space)
-        seeds = [derive_seed(self.run.record.seed, "environment", i, "resumed", state.steps) for i in range(len(episodes))]
+        seeds = [
+            derive_seed(self.run.record.seed, "environment", i, "resumed", state.steps)
+            for i in range(len(episodes))
+        ]
         if self._collector.restore(ShardState(episodes, state.observed), seeds):
             return True
-        self.note(f"the episodes at {state.steps:,} steps could not be repeated exactly, so new episodes began")
+        self.note(
+            f"the episodes at {state.steps:,} steps could not be repeated exactly, so new episodes began"
+        )
         return False

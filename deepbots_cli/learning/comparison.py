@@ -15,14 +15,21 @@ from deepbots_cli.analysis.changes import Change, Meanings, WrittenScenario, com
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning.directories import run_folders
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.episodes import Interval
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, until_enough
 from deepbots_cli.learning.executor import SERIAL, Attempt, Counter, Executor, results
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.order import Measure, measure_of
-from deepbots_cli.learning.run import ModelName, ModelRef, Run, run_folders
-from deepbots_cli.learning.statistics import Difference, compare_episodes, compare_seeds, interquartile_mean, mean_interval
+from deepbots_cli.learning.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.statistics import (
+    Difference,
+    compare_episodes,
+    compare_seeds,
+    interquartile_mean,
+    mean_interval,
+)
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.policies import StopCondition
@@ -37,9 +44,10 @@ MIN_SEEDS = 3
 class GroupResult:
     """The evaluations of runs that differ by their seeds only, on the same starts.
 
-    Statistics are over the seeds, with one score per run: its mean return, or its success rate. Intervals are Student's at 95 %, cut at
-    the bounds of the score, None for a single run. `waiting` are the seeds of the group that have no model yet. `solved_after` are the
-    steps after which a confirmation showed that each run solves its task, None where none did.
+    Statistics are over the seeds, with one score per run: its mean return, or its success rate. Intervals are
+    Student's at 95 %, cut at the bounds of the score, None for a single run. `waiting` are the seeds of the
+    group that have no model yet. `solved_after` are the steps after which a confirmation showed that each run
+    solves its task, None where none did.
     """
 
     name: str
@@ -89,19 +97,27 @@ class GroupResult:
 
     @property
     def return_interval_over_starts(self) -> Interval | None:
-        """The interval of the mean return of these policies over other starts: all runs have the same starts, with one score each."""
-        means = self._means_by_start([[episode.total_return for episode in result.outcomes] for result in self.evaluations])
+        """The interval of the mean return of these policies over other starts: all runs have the same starts,
+        with one score each."""
+        means = self._means_by_start(
+            [[episode.total_return for episode in result.outcomes] for result in self.evaluations]
+        )
         return mean_interval(means, self.evaluations[0].possible_returns)
 
     @property
     def success_interval_over_starts(self) -> Interval | None:
         """The same for the success rate."""
-        means = self._means_by_start([[float(episode.is_success) for episode in result.outcomes] for result in self.evaluations])
+        means = self._means_by_start(
+            [[float(episode.is_success) for episode in result.outcomes] for result in self.evaluations]
+        )
         return mean_interval(means, (0.0, 1.0))
 
     def _means_by_start(self, scores: Sequence[Sequence[float]]) -> list[float]:
         """The mean over the runs for each start."""
-        return [fmean(row) for row in zip(*(scores_of_run[: self.starts] for scores_of_run in scores), strict=True)]
+        return [
+            fmean(row)
+            for row in zip(*(scores_of_run[: self.starts] for scores_of_run in scores), strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -112,13 +128,14 @@ class GroupDifference:
         first: Name of the first group.
         group: Name of the group.
         measure: What the task asks for; `verdict` is about it.
-        mean_return: The difference of the mean returns; None where the two groups are evaluated in different scenarios whose returns
-            do not mean the same.
-        success_rate: The difference of the success rates; None where a scenario defines no success, or where successes do not mean the
-            same.
-        between_seeds: Whether the intervals are over the seeds of both groups. If not, each group is a single run, and the intervals are
-            over the episodes of these two policies.
-        solved_after: The difference of the steps until a training was solved; None unless every run of both groups was.
+        mean_return: The difference of the mean returns; None where the two groups are evaluated in different
+            scenarios whose returns do not mean the same.
+        success_rate: The difference of the success rates; None where a scenario defines no success, or where
+            successes do not mean the same.
+        between_seeds: Whether the intervals are over the seeds of both groups. If not, each group is a single
+            run, and the intervals are over the episodes of these two policies.
+        solved_after: The difference of the steps until a training was solved; None unless every run of both
+            groups was.
         own_scenarios: Whether each group is evaluated in its own scenario.
         meanings: The differences of the two scenarios that say what can be compared.
     """
@@ -141,12 +158,17 @@ class GroupDifference:
             return self._verdict_on_measure
         difference = f"{abs(steps.mean):,.0f} {'fewer' if steps.mean < 0 else 'more'} steps of training"
         interval = "(95 % interval of the difference: {:,.0f} .. {:,.0f})".format(*steps.interval)
-        sooner = f"it is solved after {difference}" if steps.certain else f"it is solved after {difference}, but the interval contains 0"
+        sooner = (
+            f"it is solved after {difference}"
+            if steps.certain
+            else f"it is solved after {difference}, but the interval contains 0"
+        )
         return f"{self._verdict_on_measure}; {sooner} {interval}"
 
     @property
     def compared(self) -> Measure | None:
-        """The measure of the verdict: `measure`, or where it cannot be compared the other one; None if neither can."""
+        """The measure of the verdict: `measure`, or where it cannot be compared the other one; None if
+        neither can."""
         other: Measure = "mean_return" if self.measure == "success_rate" else "success_rate"
         return next((name for name in (self.measure, other) if getattr(self, name) is not None), None)
 
@@ -154,8 +176,13 @@ class GroupDifference:
     def _verdict_on_measure(self) -> str:
         compared = self.compared
         if compared is None:
-            paths = ", ".join(change.path for change in (*self.meanings.returns, *self.meanings.success)[:_MAX_LISTED])
-            return f"{self.group}: cannot be compared with {self.first}, because returns do not mean the same ({paths} differ)"
+            paths = ", ".join(
+                change.path for change in (*self.meanings.returns, *self.meanings.success)[:_MAX_LISTED]
+            )
+            return (
+                f"{self.group}: cannot be compared with {self.first}, because returns do not mean the"
+                f" same ({paths} differ)"
+            )
         difference: Difference = getattr(self, compared)
         words = compared.replace("_", " ")
         if difference.interval is None:
@@ -177,15 +204,19 @@ class GroupDifference:
                 f"{self.group}: no significant difference from {self.first}; the {words} is {size} {sign}, "
                 f"but the interval contains 0 {interval}"
             )
-        return f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first}: the {words} is {size} {sign} {interval}"
+        return (
+            f"{self.group} is {'better' if difference.mean > 0 else 'worse'} than {self.first}: the"
+            f" {words} is {size} {sign} {interval}"
+        )
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Groups in the given order, the others compared with the first, and notes on the limits of the comparison.
+    """Groups in the given order, the others compared with the first, and notes on the limits of the
+    comparison.
 
-    `scenario` is the name of the scenario of all episodes, or None if a group is evaluated in its own. `measure` is what the task asks
-    for.
+    `scenario` is the name of the scenario of all episodes, or None if a group is evaluated in its own.
+    `measure` is what the task asks for.
     """
 
     scenario: str | None
@@ -217,16 +248,18 @@ def compare(
 ) -> Comparison:
     """Evaluate runs and models of runs on the same starts, and compare them by groups.
 
-    The folder of a group (`deepbots train --seeds`) is a group. Other runs of the same scenario, trained in the same engine, are a group:
-    they differ by their seeds only. So are models of the same name of such runs. Any other folder stands for all runs in it. If this makes
-    a single group, each of its runs is a group.
+    The folder of a group (`deepbots train --seeds`) is a group. Other runs of the same scenario, trained in
+    the same engine, are a group: they differ by their seeds only. So are models of the same name of such
+    runs. Any other folder stands for all runs in it. If this makes a single group, each of its runs is a
+    group.
 
-    A group is evaluated in the scenario of the first run if observation, action, robots, actuators and `apply` of its own scenario mean the
-    same. Otherwise it is evaluated in its own scenario, from starts with the same seeds, and what does not mean the same in both scenarios
-    is not compared.
+    A group is evaluated in the scenario of the first run if observation, action, robots, actuators and
+    `apply` of its own scenario mean the same. Otherwise it is evaluated in its own scenario, from starts with
+    the same seeds, and what does not mean the same in both scenarios is not compared.
 
     Args:
-        runs: Groups, run directories, models in them, or folders of run directories; at least two runs or models.
+        runs: Groups, run directories, models in them, or folders of run directories; at least two runs or
+            models.
         episodes: Episodes of each run; by default the number of the scenario of the first run.
         seed: Root seed of the starts, the same for all runs.
         model: The name of the model of each run; a model that `runs` names stays.
@@ -242,7 +275,10 @@ def compare(
         UsageError: There are fewer than two runs, or `own` comes with a scenario.
     """
     if own and scenario is not None:
-        raise UsageError("choose one: evaluate each run in its own scenario (--own), or all runs in one scenario (--scenario)")
+        raise UsageError(
+            "choose one: evaluate each run in its own scenario (--own), or all runs in one scenario"
+            " (--scenario)"
+        )
     members = _members([Path(path) for path in runs], model)
     opened = [ref for group in members for ref in group.models]
     if len(opened) < 2:
@@ -251,34 +287,54 @@ def compare(
     judged = first.compiled if scenario is None else api.compile(scenario)
     worlds = [_world(judged, group.models[0].run, own=own, named=scenario is not None) for group in members]
     count = judged.program.evaluation_episodes(case) if episodes is None else episodes
-    given: dict[str, Any] = {"episodes": count, "seed": seed, "case": case, "permissions": permissions, "build": build}
+    options: dict[str, Any] = {
+        "episodes": count,
+        "seed": seed,
+        "case": case,
+        "permissions": permissions,
+        "build": build,
+    }
     calls = [
-        _Evaluation(ref, given | {"scenario": None if world.own else judged})
+        _Evaluation(ref, options | {"scenario": None if world.own else judged})
         for group, world in zip(members, worlds, strict=True)
         for ref in group.models
     ]
-    found = results(executor.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(opened)))
+    evaluations = results(
+        executor.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(opened))
+    )
     groups = [
-        GroupResult(group.name, tuple(islice(found, len(group.models))), group.waiting, tuple(map(_solved_after, group.models)))
+        GroupResult(
+            group.name,
+            tuple(islice(evaluations, len(group.models))),
+            group.waiting,
+            tuple(map(_solved_after, group.models)),
+        )
         for group in members
     ]
     solved, defines_success = judged.program.agent.solved, judged.program.defines_success
     measure = measure_of(solved, defines_success=defines_success)
-    differences = tuple(_difference(groups[0], group, measure, world) for group, world in zip(groups[1:], worlds[1:], strict=True))
+    differences = tuple(
+        _difference(groups[0], group, measure, world)
+        for group, world in zip(groups[1:], worlds[1:], strict=True)
+    )
     notes = _notes(members, groups, differences, worlds, named=scenario is not None)
     name = None if any(world.own for world in worlds) else groups[0].evaluations[0].scenario
-    return Comparison(name, groups[0].evaluations[0].episodes, seed, measure, tuple(groups), differences, tuple(notes))
+    return Comparison(
+        name, groups[0].evaluations[0].episodes, seed, measure, tuple(groups), differences, tuple(notes)
+    )
 
 
 class _World(NamedTuple):
-    """Whether a group is evaluated in its own scenario, and how this differs from the scenario of the first group."""
+    """Whether a group is evaluated in its own scenario, and how this differs from the scenario of the first
+    group."""
 
     own: bool
     meanings: Meanings
 
 
 def _world(judged: Compiled, run: Run, *, own: bool, named: bool) -> _World:
-    """Where to evaluate a group that has trained in the scenario of `run`; `named`: everything is evaluated in `judged`."""
+    """Where to evaluate a group that has trained in the scenario of `run`; `named`: everything is evaluated
+    in `judged`."""
     meanings = Meanings()
     if judged.digest != run.digest:
         meanings = compared_meanings(_written(judged), _written(run.compiled))
@@ -291,7 +347,8 @@ def _written(compiled: Compiled) -> WrittenScenario:
 
 @dataclass(frozen=True)
 class EngineDifference:
-    """One policy in a further engine against the first, on the same starts; `case` is None for the scenario itself."""
+    """One policy in a further engine against the first, on the same starts; `case` is None for the scenario
+    itself."""
 
     case: str | None
     first: str | None
@@ -300,17 +357,24 @@ class EngineDifference:
     success_rate: Difference | None
 
 
-def compare_engines(one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult) -> EngineDifference:
+def compare_engines(
+    one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult
+) -> EngineDifference:
     """Compare the evaluations of a policy in two engines episode by episode, or those of a group run by run.
 
     Intervals for a group are over its seeds, None for a single run.
     """
-    first, second = (found.evaluations[0] if isinstance(found, GroupResult) else found for found in (one, other))
+    first, second = (
+        result.evaluations[0] if isinstance(result, GroupResult) else result for result in (one, other)
+    )
     return EngineDifference(second.case, first.engine, second.engine, *_paired(one, other))
 
 
-def _paired(one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult) -> tuple[Difference, Difference | None]:
-    """Differences of return and success, by episodes or runs in the same order; no success where one of the two defines none."""
+def _paired(
+    one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult
+) -> tuple[Difference, Difference | None]:
+    """Differences of return and success, by episodes or runs in the same order; no success where one of the
+    two defines none."""
     (before, succeeded), (after, succeeds) = _scores(one), _scores(other)
     has_success = one.success_defined and other.success_defined
     bounds = (one.evaluations[0] if isinstance(one, GroupResult) else one).possible_returns
@@ -318,11 +382,13 @@ def _paired(one: EvaluationResult | GroupResult, other: EvaluationResult | Group
     return compare_episodes(before, after, bounds), success
 
 
-def _scores(found: EvaluationResult | GroupResult) -> tuple[list[float], list[float]]:
+def _scores(result: EvaluationResult | GroupResult) -> tuple[list[float], list[float]]:
     """The returns and successes of episodes, or of the runs of a group."""
-    if isinstance(found, GroupResult):
-        return found.returns, found.success_rates
-    return [episode.total_return for episode in found.outcomes], [float(episode.is_success) for episode in found.outcomes]
+    if isinstance(result, GroupResult):
+        return result.returns, result.success_rates
+    return [episode.total_return for episode in result.outcomes], [
+        float(episode.is_success) for episode in result.outcomes
+    ]
 
 
 def evaluate_group(
@@ -339,10 +405,12 @@ def evaluate_group(
 
     Args:
         group: The folder of the group. Seeds without a model are left out, and named in `waiting`.
-        until: Takes the episodes so far, of all runs in turn, and returns whether they are enough. The result then holds these only.
+        until: Takes the episodes so far, of all runs in turn, and returns whether they are enough. The result
+            then holds these only.
         on_run: Is called after each run.
         executor: Where the evaluations run; the result does not depend on it.
-        options: Further arguments of `evaluate`. `seed` and `scenario` are as there; the default is the scenario of the group.
+        options: Further arguments of `evaluate`. `seed` and `scenario` are as there; the default is the
+            scenario of the group.
 
     Raises:
         RunError: The folder is no group, or none of its runs has a model; else as for `evaluate`.
@@ -355,16 +423,20 @@ def evaluate_group(
     def enough(episodes: Sequence[Episode]) -> bool:
         return until is not None and until([*before, *episodes])
 
-    given = {**options, "seed": seed, "scenario": judged}
+    evaluation_options = {**options, "seed": seed, "scenario": judged}
     stops = {"until": enough} if executor.is_here else {}
-    calls = [_Evaluation(ref, {**given, **stops}) for ref in members.models]
-    found = results(executor.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(members.models)))
-    for ref, result in zip(members.models, found, strict=False):
-        done.append(result if executor.is_here else until_enough(result, enough, ref.run, **given))
+    calls = [_Evaluation(ref, {**evaluation_options, **stops}) for ref in members.models]
+    evaluations = results(
+        executor.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(members.models))
+    )
+    for ref, result in zip(members.models, evaluations, strict=False):
+        done.append(
+            result if executor.is_here else until_enough(result, enough, ref.run, **evaluation_options)
+        )
         before += done[-1].outcomes
         if enough(()):
             break
-    found.close()
+    evaluations.close()
     return GroupResult(members.name, tuple(done), members.waiting)
 
 
@@ -391,11 +463,11 @@ class _GroupMembers(NamedTuple):
 
 def _members(paths: Sequence[Path], model: ModelName) -> list[_GroupMembers]:
     """The groups in the order of their first runs; each model once."""
-    found: dict[object, _GroupMembers] = {}
+    groups_by_key: dict[object, _GroupMembers] = {}
     single: dict[object, list[ModelRef]] = {}
     for path in paths:
         if folder_kind(path) is SourceKind.GROUP:
-            found[path] = _open_runs(Group.open(path), model)
+            groups_by_key[path] = _open_runs(Group.open(path), model)
             continue
         for ref in (ModelRef.open(each, model=model) for each in run_folders([path])):
             key = ref.run.record.digest, ref.run.record.engine, ref.name
@@ -403,8 +475,8 @@ def _members(paths: Sequence[Path], model: ModelName) -> list[_GroupMembers]:
             if ref.path not in [other.path for other in alike]:
                 alike.append(ref)
             name = alike[0].label + (f" and {len(alike) - 1} more" if len(alike) > 1 else "")
-            found[key] = _GroupMembers(name, alike)
-    groups = list(found.values())
+            groups_by_key[key] = _GroupMembers(name, alike)
+    groups = list(groups_by_key.values())
     if len(groups) == 1:
         groups = [_GroupMembers(ref.label, (ref,)) for ref in groups[0].models]
     names = [group.name for group in groups]
@@ -429,13 +501,16 @@ def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
         )
     ready = group.runs_with_model
     if not ready:
-        raise RunError(f"{group.path} contains no trained run yet; train it with: deepbots resume {group.path}")
+        raise RunError(
+            f"{group.path} contains no trained run yet; train it with: deepbots resume {group.path}"
+        )
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
     return _GroupMembers(group.path.name, [ModelRef.open(run, model=model) for run in ready], waiting)
 
 
 def _solved_after(ref: ModelRef) -> int | None:
-    """The steps after which a confirmation showed that the run solves its task; None for another model than the best."""
+    """The steps after which a confirmation showed that the run solves its task; None for another model than
+    the best."""
     return run_verdict(ref.run.path, ref.run.record).solved_after if ref.name == "best" else None
 
 
@@ -448,7 +523,9 @@ def _difference(first: GroupResult, group: GroupResult, measure: Measure, world:
         has_success = first.success_defined and group.success_defined
         success = compare_seeds(first.success_rates, group.success_rates, (0.0, 1.0)) if has_success else None
         returns = compare_seeds(first.returns, group.returns, first.evaluations[0].possible_returns)
-        before, after = ([steps for steps in found.solved_after if steps is not None] for found in (first, group))
+        before, after = (
+            [steps for steps in side.solved_after if steps is not None] for side in (first, group)
+        )
         all_solved = len(before) + len(after) == len(first.evaluations) + len(group.evaluations)
         steps = compare_seeds(before, after, (0.0, math.inf)) if all_solved else None
     else:
@@ -456,7 +533,9 @@ def _difference(first: GroupResult, group: GroupResult, measure: Measure, world:
     if world.own:
         returns = None if world.meanings.returns else returns
         success = None if world.meanings.success else success
-    return GroupDifference(first.name, group.name, measure, returns, success, between_seeds, steps, world.own, world.meanings)
+    return GroupDifference(
+        first.name, group.name, measure, returns, success, between_seeds, steps, world.own, world.meanings
+    )
 
 
 _MAX_LISTED = 5
@@ -471,26 +550,40 @@ def _notes(
     *,
     named: bool,
 ) -> list[str]:
-    notes = [f"{group.name}: no model yet of seed {', '.join(map(str, group.waiting))}" for group in groups if group.waiting]
+    notes = [
+        f"{group.name}: no model yet of seed {', '.join(map(str, group.waiting))}"
+        for group in groups
+        if group.waiting
+    ]
     for difference in differences:
         notes += _notes_on_scenarios(difference, named=named)
     fewest = min(len(group.evaluations) for group in groups)
     if all(not difference.between_seeds for difference in differences):
         notes.append(
-            "each group has one run, so the intervals compare these policies, not their settings; to compare settings, train several seeds"
+            "each group has one run, so the intervals compare these policies, not their settings; to compare"
+            " settings, train several seeds"
         )
     elif fewest < MIN_SEEDS:
-        notes.append(f"a group has {fewest} run{'' if fewest == 1 else 's'}: train at least {MIN_SEEDS} seeds of each, better 5")
+        notes.append(
+            f"a group has {fewest} run{'' if fewest == 1 else 's'}: train at least {MIN_SEEDS} seeds of"
+            " each, better 5"
+        )
     runs = [ref.run for group in members for ref in group.models]
     if len({run.record.engine for run in runs}) > 1:
         notes.append("the runs were trained in different engines; each run is evaluated in its own engine")
     shared = [group.models[0].run for group, world in zip(members, worlds, strict=True) if not world.own]
     if len({str([(term.name, term.text) for term in run.program.agent.reward]) for run in shared}) > 1:
         notes.append(
-            "the rewards of the runs differ, and all runs are evaluated with the reward of one scenario: compare success rates, not returns"
+            "the rewards of the runs differ, and all runs are evaluated with the reward of one scenario:"
+            " compare success rates, not returns"
         )
     for group in groups:
-        notes += dict.fromkeys(f"{group.name}: {note}" for result in group.evaluations for note in result.notes if "trained with" in note)
+        notes += dict.fromkeys(
+            f"{group.name}: {note}"
+            for result in group.evaluations
+            for note in result.notes
+            if "trained with" in note
+        )
     return notes
 
 
@@ -500,20 +593,35 @@ def _notes_on_scenarios(difference: GroupDifference, *, named: bool) -> list[str
     notes = []
     if meanings.acting and named:
         notes.append(
-            f"{difference.group} was trained where observations or actions mean something else than here: {_listed(meanings.acting)}"
+            f"{difference.group} was trained where observations or actions mean something else than here:"
+            f" {_listed(meanings.acting)}"
         )
     if not difference.own_scenarios:
         return notes
-    reason = f", because what policies observe or do differs: {_listed(meanings.acting)}" if meanings.acting else ""
+    reason = (
+        f", because what policies observe or do differs: {_listed(meanings.acting)}"
+        if meanings.acting
+        else ""
+    )
     notes.append(f"{names} are each evaluated in their own scenario, from starts with the same seeds{reason}")
     if difference.mean_return is None:
-        notes.append(f"{names}: returns are not compared, because they do not mean the same: {_listed(meanings.returns)}")
+        notes.append(
+            f"{names}: returns are not compared, because they do not mean the same:"
+            f" {_listed(meanings.returns)}"
+        )
     if meanings.success:
-        notes.append(f"{names}: successes are not compared, because they do not mean the same: {_listed(meanings.success)}")
+        notes.append(
+            f"{names}: successes are not compared, because they do not mean the same:"
+            f" {_listed(meanings.success)}"
+        )
     return notes
 
 
 def _listed(changes: Sequence[Change]) -> str:
     """Changes in the words of `deepbots diff`."""
-    more = f"; and {len(changes) - _MAX_LISTED} more, which `deepbots diff` lists" if len(changes) > _MAX_LISTED else ""
+    more = (
+        f"; and {len(changes) - _MAX_LISTED} more, which `deepbots diff` lists"
+        if len(changes) > _MAX_LISTED
+        else ""
+    )
     return "; ".join(change.text for change in changes[:_MAX_LISTED]) + more

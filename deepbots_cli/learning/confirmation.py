@@ -1,18 +1,19 @@
 """When a training may stop because its task is solved: the confirmation of a model on new starts.
 
-An evaluation during a training is small and there are many of them, so one of them may meet `solved` by luck. A model
-whose evaluation meets `solved` is therefore confirmed on new starts, as many as `solved` asks for. The training stops
-only if the confirmation shows more than the required value. That episodes decide once, and only by all of them, makes
-the chance of a false stop easy to compute:
+An evaluation during a training is small and there are many of them, so one of them may meet `solved` by luck.
+A model whose evaluation meets `solved` is therefore confirmed on new starts, as many as `solved` asks for.
+The training stops only if the confirmation shows more than the required value. That episodes decide once, and
+only by all of them, makes the chance of a false stop easy to compute:
 
-- The k-th confirmation of a training may err with a probability of 5 % / (k (k + 1)). Over all confirmations, the sum
-  is at most 5 % (Bonferroni's inequality; 1/2 + 1/6 + 1/12 + ... = 1), for any policies and any number of evaluations.
-- A success rate passes if a policy whose rate is 2 points below the required one would have so many successes with at
-  most this probability, by the binomial distribution. For `>= 90 % over 100 episodes`, the first confirmation needs 95
-  of 100 successes, the second 187 of 200.
-- A mean return passes if it reaches the required one, and Student's lower bound at this level is not more than 2 % of
-  the range of returns below it. The bound includes `worst_returns` more episodes with the worst return, because returns
-  are often equal but for rare failures, which a sample may miss.
+- The k-th confirmation of a training may err with a probability of 5 % / (k (k + 1)). Over all confirmations,
+  the sum is at most 5 % (Bonferroni's inequality; 1/2 + 1/6 + 1/12 + ... = 1), for any policies and any
+  number of evaluations.
+- A success rate passes if a policy whose rate is 2 points below the required one would have so many successes
+  with at most this probability, by the binomial distribution. For `>= 90 % over 100 episodes`, the first
+  confirmation needs 95 of 100 successes, the second 187 of 200.
+- A mean return passes if it reaches the required one, and Student's lower bound at this level is not more
+  than 2 % of the range of returns below it. The bound includes `worst_returns` more episodes with the worst
+  return, because returns are often equal but for rare failures, which a sample may miss.
 
 A confirmation ends early when it cannot pass any more, or would hardly pass, which makes false stops rarer.
 `tests/learning/test_confirmation.py` measures the chances.
@@ -31,28 +32,30 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.scenario.fields import MAX_SOLVED_EPISODES
 
 FALSE_STOPS = 0.05
-"""The largest probability that a training stops with a policy that is `MARGIN` or more below the required value."""
+"""The largest probability that a training stops with a policy that is `MARGIN` or more below the required
+value."""
 MARGIN = 0.02
 """Of a success rate, or of the range of returns."""
 COST_SHARE = 0.1
 """No further confirmation begins once those that failed took this share of the steps of the training."""
 POWER = 0.5
-"""The smallest probability that a confirmation passes at a success rate halfway from the required one to 100 %. With 100
-starts, the first confirmation of `>= 95 %` needs 99 successes and the second 100, so a policy of 97.5 % would pass with
-28 and 8 %. With 200 starts, it needs 194 and 195, and passes with 76 and 62 %."""
+"""The smallest probability that a confirmation passes at a success rate halfway from the required one to 100
+%. With 100 starts, the first confirmation of `>= 95 %` needs 99 successes and the second 100, so a policy of
+97.5 % would pass with 28 and 8 %. With 200 starts, it needs 194 and 195, and passes with 76 and 62 %."""
 EXPECTED = 0.25
-"""The smallest mean return for which the number of starts is chosen, as a share of the way from the required one to the
-highest return. With 100 starts for the highest return only, a policy of PitEscape with 0.91 where 0.89 is required failed
-by the worst returns that are added."""
+"""The smallest mean return for which the number of starts is chosen, as a share of the way from the required
+one to the highest return. With 100 starts for the highest return only, a policy of PitEscape with 0.91 where
+0.89 is required failed by the worst returns that are added."""
 HOPELESS = 0.01
-"""A confirmation ends if a policy halfway to 100 % would have so few successes with at most this probability, or if
-Student's upper bound of the mean return at this level is below the required one. So a confirmation that fails is short,
-and a later one fits into `COST_SHARE` earlier."""
+"""A confirmation ends if a policy halfway to 100 % would have so few successes with at most this probability,
+or if Student's upper bound of the mean return at this level is below the required one. So a confirmation that
+fails is short, and a later one fits into `COST_SHARE` earlier."""
 _MAX_EPISODES = 10 * MAX_SOLVED_EPISODES
 
 
 def error_level(number: int) -> float:
-    """The probability with which the confirmation of this number, from 1, may pass a policy that is too weak."""
+    """The probability with which the confirmation of this number, from 1, may pass a policy that is too
+    weak."""
     return FALSE_STOPS / (number * (number + 1))
 
 
@@ -66,8 +69,8 @@ def probability_of_at_least(successes: int, episodes: int, rate: float) -> float
 
 
 def required_successes(episodes: int, rate: float, level: float) -> int:
-    """The smallest number of successes of which `episodes` episodes have so many with at most the probability `level`
-    at a success rate of `rate`; larger than `episodes` where even all of them are too few."""
+    """The smallest number of successes of which `episodes` episodes have so many with at most the probability
+    `level` at a success rate of `rate`; larger than `episodes` where even all of them are too few."""
     low, high = 0, episodes + 1
     while low < high:  # the probability falls with the number of successes
         middle = (low + high) // 2
@@ -83,9 +86,11 @@ class Confirmation:
     Attributes:
         solved: The criterion of the scenario.
         number: That of the confirmation, from 1.
-        returns: The lowest and the highest return of an episode: the possible ones, or else those seen so far.
-        episodes: Number of new starts: as many as `solved` asks for, or the smallest multiple of it with which good policies
-            pass: half of those that are halfway from the required rate to 100 %, and a mean return as it is expected.
+        returns: The lowest and the highest return of an episode: the possible ones, or else those seen so
+            far.
+        episodes: Number of new starts: as many as `solved` asks for, or the smallest multiple of it with
+            which good policies pass: half of those that are halfway from the required rate to 100 %, and a
+            mean return as it is expected.
         successes: The successes that it needs; 0 where `solved` asks for no success rate.
     """
 
@@ -96,15 +101,18 @@ class Confirmation:
     successes: int
 
     @staticmethod
-    def plan(solved: Solved, number: int, returns: Interval, evaluated: Sequence[Episode] = ()) -> Confirmation | None:
+    def plan(
+        solved: Solved, number: int, returns: Interval, evaluated: Sequence[Episode] = ()
+    ) -> Confirmation | None:
         """The next confirmation; None if no number of episodes up to 100 000 is enough.
 
         Args:
             solved: The criterion of the scenario.
             number: That of the confirmation, from 1.
             returns: The lowest and the highest return of an episode.
-            evaluated: The episodes that met `solved`. The plan is for a policy with their mean return less its standard
-                error, or with that of `EXPECTED` if it is higher. Without them, it is for the highest return.
+            evaluated: The episodes that met `solved`. The plan is for a policy with their mean return less
+                its standard error, or with that of `EXPECTED` if it is higher. Without them, it is for the
+                highest return.
         """
         if solved.mean_return is None:
             mean = returns[1]
@@ -136,7 +144,8 @@ class Confirmation:
 
     @property
     def requirement(self) -> str:
-        """What passes, in words: `at least 95 of 100 successes`, `a mean return of at least 195, with a lower bound of 191`."""
+        """What passes, in words: `at least 95 of 100 successes`, `a mean return of at least 195, with a lower
+        bound of 191`."""
         parts = []
         if self.solved.success_rate is not None:
             parts.append(f"at least {self.successes:,} of {self.episodes:,} successes")
@@ -158,7 +167,10 @@ class Confirmation:
             return False
         returns = [episode.total_return for episode in done]
         best = math.fsum(returns) + left * self.returns[1]
-        return best < self.solved.mean_return * self.episodes or upper_bound(returns, HOPELESS) < self.solved.mean_return
+        return (
+            best < self.solved.mean_return * self.episodes
+            or upper_bound(returns, HOPELESS) < self.solved.mean_return
+        )
 
     def passes(self, done: Sequence[Episode]) -> bool:
         """Whether all episodes of the confirmation show that the task is solved."""
@@ -166,11 +178,17 @@ class Confirmation:
         successes = sum(episode.is_success for episode in done)
         if len(done) < self.episodes or successes < self.successes:
             return False
-        return meets_solved(self.solved, fmean(returns), successes / len(done)) and self._return_passes(returns)
+        return meets_solved(self.solved, fmean(returns), successes / len(done)) and self._return_passes(
+            returns
+        )
 
     def _return_passes(self, returns: Sequence[float]) -> bool:
-        """Whether the lower bound of the mean return is at most `MARGIN` of the range below the required one."""
-        return self.solved.mean_return is None or lower_bound(returns, self.returns[0], self.level) >= self._lowest_bound
+        """Whether the lower bound of the mean return is at most `MARGIN` of the range below the required
+        one."""
+        return (
+            self.solved.mean_return is None
+            or lower_bound(returns, self.returns[0], self.level) >= self._lowest_bound
+        )
 
     @property
     def _lowest_bound(self) -> float:
@@ -182,8 +200,8 @@ class Confirmation:
 def _cautious_mean(done: Sequence[Episode]) -> float:
     """The mean return less its standard error.
 
-    Planned for the mean itself, a policy of PitEscape had 0.912 in its evaluation and 0.908 in its confirmation, which failed
-    because 100 starts were too few.
+    Planned for the mean itself, a policy of PitEscape had 0.912 in its evaluation and 0.908 in its
+    confirmation, which failed because 100 starts were too few.
     """
     returns = [episode.total_return for episode in done]
     error = stdev(returns) / math.sqrt(len(returns)) if len(returns) > 1 else 0.0
@@ -191,17 +209,19 @@ def _cautious_mean(done: Sequence[Episode]) -> float:
 
 
 def worst_returns(level: float) -> int:
-    """How many worst returns the lower bound at a confidence of `1 - level` includes: 2, 3, 4 for the first confirmations.
+    """How many worst returns the lower bound at a confidence of `1 - level` includes: 2, 3, 4 for the first
+    confirmations.
 
-    A sample often lacks a rare failure, and its standard deviation is then too small. A. Agresti and B. Coull (Am. Stat. 52,
-    1998) add z^2 / 2 failures to a proportion, where z is the normal quantile. With a single one, 8 to 13 % of the trainings
-    whose episodes return 0 or 1 stopped with a policy that is too weak.
+    A sample often lacks a rare failure, and its standard deviation is then too small. A. Agresti and B. Coull
+    (Am. Stat. 52, 1998) add z^2 / 2 failures to a proportion, where z is the normal quantile. With a single
+    one, 8 to 13 % of the trainings whose episodes return 0 or 1 stopped with a policy that is too weak.
     """
     return math.ceil(NormalDist().inv_cdf(1 - level) ** 2 / 2)
 
 
 def lower_bound(returns: Sequence[float], worst: float, level: float) -> float:
-    """Student's one-sided lower bound of a mean return at a confidence of `1 - level`, with `worst_returns` added."""
+    """Student's one-sided lower bound of a mean return at a confidence of `1 - level`, with `worst_returns`
+    added."""
     from scipy.special import stdtrit
 
     values = [*returns, *[worst] * worst_returns(level)]
@@ -210,9 +230,12 @@ def lower_bound(returns: Sequence[float], worst: float, level: float) -> float:
 
 
 def upper_bound(returns: Sequence[float], level: float) -> float:
-    """Student's one-sided upper bound of a mean return at a confidence of `1 - level`; infinite for fewer than two returns."""
+    """Student's one-sided upper bound of a mean return at a confidence of `1 - level`; infinite for fewer
+    than two returns."""
     from scipy.special import stdtrit
 
     if len(returns) < 2:
         return math.inf
-    return fmean(returns) + float(stdtrit(len(returns) - 1, 1 - level)) * stdev(returns) / math.sqrt(len(returns))
+    return fmean(returns) + float(stdtrit(len(returns) - 1, 1 - level)) * stdev(returns) / math.sqrt(
+        len(returns)
+    )

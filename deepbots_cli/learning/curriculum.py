@@ -17,7 +17,8 @@ from deepbots_cli.rollout import Episode
 
 @dataclass(frozen=True)
 class CompletedStage:
-    """A stage that is done: when, counted from the start of the training, and by which value of its criterion."""
+    """A stage that is done: when, counted from the start of the training, and by which value of its
+    criterion."""
 
     name: str
     steps: int
@@ -26,7 +27,8 @@ class CompletedStage:
 
 
 class CurriculumState(BaseModel, strict=True, allow_inf_nan=False):
-    """What a checkpoint keeps: the stages that are done, the first step of the present one, and its recent values."""
+    """What a checkpoint keeps: the stages that are done, the first step of the present one, and its recent
+    values."""
 
     ends: Annotated[list[CompletedStage], Field(max_length=1_000)]
     first_step: NonNegativeInt
@@ -38,8 +40,9 @@ class CurriculumState(BaseModel, strict=True, allow_inf_nan=False):
 class Curriculum:
     """Follows a training through the stages of its scenario; without stages, there is the scenario alone.
 
-    Worlds change over one by one, each when its episode ends: no episode is cut short, and an episode of an earlier stage does not
-    count for a later one. A criterion over episodes counts whole generations of the worlds.
+    Worlds change over one by one, each when its episode ends: no episode is cut short, and an episode of an
+    earlier stage does not count for a later one. A criterion over episodes counts whole generations of the
+    worlds.
 
     Args:
         program: The scenario.
@@ -114,10 +117,13 @@ class Curriculum:
         return self._add(episode.total_return, float(episode.is_success), steps, episodes, world)
 
     def add_evaluation(self, mean_return: float, success_rate: float, steps: int, episodes: int) -> bool:
-        """Count an evaluation in the present stage; whether the next one begins after it. `steps` and `episodes` are as for `add`."""
+        """Count an evaluation in the present stage; whether the next one begins after it. `steps` and
+        `episodes` are as for `add`."""
         return self._add(mean_return, success_rate, steps, episodes, None)
 
-    def _add(self, mean_return: float, success_rate: float, steps: int, episodes: int, world: int | None) -> bool:
+    def _add(
+        self, mean_return: float, success_rate: float, steps: int, episodes: int, world: int | None
+    ) -> bool:
         """Count an episode of a world, or an evaluation, which has none."""
         until = self.criterion
         if until is None or (until.episodes is None) != (world is None):
@@ -138,7 +144,9 @@ class Curriculum:
             return place
         form = ",.0f" if until.metric == "steps" else ".3g"
         metric = until.metric.replace("_", " ") + (" in evaluation" if until.episodes is None else "")
-        return f"{place}: {metric} {'-' if value is None else format(value, form)} of {until.threshold:{form}}"
+        return (
+            f"{place}: {metric} {'-' if value is None else format(value, form)} of {until.threshold:{form}}"
+        )
 
     def state(self) -> CurriculumState:
         recent, worlds = self._recent.state()

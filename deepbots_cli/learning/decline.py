@@ -1,19 +1,22 @@
-"""Whether a training fell apart: its last held-out evaluations are worse than earlier ones by more than chance.
+"""Whether a training fell apart: its last held-out evaluations are worse than earlier ones by more than
+chance.
 
-The evaluations of a training have 20 fixed starts each, and the last one is at its end. Those of the last quarter of the
-present stage, and the last two alone, are compared with every earlier window of one or three evaluations in a row. A window shows a
-decline if three things hold:
+The evaluations of a training have 20 fixed starts each, and the last one is at its end. Those of the last
+quarter of the present stage, and the last two alone, are compared with every earlier window of one or three
+evaluations in a row. A window shows a decline if three things hold:
 
-- It is better than the last evaluations by more than chance: with Student's paired test over the starts, because some of
-  them are harder than others in every evaluation. The best of many windows looks better than it is, so the level of each
-  test is `FALSE_ALARMS` divided by the number of comparisons (Bonferroni's inequality).
-- The difference is at least `MIN_EFFECT`: points of the success rate, or a share of the range of returns since then. It
-  is also at least `MIN_SHARE` of the range of all returns, so that small differences between perfect returns do not count.
-  One or two evaluations must differ by `MIN_EFFECT_OF_FEW` and `MIN_SHARE_OF_FEW`: the policy changes from update to update.
+- It is better than the last evaluations by more than chance: with Student's paired test over the starts,
+  because some of them are harder than others in every evaluation. The best of many windows looks better than
+  it is, so the level of each test is `FALSE_ALARMS` divided by the number of comparisons (Bonferroni's
+  inequality).
+- The difference is at least `MIN_EFFECT`: points of the success rate, or a share of the range of returns
+  since then. It is also at least `MIN_SHARE` of the range of all returns, so that small differences between
+  perfect returns do not count. One or two evaluations must differ by `MIN_EFFECT_OF_FEW` and
+  `MIN_SHARE_OF_FEW`: the policy changes from update to update.
 - The very last evaluation is lower by this difference too, so that the training has not recovered.
 
-`tests/learning/test_decline.py` measures how often healthy trainings raise a false alarm. Nothing is compiled, and neither
-numpy nor torch is imported.
+`tests/learning/test_decline.py` measures how often healthy trainings raise a false alarm. Nothing is
+compiled, and neither numpy nor torch is imported.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ from typing import Any
 
 from deepbots_cli.learning.episodes import read_evaluations
 from deepbots_cli.learning.order import Measure
-from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.records import RunRecord
 
 FALSE_ALARMS = 0.01
 """The largest probability that a training whose policy stays the same is said to decline."""
@@ -50,7 +53,8 @@ class Decline:
         last_value: The value of the last evaluations.
         last: What the last evaluations are, in words.
         last_steps: Steps at the first of them.
-        since_steps: Steps at the first of the worse evaluations: the split into two means with the smallest squared error.
+        since_steps: Steps at the first of the worse evaluations: the split into two means with the smallest
+            squared error.
         best_episodes: Episodes of `best_value`, as `last_episodes` of `last_value`.
     """
 
@@ -72,9 +76,13 @@ class Decline:
     def text(self) -> str:
         """A sentence: what fell, from where to where, and when; without a full stop."""
         name = "success rate" if self.measure == "success_rate" else "mean return"
-        best, last = map("{:.0%}".format if self.measure == "success_rate" else "{:.4g}".format, (self.best_value, self.last_value))
+        best, last = map(
+            "{:.0%}".format if self.measure == "success_rate" else "{:.4g}".format,
+            (self.best_value, self.last_value),
+        )
         return (
-            f"the training got worse: the {name} of its evaluations fell from {best} at {self.best_steps:,} steps to {last}"
+            f"the training got worse: the {name} of its evaluations fell from {best} at {self.best_steps:,}"
+            f" steps to {last}"
             f" in {self.last} ({self.last_episodes:,} episodes), since about {self.since_steps:,} steps"
         )
 
@@ -90,7 +98,8 @@ def decline_of(run: Path, record: RunRecord) -> Decline | None:
 
 
 def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decline | None:
-    """By how much a training got worse in its present stage; None where it did not, or by no more than chance.
+    """By how much a training got worse in its present stage; None where it did not, or by no more than
+    chance.
 
     Args:
         evaluations: Those of `read_evaluations`, in order. Entries without `steps` are not of the training.
@@ -103,15 +112,20 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
         return None
     border = own[-1]["steps"] - LAST_SHARE * (own[-1]["steps"] - begin)
     quarter = sum(each["steps"] <= border for each in own)
-    splits = {quarter: "the last quarter"} | ({len(own) - 2: "the last two evaluations"} if quarter < len(own) - 2 else {})
+    splits = {quarter: "the last quarter"} | (
+        {len(own) - 2: "the last two evaluations"} if quarter < len(own) - 2 else {}
+    )
     for split, last in splits.items():
         if (fall := _fall(own, split, last, measure, level=FALSE_ALARMS / len(splits))) is not None:
             return fall
     return None
 
 
-def _fall(own: Sequence[Mapping[str, Any]], split: int, last: str, measure: Measure, *, level: float) -> Decline | None:
-    """By how much the evaluations from `split` on are worse than earlier ones, if a test at this level shows it."""
+def _fall(
+    own: Sequence[Mapping[str, Any]], split: int, last: str, measure: Measure, *, level: float
+) -> Decline | None:
+    """By how much the evaluations from `split` on are worse than earlier ones, if a test at this level shows
+    it."""
     is_rate = measure == "success_rate"
     scores = [list(map(float, each["successes" if is_rate else "returns"])) for each in own]
     late = _joined(scores[split:])
@@ -124,7 +138,9 @@ def _fall(own: Sequence[Mapping[str, Any]], split: int, last: str, measure: Meas
         effect = least if is_rate else max(least * _range(scores[window.start :]), share * _range(scores))
         if fmean(episodes) - max(fmean(late), fmean(scores[-1])) < effect or effect <= 0:
             continue
-        if paired(_of_starts(scores[window.start : window.stop]), _of_starts(scores[split:])) <= level / len(windows):
+        if paired(_of_starts(scores[window.start : window.stop]), _of_starts(scores[split:])) <= level / len(
+            windows
+        ):
             better.append((fmean(episodes), window))
     if not better:
         return None
@@ -168,12 +184,13 @@ def _change(means: Sequence[float]) -> int:
 
 
 def paired(better: Sequence[float], worse: Sequence[float]) -> float:
-    """The one-sided p-value that the mean of `better` is not higher, for the same starts in both: Student's test of the differences.
+    """The one-sided p-value that the mean of `better` is not higher, for the same starts in both: Student's
+    test of the differences.
 
-    One more start has the largest of the differences, in the other direction: `better` is the best of many windows, in which
-    rare failures are missing, so the variance is too small. Without it, up to 4 % of healthy trainings raised an alarm, with
-    it 0.7 %. Student's t is transformed to a normal variable, which needs no scipy (D. L. Wallace, Ann. Math. Stat. 30,
-    1959, p. 1124).
+    One more start has the largest of the differences, in the other direction: `better` is the best of many
+    windows, in which rare failures are missing, so the variance is too small. Without it, up to 4 % of
+    healthy trainings raised an alarm, with it 0.7 %. Student's t is transformed to a normal variable, which
+    needs no scipy (D. L. Wallace, Ann. Math. Stat. 30, 1959, p. 1124).
     """
     differences = [one - other for one, other in zip(better, worse, strict=False)]
     freedom = len(differences)

@@ -1,7 +1,8 @@
 """Demonstrations: the episodes of a recording, which teach a policy.
 
-The episodes are run again in the scenario of the training, from their seeds with their actions. So observations and rewards are those of
-this scenario, also where the recording was made in an earlier state of the file.
+The episodes are run again in the scenario of the training, from their seeds with their actions. So
+observations and rewards are those of this scenario, also where the recording was made in an earlier state of
+the file.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ class Demonstrations:
         actions: In the action space.
         rewards: Of shape (steps,).
         following: What it sees after each step.
-        terminated: Of shape (steps,): whether an ending of the scenario came with the step, and no time limit.
+        terminated: Of shape (steps,): whether an ending of the scenario came with the step, and no time
+            limit.
         episodes: Their results.
     """
 
@@ -56,16 +58,16 @@ def read_recording(path: str | Path, program: Program) -> Recording:
     Raises:
         UsageError: They differ, the file cannot be read or is too long, or several agents act in it.
     """
-    found = Recording.read(Path(path))
-    recorded = api.compile(Source.kept(found.folder, Permissions())).program
+    recording = Recording.read(Path(path))
+    recorded = api.compile(Source.kept(recording.folder, Permissions())).program
     differ = identity.differences(recorded, program, words=("recording", "scenario"))
     if differ:
         raise UsageError(f"the actions of {path} do not fit {program.name}:\n  " + "\n  ".join(differ))
     if program.agent.copies is not None:
         raise UsageError(f"{path} cannot teach copies of a robot; leave out --teacher")
-    if sum(len(episode.steps) for episode in found.episodes) > _MAX_STEPS:
+    if sum(len(episode.steps) for episode in recording.episodes) > _MAX_STEPS:
         raise UsageError(f"{path} has more than {_MAX_STEPS:,} steps; record fewer episodes")
-    return found
+    return recording
 
 
 def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demonstrations:
@@ -87,16 +89,26 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
     episodes = []
     with closing(build(scenario)) as world:
         for recorded in recording.episodes:
-            given = list(actions(recording, recorded, world.action_space))
-            episode = list(islice(steps(world, sequence_driver(given), Start(recorded.seed)), len(given) + 1))
+            shown_actions = list(actions(recording, recorded, world.action_space))
+            episode = list(
+                islice(
+                    steps(world, sequence_driver(shown_actions), Start(recorded.seed)), len(shown_actions) + 1
+                )
+            )
             seen += [step.observation for step in episode[:-1]]
             done += episode[1:]
             episodes.append(result_of(episode, recorded.seed))
     if not done:
         raise UsageError(f"{path} contains no step; record an episode first")
     if program.defines_success and not any(episode.is_success for episode in episodes):
-        count = "its episode does not succeed" if len(episodes) == 1 else f"none of its {len(episodes)} episodes succeeds"
-        raise UsageError(f"{path} cannot teach {program.name}: {count}; look at them with: deepbots replay {path}")
+        count = (
+            "its episode does not succeed"
+            if len(episodes) == 1
+            else f"none of its {len(episodes)} episodes succeeds"
+        )
+        raise UsageError(
+            f"{path} cannot teach {program.name}: {count}; look at them with: deepbots replay {path}"
+        )
     return Demonstrations(
         _stacked(seen),
         np.stack([step.action for step in done]),
@@ -109,4 +121,8 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
 
 def _stacked(observations: Sequence[Any]) -> Any:
     first = observations[0]
-    return {key: np.stack([seen[key] for seen in observations]) for key in first} if isinstance(first, dict) else np.stack(observations)
+    return (
+        {key: np.stack([seen[key] for seen in observations]) for key in first}
+        if isinstance(first, dict)
+        else np.stack(observations)
+    )

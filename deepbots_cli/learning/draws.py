@@ -1,8 +1,9 @@
 """The effect of drawn values on episodes: one test for a trend per value, corrected for the number of values.
 
-A scenario may draw dozens of values, and some of them differ between successes and failures by chance alone. Each value
-therefore has one test, and Holm's correction limits the probability that a value without an effect is named to `ALPHA`
-over all of them (S. Holm, Scand. J. Stat. 6, 1979). The tests find trends: a value that is best in its middle has none.
+A scenario may draw dozens of values, and some of them differ between successes and failures by chance alone.
+Each value therefore has one test, and Holm's correction limits the probability that a value without an effect
+is named to `ALPHA` over all of them (S. Holm, Scand. J. Stat. 6, 1979). The tests find trends: a value that
+is best in its middle has none.
 """
 
 from __future__ import annotations
@@ -27,17 +28,16 @@ Outcome = Literal["success", "return"]
 Floats = NDArray[np.float64]
 
 MAX_OPTIONS, BINS = 6, 4
-"""A value with at most 6 different outcomes has a part for each of them, any other value 4 parts with as many episodes
-each."""
+"""A value with at most 6 different outcomes has a part for each of them, any other value 4 parts with as many
+episodes each."""
 POWER = 0.9
 """The probability with which `DrawnEffects.detectable` is found."""
 _QUARTERS = 0.75 * math.sqrt(12)
-"""The difference of a linear trend between the means of the lowest and the highest quarter of a uniform value, in
-standard deviations of the outcome, over the coefficient of correlation."""
+"""The difference of a linear trend between the means of the lowest and the highest quarter of a uniform
+value, in standard deviations of the outcome, over the coefficient of correlation."""
 
 
-@dataclass(frozen=True)
-class DrawnBin(Summary):
+class DrawnBin(Summary, frozen=True):
     """The episodes in which a drawn value lies from `low` to `high`, both included, in SI units.
 
     For a drawn word, `low` and `high` are this word.
@@ -48,7 +48,8 @@ class DrawnBin(Summary):
 
 
 class DrawLabel(NamedTuple):
-    """The unit in which a scenario writes a drawn value, and whether the value is a parameter of the scenario."""
+    """The unit in which a scenario writes a drawn value, and whether the value is a parameter of the
+    scenario."""
 
     unit: Unit = ONE
     is_parameter: bool = False
@@ -63,16 +64,20 @@ class DrawLabel(NamedTuple):
 
 
 def draw_labels(program: Program, units: ShownUnits) -> dict[str, DrawLabel]:
-    """The label of each draw of a scenario, by its name without the copy of a robot; `units` are those of its file."""
-    return {entry.name: DrawLabel(entry.unit or units.of(entry.si), entry.is_parameter) for entry in program.draws.entries}
+    """The label of each draw of a scenario, by its name without the copy of a robot; `units` are those of its
+    file."""
+    return {
+        entry.name: DrawLabel(entry.unit or units.of(entry.si), entry.is_parameter)
+        for entry in program.draws.entries
+    }
 
 
 @dataclass(frozen=True)
 class DrawnValue:
     """A drawn value and the episodes by its parts.
 
-    `chance` is the probability of such a trend where no value has an effect, after the correction for all values.
-    `has_effect` holds where it is at most `ALPHA`.
+    `chance` is the probability of such a trend where no value has an effect, after the correction for all
+    values. `has_effect` holds where it is at most `ALPHA`.
     """
 
     name: str
@@ -89,11 +94,12 @@ class DrawnEffects:
     Attributes:
         outcome: What is tested: success where some of the episodes succeed, else the return.
         starts: The number of different starts; episodes of several policies from one start count as one.
-        detectable: The effect that is found with a probability of `POWER`: the difference of the outcome between the
-            lowest and the highest quarter of a value. None where so few episodes show no possible effect.
+        detectable: The effect that is found with a probability of `POWER`: the difference of the outcome
+            between the lowest and the highest quarter of a value. None where so few episodes show no possible
+            effect.
         is_constant: Whether all episodes have the same outcome.
-        values: The values by name: those with an effect first, then those without; in both, parameters of the scenario
-            first, the smallest `chance` first.
+        values: The values by name: those with an effect first, then those without; in both, parameters of the
+            scenario first, the smallest `chance` first.
     """
 
     outcome: Outcome
@@ -120,7 +126,8 @@ class DrawnEffects:
             points = f"{100 * self.detectable:.0f} percentage points"
             amount = points if self.outcome == "success" else f"{self.detectable:.3g} in the return"
             size = (
-                f"with {self.starts:,} episodes, a difference of {amount} between the lowest and the highest quarter"
+                f"with {self.starts:,} episodes, a difference of {amount} between the lowest and the highest"
+                " quarter"
                 f" of a value is found with a probability of {POWER:.0%}"
             )
         if count and self.detectable is None:
@@ -129,10 +136,14 @@ class DrawnEffects:
         named = f"{count} of {many} {verb}" if count else f"none of {many} has"
         if total == 1:
             named = f"{many} has" if count else f"{many} does not have"
-        return f"{named} an effect on {'success' if self.outcome == 'success' else 'the return'}{f' ({size})' * bool(size)}"
+        return (
+            f"{named} an effect on"
+            f" {'success' if self.outcome == 'success' else 'the return'}{f' ({size})' * bool(size)}"
+        )
 
     def as_json(self, *, success_defined: bool) -> dict[str, Any]:
-        """The fields, with the statistics of each part; those of success are None where no success is defined."""
+        """The fields, with the statistics of each part; those of success are None where no success is
+        defined."""
         hidden = () if success_defined else SUCCESS_STATISTICS
         values = {
             name: {
@@ -159,7 +170,8 @@ def by_drawn_value(
 ) -> DrawnEffects:
     """The effect of each value that the episodes draw, by its place in the scenario.
 
-    Left out are values that do not vary, and values of single members of a group, which have no meaning of their own.
+    Left out are values that do not vary, and values of single members of a group, which have no meaning of
+    their own.
 
     Args:
         done: The episodes.
@@ -177,13 +189,15 @@ def by_drawn_value(
     for name in names:
         drawing = [episode for episode in done if name in episode.drawn]
         if _is_ordered([episode.drawn[name] for episode in drawing]):
-            found = _parts(drawing, name, bounds)
-            if len(found) > 1:
+            bins = _parts(drawing, name, bounds)
+            if len(bins) > 1:
                 starts, results = _by_start(drawing, outcome)
-                parts[name], chances[name] = found, _chance([start.drawn[name] for start in starts], results)
+                parts[name], chances[name] = bins, _chance([start.drawn[name] for start in starts], results)
     corrected = _holm(chances)
     values = [
-        DrawnValue(name, (labels or {}).get(without_copy(name), DrawLabel()), chance, chance <= ALPHA, parts[name])
+        DrawnValue(
+            name, (labels or {}).get(without_copy(name), DrawLabel()), chance, chance <= ALPHA, parts[name]
+        )
         for name, chance in corrected.items()
     ]
     values.sort(key=lambda value: (not value.has_effect, not value.label.is_parameter, value.chance))
@@ -193,7 +207,9 @@ def by_drawn_value(
         needed = float(ndtri(1 - ALPHA / (2 * len(values))) + ndtri(POWER)) / math.sqrt(len(results) - 1)
         detectable = _detectable(needed, results, outcome)
     is_constant = bool(len(results)) and float(np.ptp(results)) == 0
-    return DrawnEffects(outcome, len(results), detectable, is_constant, {value.name: value for value in values})
+    return DrawnEffects(
+        outcome, len(results), detectable, is_constant, {value.name: value for value in values}
+    )
 
 
 def _is_ordered(drawn: Sequence[object]) -> bool:
@@ -211,11 +227,7 @@ def _parts(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnB
         edges = [len(ordered) * part // BINS for part in range(BINS + 1)]
         parts = [ordered[first:end] for first, end in pairwise(edges)]
     return tuple(
-        DrawnBin(
-            **vars(Summary.of_episodes(part, bounds)),
-            low=part[0].drawn[name],
-            high=part[-1].drawn[name],
-        )
+        DrawnBin.of_episodes(part, bounds, low=part[0].drawn[name], high=part[-1].drawn[name])
         for part in parts
         if part
     )
@@ -234,7 +246,8 @@ def _by_start(done: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode],
         key = ("number", number) if episode.seed is None else ("seed", episode.seed)
         groups.setdefault(key, []).append(episode)
     values = [
-        sum(episode.is_success if outcome == "success" else episode.total_return for episode in group) / len(group)
+        sum(episode.is_success if outcome == "success" else episode.total_return for episode in group)
+        / len(group)
         for group in groups.values()
     ]
     return [group[0] for group in groups.values()], np.array(values, float)
@@ -243,9 +256,9 @@ def _by_start(done: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode],
 def _chance(drawn: Sequence[float | str], results: Floats) -> float:
     """The two-sided probability of a trend at least as strong where the value has no effect.
 
-    The outcome, or its rank where it has more than two values, is compared with the rank of the value: for success, this
-    is the test of Wilcoxon, Mann and Whitney; for returns, it is Spearman's. Words have no order: each of them is
-    compared with all others, with Bonferroni's correction.
+    The outcome, or its rank where it has more than two values, is compared with the rank of the value: for
+    success, this is the test of Wilcoxon, Mann and Whitney; for returns, it is Spearman's. Words have no
+    order: each of them is compared with all others, with Bonferroni's correction.
     """
     ranks = results if len(set(results.tolist())) <= 2 else _ranks(results)
     words = sorted({value for value in drawn if isinstance(value, str)})
@@ -264,11 +277,12 @@ def _ranks(values: Floats) -> Floats:
 
 
 def _association(first: Floats, second: Floats) -> float:
-    """The two-sided probability that the sum of products is at least as far from its mean under random pairing.
+    """The two-sided probability that the sum of products is at least as far from its mean under random
+    pairing.
 
-    The distribution over all pairings has a known variance and skewness, and is taken as Pearson's of type III; the
-    normal distribution takes a rare value that meets two rare failures for certain evidence. Where both have two values
-    only, Fisher's test is exact.
+    The distribution over all pairings has a known variance and skewness, and is taken as Pearson's of type
+    III; the normal distribution takes a rare value that meets two rare failures for certain evidence. Where
+    both have two values only, Fisher's test is exact.
     """
     from scipy.special import gammainc, gammaincc, ndtr
 
@@ -289,7 +303,8 @@ def _association(first: Floats, second: Floats) -> float:
 
 
 def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
-    """Fisher's test: the probability of all tables that are no more probable than this one, given their margins."""
+    """Fisher's test: the probability of all tables that are no more probable than this one, given their
+    margins."""
     from scipy.special import gammaln
 
     count, ones, chosen = len(first), int(first.sum()), int(second.sum())
@@ -312,8 +327,11 @@ def _holm(chances: Mapping[str, float]) -> dict[str, float]:
 
 
 def _detectable(correlation: float, results: Floats, outcome: Outcome) -> float | None:
-    """The difference between the outer quarters of a value with this coefficient of correlation, if it is possible."""
+    """The difference between the outer quarters of a value with this coefficient of correlation, if it is
+    possible."""
     difference = _QUARTERS * correlation * float(results.std())
     rate = float(results.mean())
-    largest = min(1.0, 4 * min(rate, 1 - rate)) if outcome == "success" else math.inf  # all failures in one quarter
+    largest = (
+        min(1.0, 4 * min(rate, 1 - rate)) if outcome == "success" else math.inf
+    )  # all failures in one quarter
     return difference if correlation < 1 and 0 < difference <= largest else None

@@ -41,7 +41,9 @@ def reasons_against_batch(program: Program, worlds: int, engine: str, build: Wor
         return ["a script reads what only a single world computes"]
     own = [] if getattr(build, "func", None) is api.build else ["the argument `build` makes its worlds"]
     stages = [stage.program for stage in program.curriculum]
-    return list(dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in batch_obstacles(one))]))
+    return list(
+        dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in batch_obstacles(one))])
+    )
 
 
 def _rows(program: Program, worlds: int) -> int:

@@ -1,4 +1,5 @@
-"""What episodes leave behind: the log, moving means, when the task was first solved, and summaries with intervals of 95 %."""
+"""What episodes leave behind: the log, moving means, when the task was first solved, and summaries with
+intervals of 95 %."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, Self, TextIO
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
@@ -37,12 +38,25 @@ UNBOUNDED: Interval = (-math.inf, math.inf)
 
 
 class EpisodeLog:
-    """`monitor.csv`: a line per episode, in the format of Gym's monitor, which the `load_results` of learning libraries reads.
+    """`monitor.csv`: a line per episode, in the format of Gym's monitor, which the `load_results` of learning
+    libraries reads.
 
-    r, l, t (return, length, seconds since the start), then our columns; `drawn` holds the drawn values as JSON. Appends to what is there.
+    r, l, t (return, length, seconds since the start), then our columns; `drawn` holds the drawn values as
+    JSON. Appends to what is there.
     """
 
-    COLUMNS = ("r", "l", "t", "episode", "steps", "simulated_hours", "is_success", "ended_by", "stage", "drawn")
+    COLUMNS = (
+        "r",
+        "l",
+        "t",
+        "episode",
+        "steps",
+        "simulated_hours",
+        "is_success",
+        "ended_by",
+        "stage",
+        "drawn",
+    )
 
     def __init__(self, path: Path, scenario: str) -> None:
         self._path, self._scenario = path, scenario
@@ -65,7 +79,13 @@ class EpisodeLog:
         except OSError as error:
             raise StorageError(unwritable_message(self._path, error)) from error
 
-    def write(self, episode: Episode, statistics: Statistics, stage: str | None = None, drawn: Mapping[str, Any] | None = None) -> None:
+    def write(
+        self,
+        episode: Episode,
+        statistics: Statistics,
+        stage: str | None = None,
+        drawn: Mapping[str, Any] | None = None,
+    ) -> None:
         if self._stream is None:
             raise RuntimeError("the log is not open")
         row: dict[str, Any] = {
@@ -89,7 +109,8 @@ class EpisodeLog:
 
 
 def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
-    """The lines of a `monitor.csv`, or those in its last `tail` bytes; a last line that is half written is left out.
+    """The lines of a `monitor.csv`, or those in its last `tail` bytes; a last line that is half written is
+    left out.
 
     Raises:
         RunError: It is no regular file, too large to be read whole, or no table.
@@ -121,8 +142,8 @@ def read_log(path: Path, *, tail: int | None = None) -> list[dict[str, str]]:
 def read_evaluations(run: Path) -> list[dict[str, Any]]:
     """The evaluations during a training, in order; a last line that is half written is left out.
 
-    They are dictionaries of `steps`, of the `stage` of the curriculum in which the policy acted ("" without one), and of the
-    `returns` and `successes` of their episodes, as numbers.
+    They are dictionaries of `steps`, of the `stage` of the curriculum in which the policy acted ("" without
+    one), and of the `returns` and `successes` of their episodes, as numbers.
 
     Raises:
         RunError: The file is no regular file, too large, or damaged.
@@ -154,8 +175,8 @@ def read_evaluations(run: Path) -> list[dict[str, Any]]:
 class SolvedAt:
     """When a confirmation first showed that the task is solved, with its mean return and success rate.
 
-    `cpu_seconds` counts from the start of the training. Versions before 0.2 took the recent episodes of the training
-    instead of a confirmation.
+    `cpu_seconds` counts from the start of the training. Versions before 0.2 took the recent episodes of the
+    training instead of a confirmation.
     """
 
     episode: int
@@ -220,11 +241,13 @@ class Statistics:
         return self.cpu_seconds_before + time.process_time() - self._began
 
     def has_episodes(self, count: int) -> bool:
-        """Whether the present stage has so many episodes, or as many as the means are over if these are fewer."""
+        """Whether the present stage has so many episodes, or as many as the means are over if these are
+        fewer."""
         return self._present >= min(count, self._window_episodes)
 
     def newest(self, count: int) -> list[Episode] | None:
-        """The newest whole generations of at least `count` episodes; all recent ones if the means are over fewer.
+        """The newest whole generations of at least `count` episodes; all recent ones if the means are over
+        fewer.
 
         None while there are not so many.
         """
@@ -277,7 +300,9 @@ class Statistics:
 
     def note_solved(self, mean_return: float, success_rate: float) -> None:
         """A confirmation with this mean return and success rate has shown that the task is solved."""
-        self.solved_at = SolvedAt(self.episodes, self.steps, self.simulated_hours, self.cpu_seconds, mean_return, success_rate)
+        self.solved_at = SolvedAt(
+            self.episodes, self.steps, self.simulated_hours, self.cpu_seconds, mean_return, success_rate
+        )
 
     def state(self) -> StatisticsState:
         recent, worlds = self._window.state()
@@ -305,7 +330,8 @@ class Statistics:
 
 
 def meets_solved(solved: Solved, mean_return: float, success_rate: float) -> bool:
-    """Whether means over enough episodes count as solved: every threshold that the scenario names is reached."""
+    """Whether means over enough episodes count as solved: every threshold that the scenario names is
+    reached."""
     return (solved.mean_return is None or mean_return >= solved.mean_return) and (
         solved.success_rate is None or success_rate >= solved.success_rate
     )
@@ -317,37 +343,52 @@ SUCCESS_STATISTICS = ("successes", "success_rate", "success_interval")
 """Fields of `Summary` that mean nothing where the scenario defines no success."""
 
 
-@dataclass(frozen=True)
-class Summary:
-    """Statistics of `episodes` episodes. Intervals are at 95 %: Student's for the mean return, Wilson's for the success rate.
+class Scores(BaseModel, frozen=True):
+    """The scores of `episodes` episodes. Intervals are at 95 %: Student's for the mean return, Wilson's for
+    the success rate.
 
-    `std_return` is the standard deviation of the sample; it and `return_interval` are None for a single episode. `interquartile_mean` is
-    the mean of the middle half of the returns. `endings` counts endings, the most frequent first; `term_means` are the reward terms per
-    episode.
+    `std_return` is the standard deviation of the sample; it and `return_interval` are None for a single
+    episode. What an older version did not write is None, and so are statistics of a success that the scenario
+    does not define.
     """
 
     episodes: int
     mean_return: float
-    std_return: float | None
+    std_return: float | None = None
     return_interval: Interval | None
+    success_rate: float | None
+    success_interval: Interval | None
+
+
+class Summary(Scores, frozen=True):
+    """All statistics of episodes.
+
+    `interquartile_mean` is the mean of the middle half of the returns. `endings` counts endings, the most
+    frequent first; `term_means` are the reward terms per episode. Without a defined success, `success_rate`
+    is 0.
+    """
+
+    success_rate: float
+    success_interval: Interval
     interquartile_mean: float
     least_return: float
     greatest_return: float
     successes: int
-    success_rate: float
-    success_interval: Interval
     mean_length: float
     endings: Mapping[str, int]
     term_means: Mapping[str, float]
 
     @classmethod
-    def of_episodes(cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED, error: float = 0.05) -> Summary:
+    def of_episodes(
+        cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED, error: float = 0.05, **further: Any
+    ) -> Self:
         """The summary of at least one episode.
 
         Args:
             done: The episodes.
             bounds: The possible returns.
             error: The probability that an interval misses the true value.
+            further: The fields of a subclass.
         """
         # scipy is imported here: commands that only read runs work without it.
         from deepbots_cli.learning.statistics import interquartile_mean, mean_interval, wilson
@@ -369,6 +410,7 @@ class Summary:
             mean_length=fmean(episode.length for episode in done),
             endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
             term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
+            **further,
         )
 
     def meets_solved(self, solved: Solved | None) -> bool:

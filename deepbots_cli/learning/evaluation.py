@@ -4,30 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Mapping, Sequence
-from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
 
 import gymnasium as gym
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from deepbots_cli import api
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.api import Compiled, build_batch
+from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
-from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch, supervisor_factory
-from deepbots_cli.learning.episodes import UNBOUNDED, Summary
+from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
+from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Summary
 from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Executor, Watcher, results
-from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.run import ModelName, ModelRef, Run, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.records import Evaluation, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.statistics import ALPHA
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
@@ -35,7 +37,7 @@ from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, play_batch, play_episodes
+from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, in_order
 from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.rollout.worlds import has_copies
 from deepbots_cli.runtime.spaces import action_space, observation_space
@@ -43,57 +45,32 @@ from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 
 MAX_BATCH_WORLDS = 32
-"""Worlds of a batch. What a batch does per step over arrays takes as long as 5 single worlds; those that end early rest at the end."""
+"""Worlds of a batch. What a batch does per step over arrays takes as long as 5 single worlds; those that end
+early rest at the end."""
 
 
-@dataclass(frozen=True)
-class EvaluationResult(Summary):
-    """The result of a policy in held-out episodes: their summary, the circumstances, and the episodes themselves.
+class EvaluationResult(Summary, Evaluation, frozen=True):
+    """The result of a policy in held-out episodes: their summary, the circumstances, and the episodes
+    themselves.
+
+    As JSON it has the effects of drawn values in place of `draws`, and statistics of a success that is not
+    defined are None.
 
     Attributes:
-        engine: None if `build` made the worlds.
-        case: Name of the case; None for the scenario itself. The same holds for `stage`.
-        elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of `--set`, `digest` is its digest.
-        agent: Name of the agent whose return is reported.
-        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`, `script NAME`.
-        model_steps: The steps of the training after which the model was saved; None for a baseline.
-        confirmation: The number of the confirmation that ended the training, if these are its episodes. The intervals then cover all
-            confirmations of the training together.
-        planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation early.
-        circumstances: Differences from an evaluation of the best model in the scenario of the training, in words.
-        success_defined: Whether the scenario defines success; if not, the success rate is 0 without a meaning.
-        solved: None if the scenario has no `solved`, or if its criterion needs more episodes (`required_episodes`) than were run.
         verdict: `solved` in words.
-        return_bounds: Smallest and largest possible return of an episode, if deepbots can derive them from rewards and time limit.
-            Confidence intervals are cut at them.
+        return_bounds: Smallest and largest possible return of an episode, if deepbots can derive them from
+            rewards and time limit. Confidence intervals are cut at them.
         outcomes: The episodes, in the order of their seeds.
         draws: The labels of the values that the scenario draws, by name.
     """
 
     run: Path
     scenario: str
-    engine: str | None
-    case: str | None
-    stage: str | None
-    elsewhere: str | None
-    set: tuple[str, ...]
-    digest: str
-    agent: str
-    model: str
-    model_steps: int | None
-    confirmation: int | None
-    seed: int
-    planned: int
-    required_episodes: int | None
-    deterministic: bool
-    circumstances: tuple[str, ...]
-    success_defined: bool
-    solved: bool | None
     verdict: str
     notes: tuple[str, ...]
     return_bounds: tuple[float | None, float | None]
-    outcomes: tuple[Episode, ...] = field(repr=False)
-    draws: Mapping[str, DrawLabel] = field(repr=False)
+    outcomes: tuple[Episode, ...] = Field(repr=False)
+    draws: Mapping[str, DrawLabel] = Field(repr=False, exclude=True)
 
     @property
     def possible_returns(self) -> tuple[float, float]:
@@ -102,14 +79,18 @@ class EvaluationResult(Summary):
         return -math.inf if low is None else low, math.inf if high is None else high
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """`circumstances`, and remarks on the number of episodes."""
-        return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
-
-    @property
     def by_drawn_value(self) -> DrawnEffects:
         """The effects of drawn values, and success and return in a few parts of the range of each."""
         return by_drawn_value(self.outcomes, self.draws, self.possible_returns)
+
+    @model_serializer(mode="wrap")
+    def _with_effects(self, fields: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        hidden = () if self.success_defined else SUCCESS_STATISTICS
+        return {
+            **fields(self),
+            **dict.fromkeys(hidden),
+            "by_drawn_value": self.by_drawn_value.as_json(success_defined=self.success_defined),
+        }
 
 
 def evaluate(
@@ -132,31 +113,39 @@ def evaluate(
 ) -> EvaluationResult:
     """Evaluate the policy of a run on episodes that it was not trained on.
 
-    Each episode has its own seed, derived from `seed` and the episode number. The result therefore does not depend on the number of worlds,
-    and the first ten of a hundred episodes are the same as in an evaluation of ten episodes. Training episodes use other seeds. All cases
-    use the same seeds, so they differ only in their settings.
+    Each episode has its own seed, derived from `seed` and the episode number. The result therefore does not
+    depend on the number of worlds, and the first ten of a hundred episodes are the same as in an evaluation
+    of ten episodes. Training episodes use other seeds. All cases use the same seeds, so they differ only in
+    their settings.
 
     Args:
         run: The run, its directory, or the file of a model in it.
-        episodes: Number of episodes; by default that of the scenario, or as many as its `solved` asks for if these are more.
-        seed: Root seed of the episodes, from 0; by default that of the training. Without `episodes`, it is that of the confirmation
-            which ended the training: an evaluation of the best model then repeats it.
-        deterministic: Whether the policy takes its most likely action; otherwise it samples actions, also from seeded streams.
+        episodes: Number of episodes; by default that of the scenario, or as many as its `solved` asks for if
+            these are more.
+        seed: Root seed of the episodes, from 0; by default that of the training. Without `episodes`, it is
+            that of the confirmation which ended the training: an evaluation of the best model then repeats
+            it.
+        deterministic: Whether the policy takes its most likely action; otherwise it samples actions, also
+            from seeded streams.
         model: The name of the model where `run` names none: `best`, `last`, `step-000020000`.
-        scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must be those of the run.
+        scenario: Another scenario to evaluate in, as for `train`; its observation, action and messages must
+            be those of the run.
         case: Name of the case of `evaluation` to evaluate in.
         stage: Name of the stage of the curriculum to evaluate in.
-        copies: Number of single worlds to run at a time, 1 to 8. By default deepbots runs a batch of worlds if engine and scenario
-            support it, otherwise 8 single worlds.
+        copies: Number of single worlds to run at a time, 1 to 8. By default deepbots runs a batch of worlds
+            if engine and scenario support it, otherwise 8 single worlds.
         permissions: With `code`, the scenario may run functions of installed Python packages.
         engine: The physics engine; by default that of the training, or of `scenario` if it names another.
         build: Function that makes a world of the scenario, in place of the generated supervisor.
-        on_episode: Called after each episode with the number of finished episodes and the number of all episodes.
-        until: Called with the first k episodes for k = 1, 2, ...; return True to stop. The result then contains only these k episodes.
+        on_episode: Called after each episode with the number of finished episodes and the number of all
+            episodes.
+        until: Called with the first k episodes for k = 1, 2, ...; return True to stop. The result then
+            contains only these k episodes.
         executor: Where the episodes run; the result does not depend on it.
 
     Raises:
-        RunError: The folder is not a run, is damaged, or does not match `scenario`; the message lists the differences by field.
+        RunError: The folder is not a run, is damaged, or does not match `scenario`; the message lists the
+            differences by field.
         UsageError: A number is out of range.
     """
     ref = ModelRef.open(run, model=model)
@@ -171,17 +160,23 @@ def evaluate(
         raise UsageError("`build` makes worlds in this process only; leave out the workers")
     parts = min(executor.workers, rounds)
     # Each begins with row 0 of a forward pass, as in this process.
-    bounds = [min(setting.episodes, FORWARD_BATCH_SIZE * (rounds * part // parts)) for part in range(parts + 1)]
-    given: dict[str, Any] = {"episodes": episodes, "seed": seed, "scenario": setting.judged, "case": case, "stage": stage}
-    given |= {"permissions": permissions, "engine": engine}
-    calls = [_Part(setting.run, given, range(*part), policy) for part in pairwise(bounds)]
+    bounds = [
+        min(setting.episodes, FORWARD_BATCH_SIZE * (rounds * part // parts)) for part in range(parts + 1)
+    ]
+    part_options: dict[str, Any] = {
+        "episodes": episodes,
+        "seed": seed,
+        "scenario": setting.judged,
+        "case": case,
+        "stage": stage,
+    }
+    part_options |= {"permissions": permissions, "engine": engine}
+    calls = [_Part(setting.run, part_options, range(*part), policy) for part in pairwise(bounds)]
     watcher = _Finished(on_episode, setting.episodes)
-    done = []
-    with closing(results(executor.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))) as found:
-        for episode in chain.from_iterable(found):
-            done.append(episode)
-            if until is not None and until(done):
-                break
+    with closing(
+        results(executor.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))
+    ) as played:
+        done = in_order(enumerate(chain.from_iterable(played)), range(setting.episodes), until=until)
     return setting.result(model, done, deterministic=deterministic)
 
 
@@ -204,7 +199,9 @@ class _Part(NamedTuple):
 
 
 def _play_part(part: _Part, attempt: Attempt) -> list[Episode]:
-    return _Setting(part.run, **part.options).play(part.numbers, part.policy, lambda done, of: attempt.report(done))
+    return _Setting(part.run, **part.options).play(
+        part.numbers, part.policy, lambda done, of: attempt.report(done)
+    )
 
 
 def play_models(
@@ -258,11 +255,13 @@ def confirmation_result(run: Run, number: int, seed: int, done: Sequence[Episode
     return _Setting(run, len(done), seed).result("best", done, confirmation=number)
 
 
-def evaluate_trained(run: Run, *, permissions: Permissions = Permissions(), on_episode: OnEpisode | None = None) -> EvaluationResult:
+def evaluate_trained(
+    run: Run, *, permissions: Permissions = Permissions(), on_episode: OnEpisode | None = None
+) -> EvaluationResult:
     """The evaluation after a training: the confirmation that ended it, or else new episodes.
 
-    The confirmation is kept in the run already. New episodes are as many as `solved` asks for; if they meet it, there are more of
-    them where so few may do so by luck.
+    The confirmation is kept in the run already. New episodes are as many as `solved` asks for; if they meet
+    it, there are more of them where so few may do so by luck.
     """
     quoted = quoted_episodes(run)
     if quoted is None or quoted[1].confirmation is None:
@@ -275,7 +274,9 @@ def evaluate_trained(run: Run, *, permissions: Permissions = Permissions(), on_e
     return confirmation_result(run, kept.confirmation or 1, kept.seed, kept.outcomes)
 
 
-def until_enough(result: EvaluationResult, until: StopCondition, run: Run, **options: Any) -> EvaluationResult:
+def until_enough(
+    result: EvaluationResult, until: StopCondition, run: Run, **options: Any
+) -> EvaluationResult:
     """The result of `evaluate` with the same `options` and `until`, from a result with all episodes."""
     for count in range(1, result.episodes):
         if until(result.outcomes[:count]):
@@ -298,41 +299,52 @@ def evaluate_baselines(
     build: WorldFactory | None = None,
     on_episode: OnEpisode | None = None,
 ) -> tuple[EvaluationResult, ...]:
-    """Evaluate policies without learning on the starts of `evaluate`: random actions, zero actions, and each script of the scenario.
+    """Evaluate policies without learning on the starts of `evaluate`: random actions, zero actions, and each
+    script of the scenario.
 
-    Arguments and errors are as for `evaluate`. The `model` of a result is `random`, `zero` or `script NAME`. Random actions are sampled
-    by the action space, which the seed of each episode seeds.
+    Arguments and errors are as for `evaluate`. The `model` of a result is `random`, `zero` or `script NAME`.
+    Random actions are sampled by the action space, which the seed of each episode seeds.
     """
     setting = _Setting(run, episodes, seed, scenario, case, stage, permissions, engine, build)
+    scripts = {f"script {script.name}": script.name for script in setting.program.agent.scripts}
+    starts = [Start.of_evaluation(setting.seed, number) for number in range(setting.episodes)]
     results = []
     with closing(setting.build(setting.program)) as world:
-        scripts = {f"script {script.name}": script.name for script in setting.program.agent.scripts}
         for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
-            done = []
-            for number in range(setting.episodes):
-                done.append(play(world, named_driver(world, driver), Start.of_evaluation(setting.seed, number)))
-                if on_episode is not None:
-                    on_episode(len(done), setting.episodes)
-            results.append(setting.result(name, done))
+            finished = enumerate(play(world, named_driver(world, driver), start) for start in starts)
+            results.append(setting.result(name, in_order(finished, range(len(starts)), on_episode)))
     return tuple(results)
 
 
 def evaluate_cases(
-    run: Run | str | Path, *, scenario: Compiled | Scenario | str | Path | None = None, stages: bool = False, **options: Any
+    run: Run | str | Path,
+    *,
+    scenario: Compiled | Scenario | str | Path | None = None,
+    stages: bool = False,
+    **options: Any,
 ) -> tuple[EvaluationResult, ...]:
-    """Evaluate in every case of the scenario, in file order, and with `stages` in every stage of its curriculum too.
+    """Evaluate in every case of the scenario, in file order, and with `stages` in every stage of its
+    curriculum too.
 
     `options` are those of `evaluate`, except for `case`, `stage` and `until`.
     """
-    known = run if isinstance(run, Run) else Run.open(run)
+    opened = run if isinstance(run, Run) else Run.open(run)
     judged = None if scenario is None else api.compile(scenario)
-    program = known.program if judged is None else judged.program
-    cases = [evaluate(known, scenario=judged, case=case.name, **options) for case in program.cases]
-    return (*cases, *(evaluate(known, scenario=judged, stage=stage.name, **options) for stage in program.curriculum if stages))
+    program = opened.program if judged is None else judged.program
+    cases = [evaluate(opened, scenario=judged, case=case.name, **options) for case in program.cases]
+    return (
+        *cases,
+        *(
+            evaluate(opened, scenario=judged, stage=stage.name, **options)
+            for stage in program.curriculum
+            if stages
+        ),
+    )
 
 
 def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None) -> Learner:
-    """The model of a run, rebuilt from its scenario for the spaces of `world`, with the weights of `models/agent/<name>.zip`.
+    """The model of a run, rebuilt from its scenario for the spaces of `world`, with the weights of
+    `models/agent/<name>.zip`.
 
     Raises:
         RunError: The file is missing, damaged, or fits another policy.
@@ -345,9 +357,9 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     else:
         agent = next(iter(world.get_wrapper_attr("agents").values())) if has_copies(world) else world
         spaces = agent.observation_space, agent.action_space
-    found = learner.create(Setup(training, *spaces))
-    found.load(run.model(name))
-    return found
+    loaded = learner.create(Setup(training, *spaces))
+    loaded.load(run.model(name))
+    return loaded
 
 
 class _Setting:
@@ -376,7 +388,10 @@ class _Setting:
         program = (self.judged or run).program
         if self.judged is not None and (differences := identity.differences(run.program, program)):
             lines = "\n  ".join(differences)
-            raise RunError(f"{run.path} was trained with other observations, actions or messages than {program.name} defines:\n  {lines}")
+            raise RunError(
+                f"{run.path} was trained with other observations, actions or messages than {program.name}"
+                f" defines:\n  {lines}"
+            )
         self.program, self.case, self.stage = program.variant(case, stage), case, stage
         self.seed = run.evaluation_seed if seed is None else seed
         engine = engine or run.engine_for(self.program)
@@ -384,33 +399,45 @@ class _Setting:
         usual = self._usual_episodes()
         self.episodes = usual if episodes is None else episodes
         if seed is None and self._has_confirmed_starts and self.episodes != usual:
-            self.seed = run.record.seed  # those of the confirmation are selected: all of them were needed to pass
+            self.seed = (
+                run.record.seed
+            )  # those of the confirmation are selected: all of them were needed to pass
         if self.episodes < 1 or self.seed < 0:
-            raise UsageError(f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}")
+            raise UsageError(
+                f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}"
+            )
         self.build = build or supervisor_factory(engine, permissions=permissions)
 
     def play(
-        self, numbers: range, policy: _Policy, on_episode: OnEpisode | None = None, until: StopCondition | None = None
+        self,
+        numbers: range,
+        policy: _Policy,
+        on_episode: OnEpisode | None = None,
+        until: StopCondition | None = None,
     ) -> list[Episode]:
         """The episodes of these numbers, the first of which is a multiple of `FORWARD_BATCH_SIZE`."""
-        program, make, engine, count = self.program, self.build, self.engine or "", len(numbers)
-        every = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)]
-        seeds = every[numbers.start :]
-        with torch_settings(), ExitStack() as stack:
-            together = min(count, MAX_BATCH_WORLDS)
-            if policy.deterministic and policy.copies is None and not reasons_against_batch(program, together, engine, make):
-                many = stack.enter_context(closing(build_batch(program, together, engine=engine)))
-                model = load_model(self.run, policy.model, many.singles[0])
-                done = play_batch(model, many, seeds, on_episode=on_episode, until=until)
-                if done is not None:
-                    return done
-            run, worlds = self.run if self.judged is None else None, []
-            copies = max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE)) if policy.deterministic else 1
-            for _ in range(min(count, copies)):
-                worlds.append(FailureRecorder(make(program), run, program, seeds=every, case=self.case, stage=self.stage))
-                stack.callback(worlds[-1].close)
-            model = load_model(self.run, policy.model, worlds[0])
-            return play_episodes(model, worlds, seeds, deterministic=policy.deterministic, on_episode=on_episode, until=until)
+        seeds, count = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)], len(numbers)
+        copies = (
+            max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE))
+            if policy.deterministic
+            else 1
+        )
+        engine = self.engine if self.engine and policy.deterministic and policy.copies is None else ""
+        run = self.run if self.judged is None else None
+        made = EvaluationWorlds(
+            self.build, run, engine=engine, batch=min(count, MAX_BATCH_WORLDS), singles=min(count, copies)
+        )
+        with torch_settings(), closing(made) as worlds:
+            worlds.enter(self.program, case=self.case, stage=self.stage)
+            model = load_model(self.run, policy.model, worlds.first)
+            return worlds.play(
+                model,
+                seeds,
+                numbers,
+                deterministic=policy.deterministic,
+                on_episode=on_episode,
+                until=until,
+            )
 
     @property
     def _is_of_training(self) -> bool:
@@ -419,8 +446,10 @@ class _Setting:
         return is_own and self.engine == self.run.record.engine
 
     def _usual_episodes(self) -> int:
-        """The number of episodes: that of the scenario or the case, or that of the confirmation which they repeat."""
-        count, result = (self.judged or self.run).program.evaluation_episodes(self.case), self.run.record.result
+        """The number of episodes: that of the scenario or the case, or that of the confirmation which they
+        repeat."""
+        count = (self.judged or self.run).program.evaluation_episodes(self.case)
+        result = self.run.record.result
         best = None if result is None or not self._has_confirmed_starts else result.best_model
         return count if best is None or best.episodes is None else best.episodes
 
@@ -432,36 +461,61 @@ class _Setting:
         return is_same_seed and self._is_of_training
 
     def result(
-        self, model: str, done: Sequence[Episode], *, deterministic: bool = True, confirmation: int | None = None
+        self,
+        model: str,
+        done: Sequence[Episode],
+        *,
+        deterministic: bool = True,
+        confirmation: int | None = None,
     ) -> EvaluationResult:
         """The result of these episodes; `confirmation` is the number of the confirmation that they are."""
         run, program, engine, solved = self.run, self.program, self.engine, self.program.agent.solved
         if confirmation is None and model == "best" and deterministic and self._has_confirmed_starts:
             assert run.record.result is not None
             confirmation = run.record.result.confirmations
-        low, high = possible_returns(program) if engine else UNBOUNDED  # a world of the caller may pay anything
+        low, high = (
+            possible_returns(program) if engine else UNBOUNDED
+        )  # a world of the caller may pay anything
         file = self.run.model(model)
-        found = Summary.of_episodes(done, (low, high), ALPHA if confirmation is None else error_level(confirmation))
         is_confirmed = run.record.result is not None and run.record.result.confirmed_seed is not None
         number = 1 if run.record.result is None else run.record.result.confirmations + 1
-        needs_no_confirmation = confirmation is not None or (is_confirmed and model == "best" and self._is_of_training)
-        is_solved, verdict, required = solved_verdict(solved, done, (low, high), None if needs_no_confirmation else number)
+        needs_no_confirmation = confirmation is not None or (
+            is_confirmed and model == "best" and self._is_of_training
+        )
+        is_solved, verdict, required = solved_verdict(
+            solved, done, (low, high), None if needs_no_confirmation else number
+        )
         digest = (self.judged or run).digest
-        elsewhere, overrides = (None, ()) if self.judged is None or digest == run.record.digest else self._elsewhere(self.judged)
+        elsewhere, overrides = (
+            (None, ()) if self.judged is None or digest == run.record.digest else self._elsewhere(self.judged)
+        )
         circumstances = [f"scenario {elsewhere}"] if elsewhere else []
         if not elsewhere and run.record.digest not in (digest, run.digest):
             circumstances.append("scenario changed since the training")
         circumstances += [f"--set {quote(text)}" for text in overrides]
         circumstances += [f"case {self.case}"] if self.case else []
         circumstances += [f"stage {self.stage}"] if self.stage else []
-        circumstances += [f"engine {engine}, trained in {run.record.engine}"] if engine not in (None, run.record.engine) else []
-        circumstances += [f"{model} model" if run.model(model).is_file() else f"actions of {model}"] if model != "best" else []
+        circumstances += (
+            [f"engine {engine}, trained in {run.record.engine}"]
+            if engine not in (None, run.record.engine)
+            else []
+        )
+        circumstances += (
+            [f"{model} model" if run.model(model).is_file() else f"actions of {model}"]
+            if model != "best"
+            else []
+        )
         circumstances += ["actions sampled"] if not deterministic else []
         notes = [*run.notes(), *identity.timing_differences(run.program, program)]
         if confirmation is not None:
-            notes.append(f"these starts confirmed that the task is solved (confirmation {confirmation}), and ended the training")
-        return EvaluationResult(
-            **vars(found),
+            notes.append(
+                f"these starts confirmed that the task is solved (confirmation {confirmation}), and ended"
+                " the training"
+            )
+        return EvaluationResult.of_episodes(
+            done,
+            (low, high),
+            ALPHA if confirmation is None else error_level(confirmation),
             run=run.path,
             scenario=program.name,
             model=model,
@@ -469,7 +523,8 @@ class _Setting:
             confirmation=confirmation,
             success_defined=program.defines_success,
             solved=is_solved,
-            verdict=verdict + in_parentheses((*circumstances, *remark_on_episodes(len(done), self.episodes, None))),
+            verdict=verdict
+            + in_parentheses((*circumstances, *remark_on_episodes(len(done), self.episodes, None))),
             circumstances=tuple(circumstances),
             engine=engine,
             case=self.case,
@@ -489,8 +544,15 @@ class _Setting:
         )
 
     def _elsewhere(self, judged: Compiled) -> tuple[str | None, tuple[str, ...]]:
-        """The name of a scenario that replaces that of the run, and the assignments of `--set`, without that of another engine."""
+        """The name of a scenario that replaces that of the run, and the assignments of `--set`, without that
+        of another engine."""
         own = judged.source.resolve() == (self.run.path / RESOLVED_NAME).resolve()
-        name = judged.source.name if judged.source.name != RESOLVED_NAME else f"{judged.source.parent.name}/{RESOLVED_NAME}"
+        name = (
+            judged.source.name
+            if judged.source.name != RESOLVED_NAME
+            else f"{judged.source.parent.name}/{RESOLVED_NAME}"
+        )
         others = tuple(text for text in judged.overrides if text != f"world.engine={self.engine}")
-        return None if own else name, others or (judged.overrides if self.engine == self.run.record.engine else ())
+        return None if own else name, others or (
+            judged.overrides if self.engine == self.run.record.engine else ()
+        )

@@ -1,7 +1,7 @@
 """Where work runs: in this process, or on the workers of `deepbots_cli.cluster`.
 
-Work is calls of one function with several items, such as the seeds of a group, or the shards of one training. A result depends on its
-item only. A call whose worker was lost is repeated on another one.
+Work is calls of one function with several items, such as the seeds of a group, or the shards of one training.
+A result depends on its item only. A call whose worker was lost is repeated on another one.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ class CallOptions(TypedDict, total=False):
         watcher: Is told of reports, notes and results.
         files: Files that every worker must see.
         log: Returns the file for the output of the call with an item, on a worker.
-        stop: Returns whether to stop: calls that run on workers receive SIGTERM once, and no other call begins. With it, each call has a
-            process of its own.
+        stop: Returns whether to stop: calls that run on workers receive SIGTERM once, and no other call
+            begins. With it, each call has a process of its own.
     """
 
     watcher: Watcher
@@ -109,12 +109,16 @@ class Executor(Protocol):
         """The number of calls at a time."""
 
     def map(
-        self, function: Callable[[Item, Attempt], Result], items: Iterable[Item], **options: Unpack[CallOptions]
+        self,
+        function: Callable[[Item, Attempt], Result],
+        items: Iterable[Item],
+        **options: Unpack[CallOptions],
     ) -> Generator[Result | DeepbotsError | None]:
         """Call a function with each item, and yield the results in the order of the items.
 
-        A DeepbotsError that a call raises is yielded in its place, and the other calls go on. After a stop the results end early, and
-        None stands for a call that has not been completed. To close the generator ends the calls.
+        A DeepbotsError that a call raises is yielded in its place, and the other calls go on. After a stop
+        the results end early, and None stands for a call that has not been completed. To close the generator
+        ends the calls.
 
         Args:
             function: A function of a module, which takes an item. Workers need both to be picklable.
@@ -124,7 +128,9 @@ class Executor(Protocol):
             UsageError: A worker has other versions of deepbots or of its libraries, or does not see a file.
         """
 
-    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
+    def shards(
+        self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]
+    ) -> ShardPool:
         """The shards of a training, which end with `stack`; `note` is called with what the user should know.
 
         Raises:
@@ -137,22 +143,31 @@ class _ThisProcess:
     workers = 1
 
     def map(
-        self, function: Callable[[Item, Attempt], Result], items: Iterable[Item], **options: Unpack[CallOptions]
+        self,
+        function: Callable[[Item, Attempt], Result],
+        items: Iterable[Item],
+        **options: Unpack[CallOptions],
     ) -> Generator[Result | DeepbotsError | None]:
         watcher = options.get("watcher", UNWATCHED)
         for number, item in enumerate(items):
             outcome: Result | DeepbotsError
             try:
-                outcome = function(item, Attempt(1, partial(watcher.on_report, number), partial(watcher.on_note, number)))
+                outcome = function(
+                    item, Attempt(1, partial(watcher.on_report, number), partial(watcher.on_note, number))
+                )
             except DeepbotsError as error:
                 outcome = error
             watcher.on_done(number, outcome)
             yield outcome
 
-    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]) -> ShardPool:
+    def shards(
+        self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]
+    ) -> ShardPool:
         from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers  # which import torch
 
-        pool = LocalShards([Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))])
+        pool = LocalShards(
+            [Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))]
+        )
         stack.callback(pool.close)
         return pool
 

@@ -1,9 +1,10 @@
-"""Failures of an episode: a number that is not finite, a world that explodes. They are located, and kept for reproduction.
+"""Failures of an episode: a number that is not finite, a world that explodes. They are located, and kept for
+reproduction.
 
     failures/0001.json      the start of the episode, its actions, and the error
 
-`FailureRecorder` wraps each single world of a training or an evaluation of a run; `BatchFailureRecorder` does the same for a batch of
-worlds. `reproduce` repeats the episode of a file.
+`FailureRecorder` wraps each single world of a training or an evaluation of a run; `BatchFailureRecorder` does
+the same for a batch of worlds. `reproduce` repeats the episode of a file.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, RunError, UsageError
 from deepbots_cli.learning.curriculum import Curriculum
-from deepbots_cli.learning.run import Run, read_json, write_numbered
+from deepbots_cli.learning.directories import read_json, write_numbered
+from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
@@ -43,8 +45,9 @@ MAX_LOST_EPISODES, LOSS_WINDOW_EPISODES = 10, 100
 class Failure(BaseModel, strict=True):
     """An episode that failed.
 
-    `start` is the seed of its reset, or the states of the random generators before it. `actions` are in the action space, one per step.
-    `case` and `stage` name the variant of the scenario, if it is not the scenario itself.
+    `start` is the seed of its reset, or the states of the random generators before it. `actions` are in the
+    action space, one per step. `case` and `stage` name the variant of the scenario, if it is not the scenario
+    itself.
     """
 
     error: str
@@ -57,7 +60,8 @@ class Failure(BaseModel, strict=True):
 
 
 class FailureRecorder(HistoryRecorder):
-    """A world with the `history` of its running episode, whose failures name field or term, step, episode and seed.
+    """A world with the `history` of its running episode, whose failures name field or term, step, episode and
+    seed.
 
     A failure is an error of the world, a reward that is not finite, or an observation that is not finite.
 
@@ -86,7 +90,9 @@ class FailureRecorder(HistoryRecorder):
         self._run, self._program, self.seeds, self._episode = run, program, seeds, episode
         self._case, self._stage = case, stage
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         try:
             observation, info = super().reset(seed=seed, options=options)
         except DeepbotsError as error:
@@ -101,11 +107,15 @@ class FailureRecorder(HistoryRecorder):
         except DeepbotsError as error:
             self._fail(error)
         if not math.isfinite(outcome[1]):
-            terms = [name for name, value in outcome[4].get("reward_terms", {}).items() if not math.isfinite(value)]
+            terms = [
+                name for name, value in outcome[4].get("reward_terms", {}).items() if not math.isfinite(value)
+            ]
             culprit = f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms"
             self._fail(EvaluationError(f"step {len(self.history.actions)}: {culprit} is not finite"))
         if not is_finite(outcome[0]):
-            self._fail(EvaluationError(f"step {len(self.history.actions)}: {self._name(outcome[0])} is not finite"))
+            self._fail(
+                EvaluationError(f"step {len(self.history.actions)}: {self._name(outcome[0])} is not finite")
+            )
         return outcome
 
     def _name(self, observation: Any) -> str:
@@ -126,15 +136,20 @@ class FailureRecorder(HistoryRecorder):
         if isinstance(error, UsageError):
             raise error
         start = self.history.start
-        number = 1 + self.seeds.index(start) if isinstance(start, int) and start in self.seeds else self._episode()
-        text = _failure_text(str(error), number, self.history, run=self._run, case=self._case, stage=self._stage)
+        number = (
+            1 + self.seeds.index(start) if isinstance(start, int) and start in self.seeds else self._episode()
+        )
+        text = _failure_text(
+            str(error), number, self.history, run=self._run, case=self._case, stage=self._stage
+        )
         raise type(error)(text) from error
 
 
 class BatchFailureRecorder:
     """The failures of a batch of worlds in a training.
 
-    A world that becomes infinite or NaN is reset: its episode is lost. A batch that raises an error has failed.
+    A world that becomes infinite or NaN is reset: its episode is lost. A batch that raises an error has
+    failed.
 
     Args:
         run: The run that keeps a file of each failure.
@@ -152,19 +167,26 @@ class BatchFailureRecorder:
         curriculum: Curriculum,
         note: Callable[[str], None],
     ) -> None:
-        self._run, self._guarded, self._next_episode, self._curriculum, self._note = run, guarded, next_episode, curriculum, note
+        self._run = run
+        self._guarded = guarded
+        self._next_episode = next_episode
+        self._curriculum = curriculum
+        self._note = note
         self._losses: deque[int] = deque(maxlen=MAX_LOST_EPISODES)
         self._files = 0
 
     def record_lost(self, stage: int, loss: LostWorld, history: EpisodeHistory) -> None:
-        """Keep a lost episode and tell the user. There are files of the first ten, and of the one that ends the training.
+        """Keep a lost episode and tell the user. There are files of the first ten, and of the one that ends
+        the training.
 
         Raises:
             EngineError: Ten of the last hundred episodes were lost.
         """
         number = self._next_episode()
         self._losses.append(number)
-        again_and_again = len(self._losses) == MAX_LOST_EPISODES and number - self._losses[0] < LOSS_WINDOW_EPISODES
+        again_and_again = (
+            len(self._losses) == MAX_LOST_EPISODES and number - self._losses[0] < LOSS_WINDOW_EPISODES
+        )
         if not again_and_again and self._files == MAX_LOST_EPISODES:
             return
         self._files += 1
@@ -173,24 +195,35 @@ class BatchFailureRecorder:
         if again_and_again:
             window = min(number, LOSS_WINDOW_EPISODES)
             raise EngineError(
-                f"in {MAX_LOST_EPISODES} of the last {window} episodes the state became infinite or NaN; the last one is {text}"
+                f"in {MAX_LOST_EPISODES} of the last {window} episodes the state became infinite or NaN; the"
+                f" last one is {text}"
             )
         self._note(f"{text}\nworld {loss.world} was reset")
 
     def record_failed(self, stage: int, histories: Sequence[EpisodeHistory]) -> None:
-        """Find the episode that fails: repeat the running episodes of a stage in a single world, until one fails.
+        """Find the episode that fails: repeat the running episodes of a stage in a single world, until one
+        fails.
 
         Raises:
             DeepbotsError: An episode failed. It is kept.
         """
         with closing(self._guarded(stage)) as world:
             for history in histories:
-                for _ in islice(steps(world, sequence_driver(history.actions), _start(history.start)), len(history.actions) + 1):
+                for _ in islice(
+                    steps(world, sequence_driver(history.actions), _start(history.start)),
+                    len(history.actions) + 1,
+                ):
                     pass
 
 
 def _failure_text(
-    error: str, number: int, history: EpisodeHistory, *, run: Run | None, case: str | None = None, stage: str | None = None
+    error: str,
+    number: int,
+    history: EpisodeHistory,
+    *,
+    run: Run | None,
+    case: str | None = None,
+    stage: str | None = None,
 ) -> str:
     """The error with its episode, and with the command that repeats it if a file could be written."""
     start = history.start
@@ -199,7 +232,9 @@ def _failure_text(
     if run is None:
         return text
     actions = [_plain(action) for action in history.actions]
-    failure = Failure(error=error, step=len(actions), episode=number, case=case, stage=stage, start=start, actions=actions)
+    failure = Failure(
+        error=error, step=len(actions), episode=number, case=case, stage=stage, start=start, actions=actions
+    )
     try:
         path = write_numbered(run.path / FAILURES_FOLDER, failure.model_dump_json() + "\n")
     except RunError:  # the run cannot be written to
@@ -208,9 +243,14 @@ def _failure_text(
 
 
 def is_finite(observation: Any) -> bool:
-    """Whether all numbers of an observation are finite. A dot product takes 0.3 us, a third of `numpy.isfinite`."""
+    """Whether all numbers of an observation are finite. A dot product takes 0.3 us, a third of
+    `numpy.isfinite`."""
     parts = observation.values() if isinstance(observation, dict) else (observation,)
-    return all(math.isfinite(np.vdot(part, part)) or bool(np.isfinite(part).all()) for part in parts if part.dtype != np.uint8)
+    return all(
+        math.isfinite(np.vdot(part, part)) or bool(np.isfinite(part).all())
+        for part in parts
+        if part.dtype != np.uint8
+    )
 
 
 def read_failure(path: Path) -> tuple[Failure, Run, Program]:
@@ -224,7 +264,8 @@ def read_failure(path: Path) -> tuple[Failure, Run, Program]:
 
 
 def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], path: Path) -> Iterator[int]:
-    """Repeat the episode in a world of the program: yields how many actions are done, from 0, until they are or the episode ends.
+    """Repeat the episode in a world of the program: yields how many actions are done, from 0, until they are
+    or the episode ends.
 
     Raises:
         RunError: The file `path` of the failure is damaged.
@@ -238,12 +279,15 @@ def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], p
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{path} is damaged, or of another scenario ({type(error).__name__})") from error
     guarded = FailureRecorder(world, program=program, episode=lambda: failure.episode)
-    for step in islice(steps(guarded, sequence_driver(actions), start._replace(state=None)), len(actions) + 1):
+    for step in islice(
+        steps(guarded, sequence_driver(actions), start._replace(state=None)), len(actions) + 1
+    ):
         yield step.number
 
 
 def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[Failure, str | None]:
-    """Repeat the episode of a file that `FailureRecorder` wrote; the failure, and the error of the repetition (None: it did not fail).
+    """Repeat the episode of a file that `FailureRecorder` wrote; the failure, and the error of the repetition
+    (None: it did not fail).
 
     If the episode ends earlier now, the actions of the failure are those that were repeated.
 

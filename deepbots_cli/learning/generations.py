@@ -1,11 +1,13 @@
-"""Windows over the episodes of worlds that run side by side: the newest episodes of each world, equally many of each.
+"""Windows over the episodes of worlds that run side by side: the newest episodes of each world, equally many
+of each.
 
-The newest episodes of all worlds together are a biased sample: in 256 worlds that begin at once, the episodes that fail
-early end first, and those that succeed end last and all at the same time. A window of 100 episodes then holds failures
-only, and soon after successes only. A window therefore moves by generations: the nth newest episodes of all worlds are one
-generation, and a window has whole generations. For a policy that does not change, the newest finished episodes of a world
-have the distribution of all its episodes, at any time after each world has finished so many (renewal theory: the interval
-that covers a point in time is longer than others, and the intervals before it are not).
+The newest episodes of all worlds together are a biased sample: in 256 worlds that begin at once, the episodes
+that fail early end first, and those that succeed end last and all at the same time. A window of 100 episodes
+then holds failures only, and soon after successes only. A window therefore moves by generations: the nth
+newest episodes of all worlds are one generation, and a window has whole generations. For a policy that does
+not change, the newest finished episodes of a world have the distribution of all its episodes, at any time
+after each world has finished so many (renewal theory: the interval that covers a point in time is longer than
+others, and the intervals before it are not).
 
 With one world, these are the newest episodes.
 """
@@ -83,8 +85,8 @@ class Generations(Generic[Item]):
     def restore(self, items: Sequence[Item], worlds: Sequence[int] | None) -> None:
         """Take up what `state` gave.
 
-        Versions before 0.2 kept no worlds. The items of several worlds are then forgotten, since it is not known which are of
-        one generation.
+        Versions before 0.2 kept no worlds. The items of several worlds are then forgotten, since it is not
+        known which are of one generation.
 
         Raises:
             ValueError: The worlds do not fit.
@@ -94,6 +96,8 @@ class Generations(Generic[Item]):
             worlds = [0] * len(items) if len(self._window) == 1 else []
             items = items[: len(worlds)]
         if len(worlds) != len(items) or not all(0 <= world < len(self._window) for world in worlds):
-            raise ValueError(f"the worlds of {len(items)} episodes do not fit a training with {len(self._window)} worlds")
+            raise ValueError(
+                f"the worlds of {len(items)} episodes do not fit a training with {len(self._window)} worlds"
+            )
         for item, world in zip(items, worlds, strict=True):
             self.add(item, world)

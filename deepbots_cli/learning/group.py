@@ -1,4 +1,5 @@
-"""Groups: one folder with a run for each of several seeds, which differ in nothing else, or with attempts at one scenario.
+"""Groups: one folder with a run for each of several seeds, which differ in nothing else, or with attempts at
+one scenario.
 
     runs/cartpole-seeds-1/
     ├── group.json           seeds, settings of the trainings, command
@@ -6,9 +7,9 @@
     ├── workers/             the output of workers
     └── seed-0/, seed-1/ ... the runs
 
-The runs of `train --retry` are `try-1`, `try-2`, ... instead: one seed, with other values under `train` each (`insight/retry.py`).
-The seeds are trained one after the other, or on workers (`executor`): then a training whose worker was lost is resumed by another one, to
-the same bytes. Importing this module does not load torch.
+The runs of `train --retry` are `try-1`, `try-2`, ... instead: one seed, with other values under `train` each
+(`insight/retry.py`). The seeds are trained one after the other, or on workers (`executor`): then a training
+whose worker was lost is resumed by another one, to the same bytes. Importing this module does not load torch.
 """
 
 from __future__ import annotations
@@ -29,23 +30,19 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.learning.campaign import MAX_SEEDS, Campaign, CampaignRecord, Member, train_member
+from deepbots_cli.learning.directories import WORKERS_FOLDER, new_directory, run_lock
 from deepbots_cli.learning.executor import SERIAL, Attempt, CallOptions, Executor
 from deepbots_cli.learning.order import Measure, Rank, measure_of, rank
+from deepbots_cli.learning.records import RunRecord, TrainingOptions, TrainingResult
 from deepbots_cli.learning.report import GroupProgressReporter, GroupReporter, Reporter, TrainingProgress
-from deepbots_cli.learning.run import (
-    WORKERS_FOLDER,
-    RunRecord,
-    TrainingOptions,
-    TrainingResult,
-    new_directory,
-    run_lock,
-)
+from deepbots_cli.learning.signals import Interruption, signals_handled
 from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, SourceKind, folder_kind
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.callbacks import Interruption, OnEvaluation
+    from deepbots_cli.learning.callbacks import OnEvaluation
     from deepbots_cli.learning.environments import WorldFactory
+    from deepbots_cli.learning.signals import Interruption
 
 MAX_RETRIES = 20
 
@@ -68,9 +65,11 @@ class RetryAttempt(BaseModel):
 
 
 class GroupRecord(CampaignRecord):
-    """The content of `group.json`: the seeds, and the settings that all trainings share; see `train` for their meaning.
+    """The content of `group.json`: the seeds, and the settings that all trainings share; see `train` for
+    their meaning.
 
-    A group of `train --retry` has one seed, the attempts so far, and the highest number of `retries` after the first.
+    A group of `train --retry` has one seed, the attempts so far, and the highest number of `retries` after
+    the first.
     """
 
     total_timesteps: PositiveInt | None = None
@@ -103,7 +102,9 @@ class Group(Campaign[GroupRecord]):
         attempts = self.record.attempts
         is_ordered = all(attempt.base <= number for number, attempt in enumerate(attempts))
         if not is_ordered or (attempts and len(self.record.seeds) > 1):
-            raise RunError(f"{self.path / GROUP_RECORD_NAME} is damaged: its attempts do not follow one another")
+            raise RunError(
+                f"{self.path / GROUP_RECORD_NAME} is damaged: its attempts do not follow one another"
+            )
 
     def run(self, seed: int) -> Path:
         """The folder of the run of a seed, which exists once its training has begun."""
@@ -121,7 +122,8 @@ class Group(Campaign[GroupRecord]):
 
     @property
     def representatives(self) -> list[Path]:
-        """The folders of the runs that stand for the group, of those that have begun: all seeds, but only the best attempt.
+        """The folders of the runs that stand for the group, of those that have begun: all seeds, but only the
+        best attempt.
 
         Raises:
             RunError: A record is damaged.
@@ -136,17 +138,24 @@ class Group(Campaign[GroupRecord]):
     def attempt_verdict(self, number: int) -> RunVerdict:
         """The verdict about an attempt, from 1. Raises: RunError: Its record is damaged."""
         folder = self.planned[number - 1]
-        return run_verdict(folder, RunRecord.read(folder)) if folder_kind(folder) is SourceKind.RUN else RunVerdict(None, None)
+        return (
+            run_verdict(folder, RunRecord.read(folder))
+            if folder_kind(folder) is SourceKind.RUN
+            else RunVerdict(None, None)
+        )
 
     @property
     def best_attempt(self) -> int:
-        """The number of the attempt with the best evaluation: solved, then by what the task asks for; of equals the last one.
+        """The number of the attempt with the best evaluation: solved, then by what the task asks for; of
+        equals the last one.
 
         Raises:
             RunError: A record is damaged.
         """
 
-        verdicts = {number: self.attempt_verdict(number) for number in range(1, len(self.record.attempts) + 1)}
+        verdicts = {
+            number: self.attempt_verdict(number) for number in range(1, len(self.record.attempts) + 1)
+        }
         evaluations = [verdict.evaluation for verdict in verdicts.values() if verdict.evaluation is not None]
         measure = self._measure(defines_success=any(evaluation.success_defined for evaluation in evaluations))
 
@@ -178,8 +187,9 @@ class Group(Campaign[GroupRecord]):
 class GroupTraining:
     """The result of training a group.
 
-    `trained` are the results of the runs that this call has trained, `skipped` the seeds that were finished before, and `failed` the
-    reasons why a training failed, by seed. `waiting` are the seeds that an interruption leaves untrained or unfinished.
+    `trained` are the results of the runs that this call has trained, `skipped` the seeds that were finished
+    before, and `failed` the reasons why a training failed, by seed. `waiting` are the seeds that an
+    interruption leaves untrained or unfinished.
     """
 
     group: Path
@@ -190,13 +200,14 @@ class GroupTraining:
 
     @property
     def interrupted(self) -> bool:
-        """Whether a stop was requested, also in the last rollout of the last seed, which leaves no seed waiting."""
+        """Whether a stop was requested, also in the last rollout of the last seed, which leaves no seed
+        waiting."""
         return bool(self.waiting) or any(result.stop_requested for result in self.trained)
 
 
 OnSeed = Callable[[int, int, int], object]
-"""Called before the training of a seed in this process, with the seed, its number from 1, and the number of all seeds; returns False to end
-the group."""
+"""Called before the training of a seed in this process, with the seed, its number from 1, and the number of
+all seeds; returns False to end the group."""
 
 
 def train_group(
@@ -214,16 +225,19 @@ def train_group(
 ) -> GroupTraining:
     """Train a scenario with several seeds in a new folder.
 
-    If one training fails, the others continue. An interruption stops the group after the current rollout. A second one stops it at once.
+    If one training fails, the others continue. An interruption stops the group after the current rollout. A
+    second one stops it at once.
 
     Args:
         compiled: The scenario.
         seeds: The root seeds, each once.
         group: The folder to make; by default `runs/<scenario>-seeds-<n>`.
-        progress: Whether to report progress on standard error, or your own `Reporter`; on workers it is a table of all trainings.
+        progress: Whether to report progress on standard error, or your own `Reporter`; on workers it is a
+            table of all trainings.
         on_seed: Is called before each training in this process; where it returns False, the group ends.
         on_evaluation: As for `train`, for each training in this process.
-        executor: Where the trainings run; the result does not depend on it. By default they run in this process, one after the other.
+        executor: Where the trainings run; the result does not depend on it. By default they run in this
+            process, one after the other.
         options: Those of `train`; the arguments `runs` and `build` are as there, too.
 
     Raises:
@@ -243,7 +257,9 @@ def train_group(
         return _train_seeds(created, compiled, {}, on_seed, progress, build, executor, on_evaluation)
 
 
-def new_record(compiled: Compiled, seeds: Sequence[int], options: TrainingOptions, retries: int = 0) -> GroupRecord:
+def new_record(
+    compiled: Compiled, seeds: Sequence[int], options: TrainingOptions, retries: int = 0
+) -> GroupRecord:
     """The record of a group whose trainings have these options; with `retries`, of a group of attempts."""
     kept: dict[str, Any] = {**options}
     kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}
@@ -251,7 +267,9 @@ def new_record(compiled: Compiled, seeds: Sequence[int], options: TrainingOption
         if kept.get(name) is not None:
             kept[name] = str(Path(kept[name]).absolute())
     kept |= GroupRecord.common(compiled, kept.get("engine"))
-    return GroupRecord(seeds=tuple(seeds), retries=retries, attempts=(RetryAttempt(),) if retries else (), **kept)
+    return GroupRecord(
+        seeds=tuple(seeds), retries=retries, attempts=(RetryAttempt(),) if retries else (), **kept
+    )
 
 
 def resume_group(
@@ -268,9 +286,11 @@ def resume_group(
     build: WorldFactory | None = None,
     executor: Executor = SERIAL,
 ) -> GroupTraining:
-    """Continue a group: finished seeds are skipped, interrupted ones continue from their last checkpoint, the others begin.
+    """Continue a group: finished seeds are skipped, interrupted ones continue from their last checkpoint, the
+    others begin.
 
-    Arguments are those of `resume` and `train_group`; with a higher `total_timesteps`, finished seeds continue too.
+    Arguments are those of `resume` and `train_group`; with a higher `total_timesteps`, finished seeds
+    continue too.
 
     Raises:
         RunError: The folder is no group, or is damaged.
@@ -278,9 +298,16 @@ def resume_group(
     """
     resumed = Group.open(group)
     if resumed.attempts:
-        raise UsageError(f"{resumed.path} is a group of `train --retry`; continue it with: deepbots resume {quote(str(resumed.path))}")
+        raise UsageError(
+            f"{resumed.path} is a group of `train --retry`; continue it with: deepbots resume"
+            f" {quote(str(resumed.path))}"
+        )
     totals = {"total_timesteps": total_timesteps, "stop_when_solved": stop_when_solved}
-    followers = {name: tuple(names) for name, names in (("callbacks", callbacks), ("loggers", loggers)) if names is not None}
+    followers = {
+        name: tuple(names)
+        for name, names in (("callbacks", callbacks), ("loggers", loggers))
+        if names is not None
+    }
     with run_lock(resumed.path):
         if followers:
             from deepbots_cli.learning.sb3 import plugins  # which imports torch
@@ -302,9 +329,8 @@ def _train_seeds(
     executor: Executor,
     on_evaluation: OnEvaluation | None,
 ) -> GroupTraining:
-    """Train or continue every seed that is not finished, with `changes` of the options that the group began with."""
-    from deepbots_cli.learning.callbacks import Interruption, signals_handled  # which imports torch
-
+    """Train or continue every seed that is not finished, with `changes` of the options that the group began
+    with."""
     seeds, options = group.record.seeds, group.record.options
     skipped = tuple(seed for seed in seeds if _is_complete(group.run(seed), changes))
     left = [seed for seed in seeds if seed not in skipped]
@@ -314,23 +340,31 @@ def _train_seeds(
     with ExitStack() as stack:
         on_workers: CallOptions = {}
         if executor.is_here:
-            begins = [None if on_seed is None else partial(on_seed, seed, number, len(seeds)) for number, seed in enumerate(seeds, 1)]
+            begins = [
+                None if on_seed is None else partial(on_seed, seed, number, len(seeds))
+                for number, seed in enumerate(seeds, 1)
+            ]
             own = {"progress": progress, "build": build, "on_evaluation": on_evaluation}
             items = [replace(item, own=own, begin=begins[seeds.index(item.seed)]) for item in items]
         else:
             if build is not None or on_evaluation is not None or isinstance(progress, Reporter):
-                raise UsageError("`build`, `on_evaluation` and your own reporter work in this process only; leave out the workers")
+                raise UsageError(
+                    "`build`, `on_evaluation` and your own reporter work in this process only; leave out the"
+                    " workers"
+                )
             interruption = Interruption()
             reporter = GroupProgressReporter(group.path, left) if progress else GroupReporter()
             stack.callback(reporter.close)
             stack.enter_context(signals_handled(interruption))
             on_workers = {"watcher": reporter, "stop": partial(_stops, interruption, reporter)}
             on_workers |= {"files": [group.path / GROUP_RECORD_NAME], "log": partial(_log_of, group.path)}
-        found = stack.enter_context(closing(executor.map(_train_seed, items, **on_workers)))
+        outcomes = stack.enter_context(closing(executor.map(_train_seed, items, **on_workers)))
         with suppress(KeyboardInterrupt):  # before a training handles it itself, or a second one
-            for seed, outcome in zip(left, found, strict=False):
+            for seed, outcome in zip(left, outcomes, strict=False):
                 if isinstance(outcome, DeepbotsError):
-                    if not group.runs or isinstance(outcome, StorageError):  # nothing can be trained so, or written there
+                    if not group.runs or isinstance(
+                        outcome, StorageError
+                    ):  # nothing can be trained so, or written there
                         raise outcome
                     failed[seed] = outcome.full_message
                 elif outcome is not None:
@@ -352,7 +386,8 @@ def _stops(interruption: Interruption, reporter: GroupReporter) -> bool:
 
 @dataclass(frozen=True)
 class _SeedTraining:
-    """A training of a group: it begins with the `options` of the group, or continues, both with `changes` of these.
+    """A training of a group: it begins with the `options` of the group, or continues, both with `changes` of
+    these.
 
     `own` are further arguments of `train` and `resume` in this process; on workers they are None.
     """
@@ -383,12 +418,15 @@ def _is_complete(run: Path, changes: Mapping[str, Any]) -> bool:
 
 
 def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
-    """Train a seed, or continue its run, which may have been begun by a worker that was lost; None if the group ends before."""
+    """Train a seed, or continue its run, which may have been begun by a worker that was lost; None if the
+    group ends before."""
     if item.begin is not None and item.begin() is False:
         return None
     own = {"progress": _AttemptReporter(attempt)} if item.own is None else item.own
     is_repeated = attempt.number > 1
-    return train_member(item.path, item.compiled, item.seed, item.options, item.changes, is_repeated=is_repeated, **own)
+    return train_member(
+        item.path, item.compiled, item.seed, item.options, item.changes, is_repeated=is_repeated, **own
+    )
 
 
 class _AttemptReporter(Reporter):

@@ -1,8 +1,9 @@
-"""The best model of a run after its training: chosen again on new starts, or by hand (`deepbots eval --keep`).
+"""The best model of a run after its training: chosen again on new starts, or by hand (`deepbots eval
+--keep`).
 
-All models that the run has play new starts by the rule of the training (`order.play_off`). The best one becomes
-`best.zip`, and the best one of before `earlier-1.zip`. Nothing is lost: a resumed training begins with the models of its
-checkpoint again, so what it would overwrite is copied to `step-000020000.zip`.
+All models that the run has play new starts by the rule of the training (`order.play_off`). The best one
+becomes `best.zip`, and the best one of before `earlier-1.zip`. Nothing is lost: a resumed training begins
+with the models of its checkpoint again, so what it would overwrite is copied to `step-000020000.zip`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.evaluation import play_models
 from deepbots_cli.learning.executor import SERIAL, Counter, Executor
@@ -27,12 +29,14 @@ from deepbots_cli.learning.order import (
     measure_of,
     play_off,
 )
-from deepbots_cli.learning.run import BestModel, ModelName, ModelRef, Run, has_model, run_lock
+from deepbots_cli.learning.records import BestModel
+from deepbots_cli.learning.run import ModelName, ModelRef, Run, has_model
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.streams import derive_seed
 
 _KINDS = ("best", "step", "candidate", "earlier", "last")
-"""The names of models that may become the best one, before a hyphen; of models with the same steps the first one counts."""
+"""The names of models that may become the best one, before a hyphen; of models with the same steps the first
+one counts."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,8 @@ def keep(
     on_model: Callable[[int, int], object] | None = None,
     executor: Executor = SERIAL,
 ) -> KeptModel:
-    """Make a model the best one of its run: the model that was named, or of a run, the best one on new starts.
+    """Make a model the best one of its run: the model that was named, or of a run, the best one on new
+    starts.
 
     Args:
         ref: The run or the model.
@@ -88,9 +93,14 @@ def keep(
         run = Run.open(folder)  # a training that has just ended in there has changed the record
         result = run.record.result
         if result is None:
-            raise UsageError(f"the training of {folder} has not ended; continue it with: deepbots resume {quote(str(folder))}")
+            raise UsageError(
+                f"the training of {folder} has not ended; continue it with: deepbots resume"
+                f" {quote(str(folder))}"
+            )
         if ref.is_named and not has_model(folder, ref.name):
-            raise RunError(f"{ref.path} is no model that can be kept; names are such as last.zip and step-000020000.zip")
+            raise RunError(
+                f"{ref.path} is no model that can be kept; names are such as last.zip and step-000020000.zip"
+            )
         program, before = run.program, result.best_model
         measure = measure_of(program.agent.solved, defines_success=program.defines_success)
         previous = 0 if before is None or before.evaluation_seed is None else before.evaluation_seed
@@ -98,9 +108,15 @@ def keep(
         played: list[PlayedModel] = []
         if ref.is_named:
             name = ref.name
-            best = BestModel(steps=steps_of(ref.path), chosen_by="hand", measure=measure, evaluation_seed=evaluation_seed)
+            best = BestModel(
+                steps=steps_of(ref.path), chosen_by="hand", measure=measure, evaluation_seed=evaluation_seed
+            )
         else:
-            options = {"seed": _six_digits(run, "choice", previous), "permissions": permissions, "build": build}
+            options = {
+                "seed": _six_digits(run, "choice", previous),
+                "permissions": permissions,
+                "build": build,
+            }
             played = _played(run, measure, on_model, executor, options)
             name, winner = played[0].name, played[0].result
             best = BestModel(
@@ -131,13 +147,15 @@ def _six_digits(run: Run, stream: str, number: int) -> int:
 
 def kept_models(run: Run) -> dict[int, ModelName]:
     """The models of a run by their steps; two models with the same steps are the same model."""
-    names = [path.stem for path in sorted(run.model("best").parent.glob("*.zip")) if has_model(run.path, path.stem)]
-    found: dict[int, ModelName] = {}
+    names = [
+        path.stem for path in sorted(run.model("best").parent.glob("*.zip")) if has_model(run.path, path.stem)
+    ]
+    models: dict[int, ModelName] = {}
     for kind in _KINDS:
         for name in names:
             if name.partition("-")[0] == kind:
-                found.setdefault(steps_of(run.model(name)), name)
-    return found
+                models.setdefault(steps_of(run.model(name)), name)
+    return models
 
 
 def _played(
@@ -155,12 +173,15 @@ def _played(
     names = kept_models(run)
     if len(names) < 2:
         raise UsageError(
-            f"{run.path} has a single model, so there is nothing to choose; `deepbots train --keep-checkpoints N` keeps more of them"
+            f"{run.path} has a single model, so there is nothing to choose; `deepbots train"
+            " --keep-checkpoints N` keeps more of them"
         )
     watcher = Counter(on_model, _model_count(len(names)))
 
     def play(steps: Sequence[int], numbers: range) -> Iterable[list[Episode]]:
-        return play_models(run, [names[each] for each in steps], numbers, watcher=watcher, executor=executor, **options)
+        return play_models(
+            run, [names[each] for each in steps], numbers, watcher=watcher, executor=executor, **options
+        )
 
     results, _ = play_off(list(names), play, measure)
     return [PlayedModel(names[result.steps], result) for result in results]

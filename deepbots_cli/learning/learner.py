@@ -1,9 +1,10 @@
 """What learns: the interface between a training and an algorithm.
 
-A training calls `collect` of its `Learner` for a fragment of experience, then `update`, and between the two it reads the state from which a
-resumed training continues bit for bit. An evaluation calls `predict`. `learning/sb3` has the learner of the built-in algorithms. An
-algorithm of another package, whose model is derived from `scenario.training.Training` itself, needs its own learner: a class derived from
-`ArrayLearner` or `Learner`, under the `import_path` of its model.
+A training calls `collect` of its `Learner` for a fragment of experience, then `update`, and between the two
+it reads the state from which a resumed training continues bit for bit. An evaluation calls `predict`.
+`learning/sb3` has the learner of the built-in algorithms. An algorithm of another package, whose model is
+derived from `scenario.training.Training` itself, needs its own learner: a class derived from `ArrayLearner`
+or `Learner`, under the `import_path` of its model.
 """
 
 from __future__ import annotations
@@ -21,7 +22,13 @@ import numpy as np
 
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState, read_arrays, write_arrays
+from deepbots_cli.learning.checkpoint_files import (
+    Array,
+    ArraySpec,
+    CheckpointState,
+    read_arrays,
+    write_arrays,
+)
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import Collector, Decision, Fragment, PolicyActor
@@ -47,8 +54,8 @@ _STABLE = {
 class Setup:
     """Arguments of a learner.
 
-    `longest_episode` is in steps, `collector` is None for a policy that does not learn but acts in `rows`, and `demonstrations` are those
-    of a recording that teaches.
+    `longest_episode` is in steps, `collector` is None for a policy that does not learn but acts in `rows`,
+    and `demonstrations` are those of a recording that teaches.
     """
 
     training: Training
@@ -64,7 +71,8 @@ class Setup:
 
 @dataclass(frozen=True)
 class Initialization:
-    """The tensors of a policy that were copied from another model; `not_copied` has the reason for each of the others."""
+    """The tensors of a policy that were copied from another model; `not_copied` has the reason for each of
+    the others."""
 
     copied: tuple[str, ...]
     not_copied: Mapping[str, str]
@@ -73,7 +81,8 @@ class Initialization:
 class Learner(ABC):
     """An algorithm with its policy.
 
-    A training calls `begin`, restores a checkpoint if there is one, and calls `start`; then `collect` and `update` in turn; `end` at last.
+    A training calls `begin`, restores a checkpoint if there is one, and calls `start`; then `collect` and
+    `update` in turn; `end` at last.
 
     Attributes:
         setup: The arguments that it was created with.
@@ -89,7 +98,8 @@ class Learner(ABC):
     takes_callbacks = True
     """Whether it calls the `followers` of `begin`."""
     is_off_policy = False
-    """Whether it learns from a replay buffer, so that a step of the training takes much longer than one of an evaluation."""
+    """Whether it learns from a replay buffer, so that a step of the training takes much longer than one of an
+    evaluation."""
     device = "cpu"
     setup: Setup
     steps: int
@@ -106,7 +116,9 @@ class Learner(ABC):
             UsageError: The settings are invalid.
         """
         if training.normalize is not None:
-            raise UsageError(f"{training.algorithm} does not normalize rewards; leave out 'normalize' under 'train'")
+            raise UsageError(
+                f"{training.algorithm} does not normalize rewards; leave out 'normalize' under 'train'"
+            )
 
     @abstractmethod
     def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
@@ -114,8 +126,8 @@ class Learner(ABC):
 
         Args:
             total: Timesteps, summed over all rows.
-            monitor: Call its `on_step` after each step of all rows (it returns whether to continue), its `on_collected` after each
-                fragment, before the update, and its `on_end` after the last update.
+            monitor: Call its `on_step` after each step of all rows (it returns whether to continue), its
+                `on_collected` after each fragment, before the update, and its `on_end` after the last update.
             followers: The callbacks of other packages.
         """
 
@@ -127,7 +139,8 @@ class Learner(ABC):
         """Collect the next fragment; False if the monitor of the training stopped it before."""
 
     agreement: float | None = None
-    """In which share of the states of the last fragment the policy does what its teacher would do; None before an update that imitates."""
+    """In which share of the states of the last fragment the policy does what its teacher would do; None
+    before an update that imitates."""
 
     def be_taught(self, plan: Plan) -> None:
         """Called before each fragment of a training with a teacher.
@@ -135,7 +148,9 @@ class Learner(ABC):
         Raises:
             UsageError: The algorithm cannot learn from a teacher.
         """
-        raise UsageError(f"{self.setup.training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`")
+        raise UsageError(
+            f"{self.setup.training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`"
+        )
 
     def actor(self) -> PolicyActor:
         """The policy as it acts to learn; shards have copies of it.
@@ -143,7 +158,9 @@ class Learner(ABC):
         Raises:
             UsageError: The algorithm does not support shards.
         """
-        raise UsageError(f"{self.setup.training.algorithm} does not support shards; leave out `shards` under `train`")
+        raise UsageError(
+            f"{self.setup.training.algorithm} does not support shards; leave out `shards` under `train`"
+        )
 
     @abstractmethod
     def update(self) -> None:
@@ -155,13 +172,19 @@ class Learner(ABC):
 
     @abstractmethod
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False, action_masks: Any = None
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+        action_masks: Any = None,
     ) -> tuple[Any, Any]:
         """Actions for an observation, or for rows of them, and the memory of a recurrent policy after it."""
 
     @abstractmethod
     def recent(self) -> tuple[Any, Array, Array | None]:
-        """Recent observations and actions, rows last but one, and the log-probabilities of the actions if they are known."""
+        """Recent observations and actions, rows last but one, and the log-probabilities of the actions if
+        they are known."""
 
     @abstractmethod
     def weights(self) -> dict[str, Array]:
@@ -230,7 +253,8 @@ class Learner(ABC):
 
     @abstractmethod
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
-        """Continue from a checkpoint, after `load`, in restored worlds; `same` is true if their observations are the same as before."""
+        """Continue from a checkpoint, after `load`, in restored worlds; `same` is true if their observations
+        are the same as before."""
 
     # For explanations
 
@@ -239,8 +263,8 @@ class Learner(ABC):
         return None
 
     def critic_check(self) -> tuple[float, float] | None:
-        """What the critic predicts in recent states, and the discounted return that followed there (means); None where
-        this is unknown. No random number is drawn."""
+        """What the critic predicts in recent states, and the discounted return that followed there (means);
+        None where this is unknown. No random number is drawn."""
         return None
 
     def network(self) -> Any:
@@ -253,9 +277,11 @@ class Learner(ABC):
 
 
 class ArrayLearner(Learner):
-    """A learner whose state is arrays that it changes in place. Models and checkpoints store these arrays without further code.
+    """A learner whose state is arrays that it changes in place. Models and checkpoints store these arrays
+    without further code.
 
-    A subclass defines `act`, `update`, `predict` and `weights`, and `memory` if the next update depends on further arrays.
+    A subclass defines `act`, `update`, `predict` and `weights`, and `memory` if the next update depends on
+    further arrays.
 
     Attributes:
         fragment_steps: The steps of each row between two updates.
@@ -329,14 +355,17 @@ def class_of(training: Training) -> type[Learner]:
         stable: type[Learner] = import_attribute(_STABLE[model is None or model.on_policy])
         return stable
     try:
-        found = import_attribute(model.import_path)
+        learner_class = import_attribute(model.import_path)
     except (ImportError, AttributeError) as error:
-        raise UsageError(f"the learner of {training.algorithm} ({model.import_path}) cannot be imported: {error}") from error
-    if not (isinstance(found, type) and issubclass(found, Learner)):
         raise UsageError(
-            f"{model.import_path}, the learner of {training.algorithm}, is not derived from deepbots_cli.learning.learner.Learner"
+            f"the learner of {training.algorithm} ({model.import_path}) cannot be imported: {error}"
+        ) from error
+    if not (isinstance(learner_class, type) and issubclass(learner_class, Learner)):
+        raise UsageError(
+            f"{model.import_path}, the learner of {training.algorithm}, is not derived from"
+            " deepbots_cli.learning.learner.Learner"
         )
-    return found
+    return learner_class
 
 
 def create(setup: Setup) -> Learner:
@@ -358,7 +387,16 @@ def steps_of(path: Path) -> int:
     try:
         with zipfile.ZipFile(path) as archive, archive.open("data") as member:
             return int(json.loads(member.read(_MAX_DATA_BYTES))["num_timesteps"])
-    except (OSError, ArithmeticError, EOFError, KeyError, RuntimeError, TypeError, ValueError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        ArithmeticError,
+        EOFError,
+        KeyError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        zipfile.BadZipFile,
+    ) as error:
         # It is encrypted, packed otherwise, or its steps are infinite.
         raise RunError(f"{path} is damaged, or was not written by deepbots") from error
 

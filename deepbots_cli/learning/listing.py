@@ -18,17 +18,11 @@ from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.campaign import Campaign
 from deepbots_cli.learning.decline import Decline, decline_of
+from deepbots_cli.learning.directories import is_training, numbered_files
 from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import (
-    DEMONSTRATIONS_NAME,
-    ChosenBy,
-    EvaluationRecord,
-    RunRecord,
-    changed_settings,
-    is_training,
-    numbered_files,
-)
+from deepbots_cli.learning.records import ChosenBy, EvaluationRecord, RunRecord, changed_settings
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME
 from deepbots_cli.learning.study import Study
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
@@ -44,16 +38,17 @@ _MAX_SCENARIO_BYTES = 10_000_000
 class ListedRun:
     """A run, a group or a study, from its files.
 
-    Of a study, `runs` are the groups of its trials, and `planned` is the number of trials in all; it has no score. Of a group,
-    `mean_return` and `success_rate` are means over the runs that have one, `steps` and `cpu_seconds` are sums, and `runs` are
-    its members. `score` says what the return and the success rate are of. `evaluation`: the quoted evaluation (`quoted_evaluation`) of
-    `evaluated_episodes` episodes; `remarks` say how it differs from a usual one. `training`: the recent episodes of the training, in
-    which the policy explores.
-    `solved_after` are the steps after which a confirmation showed that the task is solved, if the run is solved; `best_steps` those
-    of the best model, and `chosen_by` says what chose it. `decline` is how far its evaluations fell since; None where they did not.
-    `settings` are the assignments of `--set`, `teacher` is that of `teacher_of`. `success_rate` is None where the scenario defines no
-    success. `solved` is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated` is a
-    time in UTC, `problem` why the files cannot be read.
+    Of a study, `runs` are the groups of its trials, and `planned` is the number of trials in all; it has no
+    score. Of a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and
+    `cpu_seconds` are sums, and `runs` are its members. `score` says what the return and the success rate are
+    of. `evaluation`: the quoted evaluation (`quoted_evaluation`) of `evaluated_episodes` episodes; `remarks`
+    say how it differs from a usual one. `training`: the recent episodes of the training, in which the policy
+    explores. `solved_after` are the steps after which a confirmation showed that the task is solved, if the
+    run is solved; `best_steps` those of the best model, and `chosen_by` says what chose it. `decline` is how
+    far its evaluations fell since; None where they did not. `settings` are the assignments of `--set`,
+    `teacher` is that of `teacher_of`. `success_rate` is None where the scenario defines no success. `solved`
+    is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated`
+    is a time in UTC, `problem` why the files cannot be read.
     """
 
     path: Path
@@ -87,19 +82,21 @@ class ListedRun:
 
 
 def list_runs(folder: Path) -> list[ListedRun]:
-    """The runs, groups and studies in a folder, the one that changed last at the end; those of a group in the order of their seeds, those
-    of a study in the order of its trials."""
+    """The runs, groups and studies in a folder, the one that changed last at the end; those of a group in the
+    order of their seeds, those of a study in the order of its trials."""
     if not folder.is_dir():
         return []
     if folder_kind(folder) in (SourceKind.GROUP, SourceKind.STUDY):
         return list(read_listed(folder).runs)
-    found = [path for path in folder.iterdir() if folder_kind(path) is not None]
-    return sorted((read_listed(path) for path in found), key=lambda run: (run.updated, run.path.name))
+    folders = [path for path in folder.iterdir() if folder_kind(path) is not None]
+    return sorted((read_listed(path) for path in folders), key=lambda run: (run.updated, run.path.name))
 
 
 def read_listed(path: Path) -> ListedRun:
     """A run, a group or a study; files that cannot be read are its `problem`."""
-    read = {SourceKind.GROUP: _listed_group, SourceKind.STUDY: _listed_study}.get(folder_kind(path) or SourceKind.RUN, _listed_run)
+    read = {SourceKind.GROUP: _listed_group, SourceKind.STUDY: _listed_study}.get(
+        folder_kind(path) or SourceKind.RUN, _listed_run
+    )
     try:
         return read(path)
     except DeepbotsError as error:
@@ -117,9 +114,15 @@ def _listed_run(path: Path) -> ListedRun:
     success: float | None
     verdict = run_verdict(path, record)
     evaluation = verdict.evaluation
-    steps, episodes = recent[-1][:2] if recent else (result.steps, result.episodes) if result else (0, 0)
+    if recent:
+        (steps, episodes) = recent[-1][:2]
+    elif result:
+        (steps, episodes) = (result.steps, result.episodes)
+    else:
+        (steps, episodes) = (0, 0)
     if evaluation is not None:
-        mean, success = evaluation.mean_return, evaluation.success_rate if evaluation.success_defined else None
+        mean = evaluation.mean_return
+        success = evaluation.success_rate if evaluation.success_defined else None
     elif recent:
         mean, success = fmean(total for _, _, total, _ in recent), fmean(won for *_, won in recent)
     else:
@@ -130,6 +133,7 @@ def _listed_run(path: Path) -> ListedRun:
     steps_of_best = evaluation.model_steps if evaluation is not None else None
     if steps_of_best is None and best is not None:
         steps_of_best = best.steps
+    of_training: Literal["training"] | None = None if mean is None else "training"
     return ListedRun(
         path,
         state,
@@ -146,7 +150,7 @@ def _listed_run(path: Path) -> ListedRun:
         mean_return=mean,
         return_interval=evaluation.return_interval if evaluation else None,
         success_rate=success,
-        score="evaluation" if evaluation else "training" if mean is not None else None,
+        score="evaluation" if evaluation else of_training,
         evaluated_episodes=evaluation.episodes if evaluation else None,
         remarks=evaluation.remarks if evaluation else (),
         solved=verdict.solved,
@@ -174,10 +178,17 @@ def _listed_group(path: Path) -> ListedRun:
     returns = [run.mean_return for run in runs if run.mean_return is not None]
     rates = [run.success_rate for run in runs if run.success_rate is not None]
     states = {run.state for run in listed.runs}
-    state: State = "training" if is_training(path) else "failed" if states & {"failed", "unreadable"} else "interrupted"
+    state: State
+    if is_training(path):
+        state = "training"
+    elif states & {"failed", "unreadable"}:
+        state = "failed"
+    else:
+        state = "interrupted"
     if state != "training" and states == {"finished"} and len(listed.runs) == len(group.planned):
         state = "finished"
     seeds = group.record.seeds
+    evaluated: Literal["evaluation"] | None = "evaluation" if returns else None
     return replace(
         listed,
         state=state,
@@ -187,8 +198,10 @@ def _listed_group(path: Path) -> ListedRun:
         total_timesteps=runs[0].total_timesteps * len(seeds) if runs and runs[0].total_timesteps else None,
         mean_return=fmean(returns) if returns else None,
         success_rate=fmean(rates) if rates else None,
-        score="training" if "training" in {run.score for run in runs} else "evaluation" if returns else None,
-        evaluated_episodes=min((run.evaluated_episodes for run in runs if run.evaluated_episodes), default=None),
+        score="training" if "training" in {run.score for run in runs} else evaluated,
+        evaluated_episodes=min(
+            (run.evaluated_episodes for run in runs if run.evaluated_episodes), default=None
+        ),
         solved=bool(runs) and len(runs) == len(seeds) and all(run.solved for run in runs),
     )
 
@@ -224,20 +237,23 @@ def _listed_campaign(campaign: Campaign[Any], counted: Sequence[Path]) -> Listed
 
 def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
     """The evaluations that a run keeps, by number; of one that cannot be read, the reason."""
-    found: list[tuple[int, EvaluationRecord | str]] = []
+    numbered: list[tuple[int, EvaluationRecord | str]] = []
     for number, path in numbered_files(run / "evaluations"):
         try:
-            found.append((number, EvaluationRecord.read(path)))
+            numbered.append((number, EvaluationRecord.read(path)))
         except RunError as error:
-            found.append((number, str(error)))
-    return found
+            numbered.append((number, str(error)))
+    return numbered
 
 
 def _recent(log: Path) -> list[tuple[int, int, float, bool]]:
     """Steps, number, return and success of the last episodes in a log; nothing where it cannot be read."""
     try:
         rows = read_log(log, tail=_TAIL_BYTES)[-WINDOW_EPISODES:]
-        return [(int(row["steps"]), int(row["episode"]), float(row["r"]), row["is_success"] == "1") for row in rows]
+        return [
+            (int(row["steps"]), int(row["episode"]), float(row["r"]), row["is_success"] == "1")
+            for row in rows
+        ]
     except (RunError, KeyError, ValueError):
         return []
 
@@ -247,7 +263,13 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
     states = sorted((run / "checkpoints").glob("[0-9]*/state.json"))
     try:
         return float(json.loads(read_at_most(states[-1], _MAX_STATE_BYTES))["statistics"]["cpu_seconds"])
-    except (IndexError, OSError, ValueError, KeyError, TypeError):  # there is none yet, or it has just been replaced
+    except (
+        IndexError,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+    ):  # there is none yet, or it has just been replaced
         return None
 
 
@@ -255,7 +277,10 @@ def _defines_success(run: Path) -> bool:
     """Whether the scenario of a run has a goal or an ending that is a success."""
     root = _scenario(run)
     endings = root.get("termination") if root is not None else None
-    return root is not None and (root.get("goal") is not None or (isinstance(endings, MappingNode) and endings.get("success") is not None))
+    return root is not None and (
+        root.get("goal") is not None
+        or (isinstance(endings, MappingNode) and endings.get("success") is not None)
+    )
 
 
 def teacher_of(run: Path) -> str | None:
@@ -264,7 +289,9 @@ def teacher_of(run: Path) -> str | None:
         return DEMONSTRATIONS_NAME
     kept = run / RESOLVED_NAME
     try:
-        if not kept.is_file() or b"teacher" not in read_at_most(kept, _MAX_SCENARIO_BYTES):  # reading all of it takes 5 ms
+        if not kept.is_file() or b"teacher" not in read_at_most(
+            kept, _MAX_SCENARIO_BYTES
+        ):  # reading all of it takes 5 ms
             return None
     except OSError:
         return None
@@ -283,8 +310,11 @@ def _scenario(run: Path) -> MappingNode | None:
         return None
 
 
-def sort_runs(runs: Sequence[ListedRun], key: Literal["date", "name", "steps", "cpu", "return", "success"]) -> list[ListedRun]:
-    """Runs by date or name upwards, by anything else from the largest value on; runs without a value come last."""
+def sort_runs(
+    runs: Sequence[ListedRun], key: Literal["date", "name", "steps", "cpu", "return", "success"]
+) -> list[ListedRun]:
+    """Runs by date or name upwards, by anything else from the largest value on; runs without a value come
+    last."""
     if key == "date":
         return list(runs)
     if key == "name":

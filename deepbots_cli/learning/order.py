@@ -1,11 +1,14 @@
-"""Which of two policies is better: the one order of policies, and the shortlist of the best models of a training.
+"""Which of two policies is better: the one order of policies, and the shortlist of the best models of a
+training.
 
-"Better" means what the task asks for: a higher value of the measure that `solved` names; without `solved`, a higher
-success rate where the scenario defines success, else a higher mean return. The other measure counts only among equals.
-The order holds for the models of a training, for attempts and trials, and for what commands say about them.
+"Better" means what the task asks for: a higher value of the measure that `solved` names; without `solved`, a
+higher success rate where the scenario defines success, else a higher mean return. The other measure counts
+only among equals. The order holds for the models of a training, for attempts and trials, and for what
+commands say about them.
 
-Evaluations during a training are small, so the best of many looks better than it is. A training therefore keeps the
-models of its best evaluations, and plays new starts with them before it chooses one (`Shortlist.choose`).
+Evaluations during a training are small, so the best of many looks better than it is. A training therefore
+keeps the models of its best evaluations, and plays new starts with them before it chooses one
+(`Shortlist.choose`).
 """
 
 from __future__ import annotations
@@ -32,14 +35,15 @@ Rank = tuple[float, float]
 """The value of the measure, then the value of the other one; the higher rank is better."""
 
 SHORTLIST = 5
-"""Models that a training keeps for the last choice. With 42 evaluations of 20 episodes, the best policy is among the
-five best evaluations in most cases; each further model costs at least 20 episodes."""
+"""Models that a training keeps for the last choice. With 42 evaluations of 20 episodes, the best policy is
+among the five best evaluations in most cases; each further model costs at least 20 episodes."""
 FIRST_ROUND = 20
 """New starts of each model in the first round of the choice; each later round has twice as many."""
 
 
 def measure_of(solved: Solved | None, *, defines_success: bool) -> Measure:
-    """What the task asks for: the measure of `solved`, else the success rate where the scenario defines success."""
+    """What the task asks for: the measure of `solved`, else the success rate where the scenario defines
+    success."""
     if solved is None:
         return "success_rate" if defines_success else "mean_return"
     return "mean_return" if solved.success_rate is None else "success_rate"
@@ -54,8 +58,8 @@ def rank(measure: Measure, success_rate: float | None, mean_return: float) -> Ra
 class Candidate(BaseModel):
     """A model with the result of its held-out episodes during the training.
 
-    `steps` are the steps of the training after which it was saved. `success_rate` is 0 where the scenario defines no
-    success.
+    `steps` are the steps of the training after which it was saved. `success_rate` is 0 where the scenario
+    defines no success.
     """
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
@@ -111,9 +115,9 @@ def play_off(
 ) -> tuple[list[Candidate], int]:
     """Play new starts with models to find the best one.
 
-    They play the same starts in rounds, the better half of them twice as many in the next round (sequential halving;
-    Z. Karnin, T. Koren, O. Somekh, ICML 2013). Only these episodes count: the evaluations that put the models forward
-    have selected them, so their results are better than the models are.
+    They play the same starts in rounds, the better half of them twice as many in the next round (sequential
+    halving; Z. Karnin, T. Koren, O. Somekh, ICML 2013). Only these episodes count: the evaluations that put
+    the models forward have selected them, so their results are better than the models are.
 
     Args:
         models: At least one model, by its steps of the training.
@@ -130,7 +134,9 @@ def play_off(
         for model, done in zip(remaining, play(remaining, numbers), strict=True):
             steps += sum(episode.length for episode in done)
             summary = Summary.of_episodes(done)
-            results[model] = results[model].joined(summary) if model in results else Candidate.of(model, summary)
+            results[model] = (
+                results[model].joined(summary) if model in results else Candidate.of(model, summary)
+            )
         judged = ordered([results[model] for model in remaining], measure)
         remaining = [candidate.steps for candidate in judged[: (len(judged) + 1) // 2]]
         numbers = range(numbers.stop, numbers.stop + 2 * len(numbers))
@@ -155,7 +161,8 @@ def copy_model(source: Path, target: Path) -> None:
 
 
 class Shortlist:
-    """The models of the best evaluations of a training, the best one first; `models/agent/best.zip` is the first one.
+    """The models of the best evaluations of a training, the best one first; `models/agent/best.zip` is the
+    first one.
 
     All evaluations of a training have the same held-out starts. Each candidate has a file
     `models/agent/candidate-<steps>.zip`.

@@ -23,7 +23,8 @@ from deepbots_cli.runtime.spaces import action_space, observation_space
 
 @dataclass(frozen=True)
 class ActionValue:
-    """A part of the action: a choice of one of `options`, or a number in [-1, 1] that is mapped to `low` .. `high` in `unit`."""
+    """A part of the action: a choice of one of `options`, or a number in [-1, 1] that is mapped to `low` ..
+    `high` in `unit`."""
 
     name: str
     options: tuple[str, ...] = ()
@@ -41,13 +42,17 @@ class Policy:
         action_space: The space of one action.
         observation: The numbers of the observation vector, in order.
         goal: The numbers of a goal, in order; none for a policy without a goal.
-        values: The names that `observe` takes: those of `observation`, and with a goal also those from which the achieved goal is computed.
+        values: The names that `observe` takes: those of `observation`, and with a goal also those from which
+            the achieved goal is computed.
         action: The parts of the action, in order.
     """
 
     def __init__(self, program: Program, model: Learner) -> None:
         self.scenario = program.name
-        self.observation_space, self.action_space = observation_space(program.agent), action_space(program.agent)
+        self.observation_space, self.action_space = (
+            observation_space(program.agent),
+            action_space(program.agent),
+        )
         self.observation = program.agent.inputs
         self.goal = program.agent.goal.values if program.agent.goal else ()
         self._observer = Observer(program)
@@ -65,9 +70,12 @@ class Policy:
         """The action for an observation.
 
         Args:
-            observation: An observation of the environment, or several as rows (n, k); see `observe` for values in units.
-            deterministic: Whether to take the most likely action; otherwise the policy samples with torch's random generator.
-            action_mask: Which options are allowed, as `env.unwrapped.action_masks()` returns it; only MaskablePPO takes it.
+            observation: An observation of the environment, or several as rows (n, k); see `observe` for
+                values in units.
+            deterministic: Whether to take the most likely action; otherwise the policy samples with torch's
+                random generator.
+            action_mask: Which options are allowed, as `env.unwrapped.action_masks()` returns it; only
+                MaskablePPO takes it.
 
         Returns:
             An action in the action space, or one per row.
@@ -80,11 +88,20 @@ class Policy:
             wrong = np.argwhere(~np.isfinite(numbers))
             if len(wrong):
                 place = int(wrong[0][-1])
-                name = f" of {self.observation[place].name}" if part is observation and place < len(self.observation) else ""
-                raise UsageError(f"the observation contains a value{name} that is infinite or NaN: {numbers[tuple(wrong[0])]}")
+                name = (
+                    f" of {self.observation[place].name}"
+                    if part is observation and place < len(self.observation)
+                    else ""
+                )
+                raise UsageError(
+                    f"the observation contains a value{name} that is infinite or NaN:"
+                    f" {numbers[tuple(wrong[0])]}"
+                )
         masks = action_mask if self._model.takes_masks else None
         rows = len(observation) if np.ndim(observation) > 1 and not isinstance(observation, dict) else 1
-        action, self._memory = self._model.predict(observation, self._memory, np.full(rows, self._begins), deterministic, masks)
+        action, self._memory = self._model.predict(
+            observation, self._memory, np.full(rows, self._begins), deterministic, masks
+        )
         self._begins = False
         return action
 
@@ -95,14 +112,16 @@ class Policy:
 
         Args:
             values: A value for each name of `self.values`.
-            desired: The goal in its unit, a number for each entry of `self.goal`; only for a policy with a goal.
+            desired: The goal in its unit, a number for each entry of `self.goal`; only for a policy with a
+                goal.
 
         Returns:
-            float32 of shape (k,). With a goal, a dictionary of `observation`, `achieved_goal` and `desired_goal`, as in environments.
+            float32 of shape (k,). With a goal, a dictionary of `observation`, `achieved_goal` and
+            `desired_goal`, as in environments.
 
         Raises:
-            UsageError: A name is missing or unknown, a value is not finite, the goal is missing or has another size, or the policy sees
-                images or older values.
+            UsageError: A name is missing or unknown, a value is not finite, the goal is missing or has
+                another size, or the policy sees images or older values.
         """
         return self._observer.observe(values, desired)
 
@@ -110,19 +129,25 @@ class Policy:
         """An action by name: the chosen option of a choice, or the number in its unit."""
         numbers = np.asarray(action).reshape(-1).tolist()
         return {
-            value.name: value.options[int(number)] if value.options else value.low + (number + 1.0) / 2.0 * (value.high - value.low)
+            value.name: value.options[int(number)]
+            if value.options
+            else value.low + (number + 1.0) / 2.0 * (value.high - value.low)
             for value, number in zip(self.action, numbers, strict=True)
         }
 
     def __repr__(self) -> str:
-        return f"<policy of {self.scenario}: {len(self.observation)} numbers to {', '.join(value.name for value in self.action)}>"
+        return (
+            f"<policy of {self.scenario}: {len(self.observation)} numbers to"
+            f" {', '.join(value.name for value in self.action)}>"
+        )
 
 
 def load_policy(run: str | Path, *, model: ModelName = "best") -> Policy:
     """Load the policy of a run: its best model, the one called `model`, or the one whose file `run` names.
 
-    Loading unpickles nothing and does not change global random generators. Call `torch.set_num_threads(1)` before your own loop: networks
-    of this size are many times slower on several threads. deepbots does not change the number of threads of your process.
+    Loading unpickles nothing and does not change global random generators. Call `torch.set_num_threads(1)`
+    before your own loop: networks of this size are many times slower on several threads. deepbots does not
+    change the number of threads of your process.
 
     Raises:
         RunError: The folder is not a run, or is damaged.
@@ -140,10 +165,10 @@ def loaded(run: Run, model: ModelName) -> Learner:
     """
     python, legacy = random.getstate(), np.random.get_state()
     with torch.random.fork_rng():  # a library may seed the global generators when it makes a model
-        found = load_model(run, model)
+        learner = load_model(run, model)
     random.setstate(python)
     np.random.set_state(legacy)
-    return found
+    return learner
 
 
 def _values(part: Choices | ActionRange) -> list[ActionValue]:

@@ -1,4 +1,4 @@
-"""Results as plain dictionaries, and the progress of a training."""
+"""The progress of a training."""
 
 from __future__ import annotations
 
@@ -6,40 +6,20 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from pydantic import BaseModel
-
-from deepbots_cli.learning.episodes import SUCCESS_STATISTICS
 from deepbots_cli.learning.executor import Watcher
 from deepbots_cli.learning.order import Candidate, Measure
-from deepbots_cli.learning.run import TrainingResult
+from deepbots_cli.learning.records import TrainingResult
 from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:
     from rich.console import Group
     from rich.live import Live
 
-    from deepbots_cli.learning.evaluation import EvaluationResult
-
-
-def to_json(result: TrainingResult | EvaluationResult) -> dict[str, Any]:
-    """The fields of a result, with paths as text; of an evaluation also the statistics by drawn value.
-
-    Statistics of success are None where the scenario defines no success.
-    """
-    if isinstance(result, BaseModel):
-        return result.model_dump(mode="json")
-    data = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(result).items() if key != "draws"}
-    if not result.success_defined:
-        data |= dict.fromkeys(SUCCESS_STATISTICS)
-    return data | {"by_drawn_value": result.by_drawn_value.as_json(success_defined=result.success_defined)}
-
-
-# The progress of a training
 
 REFRESH_INTERVAL_S = 0.25
 """Seconds between two refreshes of the table; it has no thread of its own."""
@@ -51,12 +31,13 @@ LINE_INTERVAL_S, EVALUATION_INTERVAL_S = 30.0, 10.0
 class TrainingProgress:
     """How far a training is.
 
-    The means are over the recent episodes, None before the first has ended; the success rate is None too where the scenario defines no
-    success. `solved` is the criterion of the scenario, `best` the best model by the measure of the task, `evaluated` that of the last
-    evaluation, `stage` the stage of the curriculum with its criterion, for people to read. `period` is the time of a step in s,
-    `evaluations` their number in this process, and `activity` what the training does beside learning, such as a confirmation.
-    `evaluation_seconds` is the time of evaluations in this process, and `evaluation_seconds_left` the longest that may follow.
-    With `is_ending`, no further steps follow.
+    The means are over the recent episodes, None before the first has ended; the success rate is None too
+    where the scenario defines no success. `solved` is the criterion of the scenario, `best` the best model by
+    the measure of the task, `evaluated` that of the last evaluation, `stage` the stage of the curriculum with
+    its criterion, for people to read. `period` is the time of a step in s, `evaluations` their number in this
+    process, and `activity` what the training does beside learning, such as a confirmation.
+    `evaluation_seconds` is the time of evaluations in this process, and `evaluation_seconds_left` the longest
+    that may follow. With `is_ending`, no further steps follow.
     """
 
     steps: int
@@ -77,7 +58,8 @@ class TrainingProgress:
     is_ending: bool = False
 
     def seconds_left(self, first_step: int, elapsed: float) -> float | None:
-        """The longest time until the training ends, in s, after `elapsed` s since `first_step`; None before a step was timed."""
+        """The longest time until the training ends, in s, after `elapsed` s since `first_step`; None before a
+        step was timed."""
         steps = self.steps - first_step
         if steps <= 0 or self.steps >= self.total_steps or self.is_ending:
             return None
@@ -88,11 +70,13 @@ class TrainingProgress:
 
 
 MIN_TIMED_S, MIN_TIMED_SHARE = 15.0, 0.05
-"""A training is timed for so many seconds, or so large a share of its steps, before the display says how long it may take."""
+"""A training is timed for so many seconds, or so large a share of its steps, before the display says how long
+it may take."""
 
 
 class Reporter:
-    """Follows a training: `start` once, `update` from time to time, `stop` once, also after a failure. This one reports nothing."""
+    """Follows a training: `start` once, `update` from time to time, `stop` once, also after a failure. This
+    one reports nothing."""
 
     def note(self, text: str) -> None:
         """Called with what the user should know, before `start` or during the training."""
@@ -150,7 +134,11 @@ class ProgressReporter(Reporter):
         if progress.activity:
             what = progress.activity.partition(":")[0]
             if what != self._activity or since >= EVALUATION_INTERVAL_S:
-                print(f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity} ...", file=self._stream, flush=True)
+                print(
+                    f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity} ...",
+                    file=self._stream,
+                    flush=True,
+                )
                 self._activity, self._shown = what, now
             return
         evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
@@ -160,8 +148,17 @@ class ProgressReporter(Reporter):
             if progress.evaluations == self._evaluations:  # said by an earlier line
                 values = {name: text for name, text in values.items() if not name.endswith("evaluation")}
             self._tenth, self._evaluations, self._shown = tenth, progress.evaluations, now
-            parts = [text if name in ("speed", "stage", "remaining") else f"{name} {text}" for name, text in values.items()]
-            print(f"{progress.steps:,} of {progress.total_steps:,} steps", *parts, sep="  ", file=self._stream, flush=True)
+            parts = [
+                text if name in ("speed", "stage", "remaining") else f"{name} {text}"
+                for name, text in values.items()
+            ]
+            print(
+                f"{progress.steps:,} of {progress.total_steps:,} steps",
+                *parts,
+                sep="  ",
+                file=self._stream,
+                flush=True,
+            )
 
     def stop(self) -> None:
         if self._live is not None:
@@ -179,7 +176,8 @@ class GroupReporter(Watcher):
 
 
 class GroupProgressReporter(GroupReporter):
-    """A table of all trainings on a terminal, which is refreshed in place; elsewhere a line for each end, and one every 30 s.
+    """A table of all trainings on a terminal, which is refreshed in place; elsewhere a line for each end, and
+    one every 30 s.
 
     Args:
         group: The folder of the group.
@@ -214,25 +212,33 @@ class GroupProgressReporter(GroupReporter):
             self._print(f"note: seed {self._seeds[item]}: {text}")
 
     def on_loss(self, item: int) -> None:
-        self._print(f"note: the worker of seed {self._seeds[item]} was lost; another one resumes the training")
+        self._print(
+            f"note: the worker of seed {self._seeds[item]} was lost; another one resumes the training"
+        )
 
     def on_done(self, item: int, outcome: object) -> None:
         state = "waiting" if outcome is None else "failed"
         if isinstance(outcome, TrainingResult):
             state = outcome.status
-            known = self._progress.get(item, TrainingProgress(0, outcome.total_timesteps, 0, None, None))
-            final = {name: getattr(outcome, name) for name in ("steps", "episodes", "mean_return", "success_rate")}
-            self._progress[item] = replace(known, **final)
+            latest = self._progress.get(item, TrainingProgress(0, outcome.total_timesteps, 0, None, None))
+            final = {
+                name: getattr(outcome, name) for name in ("steps", "episodes", "mean_return", "success_rate")
+            }
+            self._progress[item] = replace(latest, **final)
         self._states[item] = state
         if self._live is None and outcome is not None:
             row = self._row(item)
-            self._print("  ".join(value if name == "state" else f"{name} {value}" for name, value in row.items()))
+            self._print(
+                "  ".join(value if name == "state" else f"{name} {value}" for name, value in row.items())
+            )
         self._show(at_once=True)
 
     def stop(self) -> None:
         if not self._is_stopping:
             self._is_stopping = True
-            self._print(f"stopping after these rollouts; continue with: deepbots resume {quote(str(self._group))}")
+            self._print(
+                f"stopping after these rollouts; continue with: deepbots resume {quote(str(self._group))}"
+            )
 
     def close(self) -> None:
         self._show(at_once=True)
@@ -269,7 +275,11 @@ class GroupProgressReporter(GroupReporter):
         """The trainings by their state, the steps of all, and how long the rest will take."""
         states = Counter(self._states)
         parts = [
-            ", ".join(f"{states[name]} {name}" for name in ("training", "finished", "interrupted", "failed", "waiting") if states[name])
+            ", ".join(
+                f"{states[name]} {name}"
+                for name in ("training", "finished", "interrupted", "failed", "waiting")
+                if states[name]
+            )
         ]
         steps = sum(progress.steps for progress in self._progress.values())
         total = max((progress.total_steps for progress in self._progress.values()), default=0)
@@ -296,7 +306,11 @@ class GroupProgressReporter(GroupReporter):
         seeds, room = range(len(self._seeds)), max(1, height - 4)
         by_state = sorted(seeds, key=lambda item: self._states[item] != "training")
         shown = [self._row(item) for item in (seeds if len(seeds) <= room else sorted(by_state[:room]))]
-        names = [name for name in ("seed", "state", "steps", "episodes", "return", "success") if any(name in row for row in shown)]
+        names = [
+            name
+            for name in ("seed", "state", "steps", "episodes", "return", "success")
+            if any(name in row for row in shown)
+        ]
         rows = Table.grid(padding=(0, 2))
         for name in names:
             rows.add_column(no_wrap=True, justify="left" if name in ("seed", "state") else "right")
@@ -313,11 +327,15 @@ def reporter(progress: bool | Reporter) -> Reporter:
     return ProgressReporter() if progress else Reporter()
 
 
-def progress_values(progress: TrainingProgress, speed: float = 0.0, seconds_left: float | None = None) -> dict[str, str]:
+def progress_values(
+    progress: TrainingProgress, speed: float = 0.0, seconds_left: float | None = None
+) -> dict[str, str]:
     """The rows of the display, by name: what is reached, beside what `solved` asks for."""
     solved, rows = progress.solved, {}
     if progress.success_rate is not None:
-        goal = f" (needs {100 * solved.success_rate:g}%)" if solved and solved.success_rate is not None else ""
+        goal = (
+            f" (needs {100 * solved.success_rate:g}%)" if solved and solved.success_rate is not None else ""
+        )
         rows["success"] = f"{progress.success_rate:.0%}{goal}"
     if progress.mean_return is not None:
         goal = f" (needs {solved.mean_return:g})" if solved and solved.mean_return is not None else ""
@@ -350,7 +368,9 @@ def duration(seconds: float) -> str:
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
-    return f"{whole // 60}:{whole % 60:02} min" if whole < 3600 else f"{whole // 3600}:{whole % 3600 // 60:02} h"
+    return (
+        f"{whole // 60}:{whole % 60:02} min" if whole < 3600 else f"{whole // 3600}:{whole % 3600 // 60:02} h"
+    )
 
 
 def _table(progress: TrainingProgress, speed: float, elapsed: float, seconds_left: float | None) -> Group:
@@ -367,7 +387,10 @@ def _table(progress: TrainingProgress, speed: float, elapsed: float, seconds_lef
     head = Table.grid(padding=(0, 1))
     head.add_row(
         Bar(progress.total_steps, progress.steps, width=30),
-        Text(f"{progress.steps / progress.total_steps:4.0%}  {progress.steps:,} of {progress.total_steps:,} steps"),
+        Text(
+            f"{progress.steps / progress.total_steps:4.0%}  {progress.steps:,} of {progress.total_steps:,}"
+            " steps"
+        ),
     )
     rows = Table.grid(padding=(0, 2))
     rows.add_column(no_wrap=True)

@@ -1,10 +1,12 @@
-"""Robustness: a policy under conditions that it was not trained for, one changed at a time and by several amounts.
+"""Robustness: a policy under conditions that it was not trained for, one changed at a time and by several
+amounts.
 
-Each condition is a change of the scenario, laid upon it as a file upon the one that it `extends`, and compiled anew. The changes
-therefore apply to any scenario that has such values. All levels have the same starts.
+Each condition is a change of the scenario, laid upon it as a file upon the one that it `extends`, and
+compiled anew. The changes therefore apply to any scenario that has such values. All levels have the same
+starts.
 
-A condition has one side or two: a latency only grows, and a mass may be smaller or larger. The levels of a side are ordered by their
-distance from the unchanged scenario.
+A condition has one side or two: a latency only grows, and a mass may be smaller or larger. The levels of a
+side are ordered by their distance from the unchanged scenario.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ FACTOR, DELAY = "x {:g}", "+{:g} ms"
 _MAX_NAMED = 4
 """Bodies that the condition of the friction names; more are counted."""
 SHARE_OF_NOMINAL = 0.8
-"""Required score if neither the caller nor the scenario sets one: 80 % of the success rate or mean return without any change."""
+"""Required score if neither the caller nor the scenario sets one: 80 % of the success rate or mean return
+without any change."""
 
 Metric = Literal["success_rate", "mean_return"]
 Change = dict[str, Any]
@@ -58,8 +61,8 @@ Change = dict[str, Any]
 class RobustnessLevel:
     """One amount of a condition: its label, such as `+64 ms`, and the evaluation.
 
-    `holds` is true if the score reaches the required one, `certain` if its 95 % interval excludes the required one. `interval` is that of
-    the score; None for a single episode.
+    `holds` is true if the score reaches the required one, `certain` if its 95 % interval excludes the
+    required one. `interval` is that of the score; None for a single episode.
     """
 
     level: str
@@ -91,7 +94,8 @@ class Side:
 
     @property
     def verdict(self) -> str:
-        """In words: `holds up to` a level, `fails from` a level, and the levels between them whose scores do not follow this order."""
+        """In words: `holds up to` a level, `fails from` a level, and the levels between them whose scores do
+        not follow this order."""
         parts = []
         if self._held:
             *easier, last = self._held
@@ -103,9 +107,14 @@ class Side:
         if not between:
             return ", ".join(parts)
         if _may_be_ordered(between):
-            rest = f"not decided at {listed([entry.level for entry in between])}, which do not differ within their intervals"
+            rest = (
+                f"not decided at {listed([entry.level for entry in between])}, which do not differ within"
+                " their intervals"
+            )
         else:
-            failed, held = (listed([entry.level for entry in between if entry.holds is holds]) for holds in (False, True))
+            failed, held = (
+                listed([entry.level for entry in between if entry.holds is holds]) for holds in (False, True)
+            )
             rest = f"fails at {failed} but holds at {held}: here, a larger change is not always harder"
         return "; ".join([*([", ".join(parts)] if parts else []), rest])
 
@@ -119,7 +128,8 @@ class Side:
 
 
 def _surely(words: str, boundary: RobustnessLevel, others: Sequence[RobustnessLevel]) -> str:
-    """A remark on a boundary that is not significant: the next level beside it that is, of the others on its side of the boundary."""
+    """A remark on a boundary that is not significant: the next level beside it that is, of the others on its
+    side of the boundary."""
     if boundary.certain:
         return ""
     sure = next((entry.level for entry in others if entry.certain), None)
@@ -127,9 +137,10 @@ def _surely(words: str, boundary: RobustnessLevel, others: Sequence[RobustnessLe
 
 
 def _may_be_ordered(levels: Sequence[RobustnessLevel]) -> bool:
-    """Whether scores within the intervals can fall from level to level; an unknown interval allows all scores."""
-    known = [entry.interval for entry in levels if entry.interval is not None]
-    return all(after[0] <= before[1] for place, after in enumerate(known) for before in known[:place])
+    """Whether scores within the intervals can fall from level to level; an unknown interval allows all
+    scores."""
+    intervals = [entry.interval for entry in levels if entry.interval is not None]
+    return all(after[0] <= before[1] for place, after in enumerate(intervals) for before in intervals[:place])
 
 
 def listed(names: Sequence[str]) -> str:
@@ -165,9 +176,9 @@ class Condition:
 class Robustness:
     """A policy under changed conditions.
 
-    `metric` is what is compared with `bar`: the success rate where the scenario defines success, else the mean return. `nominal` is the
-    evaluation without any change. `bar` is None if there is nothing to keep: no score is required, and the policy never succeeds without
-    any change. `conditions` are then empty.
+    `metric` is what is compared with `bar`: the success rate where the scenario defines success, else the
+    mean return. `nominal` is the evaluation without any change. `bar` is None if there is nothing to keep: no
+    score is required, and the policy never succeeds without any change. `conditions` are then empty.
     """
 
     run: Path
@@ -207,24 +218,30 @@ def evaluate_robustness(
     executor: Executor = SERIAL,
     **options: Any,
 ) -> Robustness:
-    """Evaluate a policy with latency and loss of messages, noise of the observation, another mass, other friction, and weaker motors.
+    """Evaluate a policy with latency and loss of messages, noise of the observation, another mass, other
+    friction, and weaker motors.
 
-    Latencies are added to those of the scenario, one way at a time, in timesteps. Losses hold for both ways, and replace those of the
-    scenario. Noise is Gaussian, its standard deviation a share of the range of each entry of the observation; it replaces that of the
-    scenario. The mass of one link or object that can move, the friction of the ground and of fixed objects, and the strength of all
-    actuators are multiplied by a factor.
+    Latencies are added to those of the scenario, one way at a time, in timesteps. Losses hold for both ways,
+    and replace those of the scenario. Noise is Gaussian, its standard deviation a share of the range of each
+    entry of the observation; it replaces that of the scenario. The mass of one link or object that can move,
+    the friction of the ground and of fixed objects, and the strength of all actuators are multiplied by a
+    factor.
 
-    A policy that never succeeds without any change is not evaluated under changed conditions, unless a score is required.
+    A policy that never succeeds without any change is not evaluated under changed conditions, unless a score
+    is required.
 
     Args:
         run: The run, its directory, or the file of a model in it.
         episodes: Episodes of each level; by default those of the scenario, at most 50.
         scenario: Another scenario to change, by its path or name.
         overrides: Assignments `path=value` for all levels.
-        case: Name of a case of the evaluation, whose settings all levels have; `stage` is the same for the curriculum.
-        min_success: The required success rate; by default that of `solved`, or 80 % of the rate in the unchanged scenario.
+        case: Name of a case of the evaluation, whose settings all levels have; `stage` is the same for the
+            curriculum.
+        min_success: The required success rate; by default that of `solved`, or 80 % of the rate in the
+            unchanged scenario.
         min_return: The required mean return, in place of the success rate.
-        mass_of: The link (`ROBOT.LINK`) or object whose mass is changed; by default the heaviest link that can move.
+        mass_of: The link (`ROBOT.LINK`) or object whose mass is changed; by default the heaviest link that
+            can move.
         on_level: Is called after each evaluation with the number of those done and of all.
         executor: Where the evaluations run; the result does not depend on it.
         options: Further arguments of `evaluate`; `seed`, `model` and `permissions` are as there.
@@ -234,21 +251,29 @@ def evaluate_robustness(
         UsageError: The scenario does not exist, or nothing with the name `mass_of` has a mass.
     """
     ref = ModelRef.open(run, model=model)
-    known = ref.run
-    base = Source.kept(known.path, permissions) if scenario is None else Source.open(scenario, permissions, SourceKind.SCENARIO)
+    trained = ref.run
+    base = (
+        Source.kept(trained.path, permissions)
+        if scenario is None
+        else Source.open(scenario, permissions, SourceKind.SCENARIO)
+    )
     plain = api.compile(base.checked(overrides=overrides))
     program = plain.program.variant(case, stage)
     document = base_document(base, overrides, case, stage)
     usual = plain.program.evaluation.episodes if case is None else plain.program.case(case).episodes
-    given: dict[str, Any] = {"episodes": min(EPISODES_PER_LEVEL, usual) if episodes is None else episodes, "case": case, "stage": stage}
-    given |= {"seed": seed, "model": ref.name, "permissions": permissions, **options}
+    evaluation_options: dict[str, Any] = {
+        "episodes": min(EPISODES_PER_LEVEL, usual) if episodes is None else episodes,
+        "case": case,
+        "stage": stage,
+    }
+    evaluation_options |= {"seed": seed, "model": ref.name, "permissions": permissions, **options}
     planned = list(plans(document.root, program, mass_of)) if document.root is not None else []
     counter = Counter(on_level, 1 + sum(len(plan.levels) for plan in planned))
     skipped: dict[str, str] = {}
 
     def levels() -> Iterator[_Level]:
         """The unchanged scenario, and each change of it, which is compiled when its turn comes."""
-        yield _Level(known, None, "", "", plain, given)
+        yield _Level(trained, None, "", "", plain, evaluation_options)
         for plan in planned:
             try:
                 compiled = [
@@ -261,25 +286,30 @@ def evaluate_robustness(
                 skipped[plan.name] = f"the changed scenario does not compile ({error})"
                 continue
             for side, label, level in compiled:
-                yield _Level(known, plan.name, side, label, level, given)
+                yield _Level(trained, plan.name, side, label, level, evaluation_options)
 
     measured: dict[tuple[str | None, str], list[RobustnessLevel]] = defaultdict(list)
-    with closing(results(executor.map(_evaluate_level, levels(), watcher=counter, files=[known.path / RECORD_NAME]))) as evaluated:
+    with closing(
+        results(executor.map(_evaluate_level, levels(), watcher=counter, files=[trained.path / RECORD_NAME]))
+    ) as evaluated:
         _, _, _, nominal = next(evaluated)
         metric, bar, source = _bar(program, nominal, min_success, min_return)
         if bar is None:
-            return Robustness(known.path, program.name, metric, bar, source, nominal, ())
+            return Robustness(trained.path, program.name, metric, bar, source, nominal, ())
         for condition, side, label, result in evaluated:
             measured[condition, side].append(_level(label, result, metric, bar))
     conditions = []
     for plan in planned:
-        sides = [Side(side, tuple(measured[plan.name, side])) for side in plan.sides if plan.name not in skipped]
+        sides = [
+            Side(side, tuple(measured[plan.name, side])) for side in plan.sides if plan.name not in skipped
+        ]
         conditions.append(Condition(plan.name, tuple(sides), skipped.get(plan.name)))
-    return Robustness(known.path, program.name, metric, bar, source, nominal, tuple(conditions))
+    return Robustness(trained.path, program.name, metric, bar, source, nominal, tuple(conditions))
 
 
 class _Level(NamedTuple):
-    """A level of one side of a condition, which is None for the unchanged scenario, and how to evaluate it."""
+    """A level of one side of a condition, which is None for the unchanged scenario, and how to evaluate
+    it."""
 
     run: Run
     condition: str | None
@@ -291,23 +321,33 @@ class _Level(NamedTuple):
 
 def _evaluate_level(level: _Level, attempt: Attempt) -> tuple[str | None, str, str, EvaluationResult]:
     try:
-        return level.condition, level.side, level.label, evaluate(level.run, scenario=level.compiled, **level.options)
+        return (
+            level.condition,
+            level.side,
+            level.label,
+            evaluate(level.run, scenario=level.compiled, **level.options),
+        )
     except DeepbotsError as error:
         if level.condition is None:
             raise
         raise type(error)(f"{level.condition}: {error}") from error
 
 
-def base_document(base: Source, overrides: Sequence[str] = (), case: str | None = None, stage: str | None = None) -> Document:
-    """What all levels share: a scenario that compiles, with the settings of the case or stage applied, and without tests.
+def base_document(
+    base: Source, overrides: Sequence[str] = (), case: str | None = None, stage: str | None = None
+) -> Document:
+    """What all levels share: a scenario that compiles, with the settings of the case or stage applied, and
+    without tests.
 
-    Of the cases and stages, only the name of this one is left: a setting of it may replace what a level changes, such as the ground by a
-    terrain.
+    Of the cases and stages, only the name of this one is left: a setting of it may replace what a level
+    changes, such as the ground by a terrain.
     """
     document = base.document(overrides=overrides)
     root = document.root
     assert root is not None
-    variants: dict[NodePath, bool] = {("evaluation", "cases", name): name == case for name in entries_at(root, "evaluation", "cases")}
+    variants: dict[NodePath, bool] = {
+        ("evaluation", "cases", name): name == case for name in entries_at(root, "evaluation", "cases")
+    }
     stages = node_at(root, "curriculum")
     for index, item in enumerate(stages.items if isinstance(stages, SequenceNode) else ()):
         variants["curriculum", index] = written(item, "name") == stage
@@ -331,7 +371,8 @@ def changed_scenario(document: Document, change: Change) -> Compiled:
 
 
 def changed_program(document: Document, change: Change) -> Program:
-    """The same without linting, which takes a fifth of the time in which a short episode is compiled, built and simulated.
+    """The same without linting, which takes a fifth of the time in which a short episode is compiled, built
+    and simulated.
 
     Raises:
         ScenarioError: The changed scenario does not compile.
@@ -352,7 +393,11 @@ def _checked(document: Document, change: Change) -> CheckedScenario:
 
 def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> RobustnessLevel:
     is_rate = metric == "success_rate"
-    score, interval = (result.success_rate, result.success_interval) if is_rate else (result.mean_return, result.return_interval)
+    score, interval = (
+        (result.success_rate, result.success_interval)
+        if is_rate
+        else (result.mean_return, result.return_interval)
+    )
     certain = interval is not None and not interval[0] <= bar <= interval[1]
     return RobustnessLevel(label, result, score >= bar, certain, interval)
 
@@ -360,7 +405,8 @@ def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> 
 def _bar(
     program: Program, nominal: EvaluationResult, min_success: float | None, min_return: float | None
 ) -> tuple[Metric, float | None, str]:
-    """The metric, the required score, and its source; the score is None if the unchanged one is 0 % of successes and none is required."""
+    """The metric, the required score, and its source; the score is None if the unchanged one is 0 % of
+    successes and none is required."""
     solved = program.agent.solved
     if min_return is not None:
         return "mean_return", min_return, "given"
@@ -385,7 +431,8 @@ class Plan(NamedTuple):
     Attributes:
         name: Its name.
         change: The change of the scenario by an amount.
-        sides: The amounts of a robustness evaluation by side, from the smallest change on; a condition with one side has the side "".
+        sides: The amounts of a robustness evaluation by side, from the smallest change on; a condition with
+            one side has the side "".
         form: The format of an amount: `FACTOR`, `DELAY` in ms, or that of a share.
     """
 
@@ -417,14 +464,21 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
         yield Plan("message loss", _loss, {"": LOSS_RATES}, "{:.0%}")
     if all(_noise(root, program, share) for share in NOISE_SHARES):
         yield Plan(
-            "observation noise", lambda share: {"observation": _noise(root, program, share)}, {"": NOISE_SHARES}, "{:.0%} of the range"
+            "observation noise",
+            lambda share: {"observation": _noise(root, program, share)},
+            {"": NOISE_SHARES},
+            "{:.0%} of the range",
         )
     if mass := _mass(root, program, mass_of):
         yield _mass_plan(root, mass)
     if surfaces := _surfaces(root, program):
-        yield Plan(f"friction of {_named(surfaces)}", lambda factor: _frictions(root, surfaces.values(), factor))
+        yield Plan(
+            f"friction of {_named(surfaces)}", lambda factor: _frictions(root, surfaces.values(), factor)
+        )
     if any(entries_at(root, "robots", robot, "actuators") for robot in entries_at(root, "robots")):
-        yield Plan("motor strength", lambda factor: {"robots": _strengths(root, factor)}, {"": STRENGTH_FACTORS})
+        yield Plan(
+            "motor strength", lambda factor: {"robots": _strengths(root, factor)}, {"": STRENGTH_FACTORS}
+        )
 
 
 def delayed(delay: float, own: str | None) -> str:
@@ -447,7 +501,8 @@ Surface = tuple[str, str]
 def _surfaces(root: MappingNode, program: Program) -> dict[str, Surface]:
     """What robots stand on, by its name in words: the ground, and fixed objects such as stairs.
 
-    In both engines the friction of a contact is the product of both coefficients, so walls, which robots should not touch, are left out.
+    In both engines the friction of a contact is the product of both coefficients, so walls, which robots
+    should not touch, are left out.
     """
     surfaces: dict[str, Surface] = {}
     if program.world.terrain is not None or program.world.ground is not None:
@@ -475,7 +530,8 @@ def _frictions(root: MappingNode, surfaces: Iterable[Surface], factor: float) ->
 
 
 def friction(root: MappingNode, surface: Surface, factor: float) -> Change:
-    """The friction of a body, and of the variants that have one of their own, times a factor; 1 is the default."""
+    """The friction of a body, and of the variants that have one of their own, times a factor; 1 is the
+    default."""
     change: Change = {"friction": f"{factor:g} * ({written(root, *surface, 'friction') or '1'})"}
     for variant in entries_at(root, *surface, "one_of"):
         if own := written(root, *surface, "one_of", variant, "friction"):
@@ -485,8 +541,8 @@ def friction(root: MappingNode, surface: Surface, factor: float) -> Change:
 
 def written(root: Node | None, *path: str) -> str | None:
     """The single value that is written at a path; None where nothing is."""
-    found = node_at(root, *path)
-    return found.text if isinstance(found, ScalarNode) else None
+    node = node_at(root, *path)
+    return node.text if isinstance(node, ScalarNode) else None
 
 
 def _noise(root: MappingNode, program: Program, share: float) -> Change:
@@ -516,7 +572,8 @@ def masses(root: MappingNode, program: Program, largest: int) -> Iterator[Plan]:
 
 
 def _movable(root: MappingNode, program: Program) -> tuple[dict[str, float], list[str], list[str]]:
-    """The links that can move, with their masses in kg; the objects that can; and what is fixed to the world."""
+    """The links that can move, with their masses in kg; the objects that can; and what is fixed to the
+    world."""
     heavy = {
         f"{body.name}.{link.name}": (link.inertial.mass, link.name in still)
         for body in program.world.robots
@@ -526,13 +583,23 @@ def _movable(root: MappingNode, program: Program) -> tuple[dict[str, float], lis
     }
     links = {link: mass for link, (mass, is_fixed) in heavy.items() if not is_fixed}
     fixed = {body.name for body in program.world.objects if body.fixed}
-    weighed = [key for key in entries_at(root, "objects") if written(root, "objects", key, "mass") is not None]
+    weighed = [
+        key for key in entries_at(root, "objects") if written(root, "objects", key, "mass") is not None
+    ]
     objects = [key for key in weighed if key not in fixed]
-    return links, objects, [*(link for link in heavy if link not in links), *(key for key in weighed if key in fixed)]
+    return (
+        links,
+        objects,
+        [*(link for link in heavy if link not in links), *(key for key in weighed if key in fixed)],
+    )
 
 
 def _mass_plan(root: MappingNode, name: str) -> Plan:
-    path = ("objects", name) if name in entries_at(root, "objects") else ("robots", name.partition(".")[0], "links", name.partition(".")[2])
+    path = (
+        ("objects", name)
+        if name in entries_at(root, "objects")
+        else ("robots", name.partition(".")[0], "links", name.partition(".")[2])
+    )
     own = written(root, *path, "mass") or "urdf"
     return Plan(f"mass of {name}", lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"}))
 
@@ -540,8 +607,9 @@ def _mass_plan(root: MappingNode, name: str) -> Plan:
 def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
     """The link or object whose mass is changed; None where nothing has a mass.
 
-    By default it is the heaviest link of all robots, as if it carried a load. All masses by one factor would often change nothing: the
-    accelerations of a robot that follows commands of speed stay as they are. The mass of what is fixed to the world changes no motion.
+    By default it is the heaviest link of all robots, as if it carried a load. All masses by one factor would
+    often change nothing: the accelerations of a robot that follows commands of speed stay as they are. The
+    mass of what is fixed to the world changes no motion.
 
     Raises:
         UsageError: Nothing of this name has a mass, or it is fixed to the world.
@@ -568,7 +636,10 @@ def _strengths(root: MappingNode, factor: float) -> Change:
     return {
         robot: {
             "actuators": {
-                name: {"strength": f"{factor:g} * ({written(root, 'robots', robot, 'actuators', name, 'strength') or '1'})"}
+                name: {
+                    "strength": f"{factor:g} *"
+                    f" ({written(root, 'robots', robot, 'actuators', name, 'strength') or '1'})"
+                }
                 for name in entries_at(root, "robots", robot, "actuators")
             }
         }

@@ -17,7 +17,8 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.learning.episodes import MAX_STEPS
 from deepbots_cli.learning.executor import SERIAL, Executor
-from deepbots_cli.learning.training import Iteration, train
+from deepbots_cli.learning.training import train
+from deepbots_cli.learning.training_loop import Iteration
 from deepbots_cli.rollout.collector import CollectTimes
 from deepbots_cli.scenario.fields import counted_noun
 
@@ -82,7 +83,7 @@ def measure(
         folder: Where a temporary folder is made; workers on other machines must see it.
         on_measured: Called with the number of measurements that are done and that of all.
     """
-    found: list[ShardTiming] = []
+    timings: list[ShardTiming] = []
     show = on_measured or (lambda done, of: None)
     for number, count in enumerate(shards):
         show(number, len(shards))
@@ -99,15 +100,19 @@ def measure(
                 on_iteration=times.note,
             )
         processes = 0 if executor.is_here else min(count, executor.workers)
-        found.append(times.timing(count, processes, found[0].steps_per_second if found else None))
+        timings.append(times.timing(count, processes, timings[0].steps_per_second if timings else None))
     show(len(shards), len(shards))
-    return found
+    return timings
 
 
 def _with_shards(scenario: str, shards: int, overrides: Sequence[str], permissions: Permissions) -> Compiled:
     changed = [*overrides, f"train.shards={shards}"]
     try:
-        return api.compile(scenario, overrides=[*changed, f"train.learning_starts={_LEARNING_STARTS}"], permissions=permissions)
+        return api.compile(
+            scenario,
+            overrides=[*changed, f"train.learning_starts={_LEARNING_STARTS}"],
+            permissions=permissions,
+        )
     except ScenarioError:  # an on-policy algorithm, or one that needs a longer start
         return api.compile(scenario, overrides=changed, permissions=permissions)
 
@@ -131,7 +136,11 @@ class _Times:
         self._collect += iteration.collect - iteration.evaluations
         self._update += iteration.update
         self._count += 1
-        return "the measurement" if self._count >= _MIN_ITERATIONS and now - self._first[1] >= self._limit else None
+        return (
+            "the measurement"
+            if self._count >= _MIN_ITERATIONS and now - self._first[1] >= self._limit
+            else None
+        )
 
     def timing(self, shards: int, workers: int, first: float | None) -> ShardTiming:
         if self._first is None or self._last is None:
@@ -156,7 +165,9 @@ class _Times:
 
 
 def _difference(after: CollectTimes, before: CollectTimes) -> CollectTimes:
-    return CollectTimes(after.worlds - before.worlds, after.waiting - before.waiting, after.transfer - before.transfer)
+    return CollectTimes(
+        after.worlds - before.worlds, after.waiting - before.waiting, after.transfer - before.transfer
+    )
 
 
 def candidates(environments: int, workers: int) -> list[int]:
@@ -173,6 +184,12 @@ def choose(timings: Sequence[ShardTiming]) -> ShardTiming:
 
 def described(timings: Sequence[ShardTiming], chosen: ShardTiming) -> str:
     """What was measured and chosen, in a sentence."""
-    rates = ", ".join(f"{counted_noun(timing.shards, 'shard')} {timing.steps_per_second:,.0f} steps/s" for timing in timings)
-    reason = "" if chosen is not timings[0] or len(timings) == 1 else f", because more are less than {MIN_GAIN} times as fast"
+    rates = ", ".join(
+        f"{counted_noun(timing.shards, 'shard')} {timing.steps_per_second:,.0f} steps/s" for timing in timings
+    )
+    reason = (
+        ""
+        if chosen is not timings[0] or len(timings) == 1
+        else f", because more are less than {MIN_GAIN} times as fast"
+    )
     return f"measured: {rates}; the training has {counted_noun(chosen.shards, 'shard')}{reason}"

@@ -1,6 +1,8 @@
-"""Runs the `tests` of scenarios: episodes of a script, of random or zero actions, or of a sequence of actions, against expected results.
+"""Runs the `tests` of scenarios: episodes of a script, of random or zero actions, or of a sequence of
+actions, against expected results.
 
-Episode k of a test starts as episode k of an evaluation with the seed of the test does, so `deepbots view --seed S --episode K` shows it.
+Episode k of a test starts as episode k of an evaluation with the seed of the test does, so `deepbots view
+--seed S --episode K` shows it.
 """
 
 from __future__ import annotations
@@ -31,8 +33,9 @@ if TYPE_CHECKING:
 class UnmetExpectation:
     """An expectation that is not met.
 
-    `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words. `episode`, which counts from 0, is
-    the first at fault; the number of the `step` is None if the miss is of no single step.
+    `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words.
+    `episode`, which counts from 0, is the first at fault; the number of the `step` is None if the miss is of
+    no single step.
     """
 
     expected: str
@@ -44,7 +47,8 @@ class UnmetExpectation:
 
 @dataclass(frozen=True)
 class TestResult:
-    """The result of a test; `steps` counts those of all episodes, `seconds` is wall time, and `misses` are empty if it passed."""
+    """The result of a test; `steps` counts those of all episodes, `seconds` is wall time, and `misses` are
+    empty if it passed."""
 
     test: ScenarioTest
     episodes: int
@@ -79,7 +83,9 @@ def run_tests(
     for (case, stage), group in groupby(sorted(tests, key=setting), setting):
         together = tuple(group)
         chosen = program.variant(case or None, stage or None)
-        with closing(api.make(replace(chosen, tests=together), engine=engine, permissions=permissions)) as environment:
+        with closing(
+            api.make(replace(chosen, tests=together), engine=engine, permissions=permissions)
+        ) as environment:
             for test in together:
                 yield _run(environment, test, on_episode)
 
@@ -99,26 +105,41 @@ def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | No
     else:
         misses += _over_episodes(environment.scenario, test, done)
     steps = cut + sum(episode.length for episode in done)
-    return TestResult(test, len(done), steps, time.perf_counter() - began, tuple(_first_of_each(misses, test, environment.scenario.period)))
+    return TestResult(
+        test,
+        len(done),
+        steps,
+        time.perf_counter() - began,
+        tuple(_first_of_each(misses, test, environment.scenario.period)),
+    )
 
 
-def _first_of_each(misses: Sequence[UnmetExpectation], test: ScenarioTest, period: float) -> Iterator[UnmetExpectation]:
-    """The first miss of each expectation, with the number of episodes that miss it, and where it was measured."""
+def _first_of_each(
+    misses: Sequence[UnmetExpectation], test: ScenarioTest, period: float
+) -> Iterator[UnmetExpectation]:
+    """The first miss of each expectation, with the number of episodes that miss it, and where it was
+    measured."""
     for first in {miss.where: miss for miss in reversed(misses)}.values():
         episodes = {miss.episode for miss in misses if miss.where == first.where}
         many = f"; in {len(episodes)} of {test.episodes} episodes" if len(episodes) > 1 else ""
         step = f", step {first.step:,} ({first.step * period:.4g} s)" if first.step is not None else ""
-        yield replace(first, measured=f"{first.measured}{many}; seed {test.seed}, episode {first.episode}{step}")
+        yield replace(
+            first, measured=f"{first.measured}{many}; seed {test.seed}, episode {first.episode}{step}"
+        )
 
 
-def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: list[UnmetExpectation]) -> Episode:
+def _episode(
+    environment: Supervisor, test: ScenarioTest, number: int, misses: list[UnmetExpectation]
+) -> Episode:
     """One episode, whose `ended_by` is None if the test stops it; what it misses is added to `misses`."""
     start = Start.of_evaluation(test.seed, number)
     watches = [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
     if isinstance(test.driver, str):
         driver = named_driver(environment, test.driver)
     else:
-        driver = sequence_driver(environment.make_action(action.choices, action.ranges) for action in test.driver)
+        driver = sequence_driver(
+            environment.make_action(action.choices, action.ranges) for action in test.driver
+        )
 
     def watched() -> Iterator[Step]:
         for step in islice(steps(environment, driver, start), test.steps + 1):
@@ -138,7 +159,9 @@ def _episode(environment: Supervisor, test: ScenarioTest, number: int, misses: l
 
 
 def _miss(expected: ExpectedResult, measured: str, episode: int, step: int | None = None) -> UnmetExpectation:
-    return UnmetExpectation(f"{expected.key}: {expected.text}", expected.span.location, measured, episode, step)
+    return UnmetExpectation(
+        f"{expected.key}: {expected.text}", expected.span.location, measured, episode, step
+    )
 
 
 class _ExpectationMonitor:
@@ -155,11 +178,15 @@ class _ExpectationMonitor:
         """Note which conditions hold after a step."""
         if not self._test.conditions:
             return
-        for expected, holds in zip(self._test.conditions, self._agent.tested(self._test.name, "holds"), strict=True):
+        for expected, holds in zip(
+            self._test.conditions, self._agent.tested(self._test.name, "holds"), strict=True
+        ):
             if holds:
                 self._met.add(expected)
             elif expected.key == "always" and expected not in self._broken:
-                self._broken[expected] = _miss(expected, self._compared(expected) or "false", self._episode, step)
+                self._broken[expected] = _miss(
+                    expected, self._compared(expected) or "false", self._episode, step
+                )
 
     def misses(self, length: str) -> Iterator[UnmetExpectation]:
         """What the episode misses, called after its last step."""
@@ -167,23 +194,38 @@ class _ExpectationMonitor:
         for expected in self._test.conditions:
             if expected.key == "eventually" and expected not in self._met:
                 compared = self._compared(expected)
-                yield _miss(expected, f"never in {length}" + (f"; at the end, {compared}" if compared else ""), self._episode)
+                yield _miss(
+                    expected,
+                    f"never in {length}" + (f"; at the end, {compared}" if compared else ""),
+                    self._episode,
+                )
 
     def _compared(self, wanted: ExpectedResult) -> str:
         """What the condition compares, with the values after the last step."""
         values = iter(self._agent.tested(self._test.name, "compared"))
-        found = {expected: [(value, next(values)) for value in expected.compared] for expected in self._test.conditions}
-        return ", ".join(f"{value.text} is {with_unit(number, value.typed.type.dimension)}" for value, number in found[wanted])
+        compared = {
+            expected: [(value, next(values)) for value in expected.compared]
+            for expected in self._test.conditions
+        }
+        return ", ".join(
+            f"{value.text} is {with_unit(number, value.typed.type.dimension)}"
+            for value, number in compared[wanted]
+        )
 
 
-def _over_episodes(program: Program, test: ScenarioTest, done: Sequence[Episode]) -> Iterator[UnmetExpectation]:
+def _over_episodes(
+    program: Program, test: ScenarioTest, done: Sequence[Episode]
+) -> Iterator[UnmetExpectation]:
     """What all episodes together miss."""
     returns = [episode.total_return for episode in done]
     for expected in test.expected:
         match expected.key:
             case "success_rate" | "failure_rate":
                 counted = [
-                    episode.is_success if expected.key == "success_rate" else episode.ended_by in program.failures for episode in done
+                    episode.is_success
+                    if expected.key == "success_rate"
+                    else episode.ended_by in program.failures
+                    for episode in done
                 ]
                 share = sum(counted) / len(done)
                 if not expected.low <= share <= expected.high:
@@ -192,6 +234,12 @@ def _over_episodes(program: Program, test: ScenarioTest, done: Sequence[Episode]
             case "mean_return":
                 mean = fmean(returns)
                 if not expected.low <= mean <= expected.high:
-                    extreme, worst = ("highest", max(returns)) if mean > expected.high else ("lowest", min(returns))
-                    words = f"{mean:.6g}" if len(done) == 1 else f"{mean:.6g} over {len(done)} episodes, the {extreme} is {worst:.6g}"
+                    extreme, worst = (
+                        ("highest", max(returns)) if mean > expected.high else ("lowest", min(returns))
+                    )
+                    words = (
+                        f"{mean:.6g}"
+                        if len(done) == 1
+                        else f"{mean:.6g} over {len(done)} episodes, the {extreme} is {worst:.6g}"
+                    )
                     yield _miss(expected, words, returns.index(worst))

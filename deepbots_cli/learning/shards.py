@@ -1,7 +1,8 @@
 """The worlds of a training, and shards: groups of these worlds, each with a copy of the policy.
 
-The worlds of a training stand in this process (`make_worlds`), or belong to shards. A `Shard` needs nothing but the run directory and the
-numbers of its worlds, so it can be made in any process that sees this directory. `LocalShards` has its shards in this process.
+The worlds of a training stand in this process (`make_worlds`), or belong to shards. A `Shard` needs nothing
+but the run directory and the numbers of its worlds, so it can be made in any process that sees this
+directory. `LocalShards` has its shards in this process.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ import torch
 from deepbots_cli.api import build_batch
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning.callbacks import EvaluationWorld
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
 from deepbots_cli.learning.failures import BatchFailureRecorder, FailureRecorder
+from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
@@ -74,7 +75,8 @@ def make_worlds(
 
     Args:
         on_step: Called after the step of each row.
-        on_episode: Called after each episode of a row, with the place of its world in the plan, its stage and the values that it drew.
+        on_episode: Called after each episode of a row, with the place of its world in the plan, its stage and
+            the values that it drew.
         next_episode: Returns the number of the next episode of the training, for failures.
         note: Called with what the user should know.
     """
@@ -85,13 +87,16 @@ def make_worlds(
 
     def guarded(stage: int) -> FailureRecorder:
         scenario = curriculum.scenario_of(stage)
-        return FailureRecorder(plan.build(scenario), run, scenario, episode=next_episode, stage=curriculum.name_of(stage))
+        return FailureRecorder(
+            plan.build(scenario), run, scenario, episode=next_episode, stage=curriculum.name_of(stage)
+        )
 
     def end(world: int, episode: Episode) -> None:
         on_episode(world, episode, stages[world], env.drawn[world])
 
     def next_seed(world: int) -> int | None:
-        """Let a world enter the present stage; the seed that it begins there with, or None if it is there already."""
+        """Let a world enter the present stage; the seed that it begins there with, or None if it is there
+        already."""
         if stages[world] == plan.present():
             return None
         stages[world] = plan.present()
@@ -143,7 +148,7 @@ class Shard:
         self._notes: list[str] = []
         self._stage, self._next_episode = 0, 1
         self._policy: Learner | None = None
-        self._evaluation = EvaluationWorld(build, run)
+        self._evaluation = EvaluationWorlds(build, run)
 
     def begin(self, episodes: Sequence[RunningEpisode]) -> Any:
         """Bring the worlds to the end of these episodes; the observations."""
@@ -189,12 +194,17 @@ class Shard:
         with _random_numbers_kept():
             self._seed(derive_seed(self._run.record.seed, "shard", self._number, order.begun))
             actor.begin()
-            fragment = self._collector.collect(actor, order.steps, with_masks=order.with_masks, lesson=self._lesson(order.lesson))
+            fragment = self._collector.collect(
+                actor, order.steps, with_masks=order.with_masks, lesson=self._lesson(order.lesson)
+            )
         if fragment is None:
             raise RuntimeError("nothing can end a fragment of a shard")
         worlds, rows = self._collector.worlds, self._collector.rows // len(self._numbers)
         has_begun = fragment.starts[1:].any(axis=0) | fragment.following_starts
-        begun = {world: (worlds.start_of(world), self._stages[world]) for world in np.flatnonzero(has_begun[::rows]).tolist()}
+        begun = {
+            world: (worlds.start_of(world), self._stages[world])
+            for world in np.flatnonzero(has_begun[::rows]).tolist()
+        }
         seconds = perf_counter() - began, self._collector.times.worlds - worlds_before
         return Harvest(fragment, actor.memory(), list(self._ended), begun, seconds, notes=list(self._notes))
 
@@ -203,9 +213,9 @@ class Shard:
         policy = self._begun()
         policy.actor().load(order.parameters)
         numbers = range(self._number, len(order.seeds), self._training.shards)
-        scenario = self._run.program.variant(None, order.stage)
         with _random_numbers_kept():
-            played = self._evaluation.play(policy, scenario, order.seeds, order.stage, numbers)
+            self._evaluation.enter(self._run.program.variant(None, order.stage), stage=order.stage)
+            played = self._evaluation.play(policy, order.seeds, numbers)
         return Evaluated(dict(zip(numbers, played, strict=True)))
 
     def _lesson(self, lesson: Lesson | None) -> Lesson | None:
@@ -220,7 +230,8 @@ class Shard:
         return self._policy
 
     def _seed(self, seed: int) -> None:
-        """Seed all generators that a policy draws from; no shard needs to keep their states between two fragments."""
+        """Seed all generators that a policy draws from; no shard needs to keep their states between two
+        fragments."""
         torch.default_generator.manual_seed(seed)
         np.random.seed(seed % 2**32)
         random.seed(seed)
@@ -253,12 +264,19 @@ class LocalShards:
         return [shard.begin(own) for shard, own in zip(self._shards, episodes, strict=True)]
 
     def collect(
-        self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
+        self,
+        order: Order,
+        memories: Sequence[Mapping[str, Array]],
+        episodes: Sequence[Sequence[RunningEpisode]],
     ) -> Callable[[], list[Harvest]]:
-        harvests = [shard.collect(order, memory) for shard, memory in zip(self._shards, memories, strict=True)]
+        harvests = [
+            shard.collect(order, memory) for shard, memory in zip(self._shards, memories, strict=True)
+        ]
         return lambda: harvests
 
-    def evaluate(self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Evaluated]:
+    def evaluate(
+        self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]
+    ) -> list[Evaluated]:
         return [shard.evaluate(order) for shard in self._shards]
 
     def close(self) -> None:

@@ -1,4 +1,5 @@
-"""Statistics of evaluations: intervals, tests that may be read at any time, and comparisons of groups of runs.
+"""Statistics of evaluations: intervals, tests that may be read at any time, and comparisons of groups of
+runs.
 
 Scores are returns or successes of episodes. All intervals have a confidence of 95 % unless stated otherwise.
 """
@@ -22,7 +23,8 @@ ALPHA = 0.05
 def wilson(successes: int, episodes: int, error: float = ALPHA) -> Interval:
     """The score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927, p. 209).
 
-    It solves (p - phat)^2 = z^2 p (1 - p) / n for p. It stays inside [0, 1] and has a width also at 0 and at n successes.
+    It solves (p - phat)^2 = z^2 p (1 - p) / n for p. It stays inside [0, 1] and has a width also at 0 and at
+    n successes.
     """
     z = NormalDist().inv_cdf(1 - error / 2)
     rate, spread = successes / episodes, z * z / episodes
@@ -33,15 +35,19 @@ def wilson(successes: int, episodes: int, error: float = ALPHA) -> Interval:
 
 
 def episodes_above(rate: float, error: float = ALPHA) -> int:
-    """The smallest number of episodes whose interval is above a rate if all of them succeed; its lower end is n / (n + z^2)."""
+    """The smallest number of episodes whose interval is above a rate if all of them succeed; its lower end is
+    n / (n + z^2)."""
     return math.ceil(NormalDist().inv_cdf(1 - error / 2) ** 2 * rate / (1.0 - rate))
 
 
-def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED, error: float = ALPHA) -> Interval | None:
+def mean_interval(
+    values: Sequence[float], bounds: Interval = UNBOUNDED, error: float = ALPHA
+) -> Interval | None:
     """Student's interval of a mean, cut at the bounds of the values; None for fewer than two values.
 
-    Equal values tell nothing of the spread. With a probability of 95 %, at most the share 1 - 0.05^(1/n) of all values differs from n equal
-    ones; the interval then has this share of the way to the bounds, and is None without bounds.
+    Equal values tell nothing of the spread. With a probability of 95 %, at most the share 1 - 0.05^(1/n) of
+    all values differs from n equal ones; the interval then has this share of the way to the bounds, and is
+    None without bounds.
     """
     if len(values) < 2:
         return None
@@ -55,7 +61,8 @@ def mean_interval(values: Sequence[float], bounds: Interval = UNBOUNDED, error: 
 
 
 def interquartile_mean(values: Sequence[float]) -> float:
-    """The mean of the middle half of the values (R. Agarwal et al., NeurIPS 2021); the values at its two edges count in part."""
+    """The mean of the middle half of the values (R. Agarwal et al., NeurIPS 2021); the values at its two
+    edges count in part."""
     ordered = np.sort(np.asarray(values, dtype=float))
     quarter = len(ordered) / 4
     # The share of each value that lies between the first and the third quartile, for values of equal width.
@@ -64,24 +71,29 @@ def interquartile_mean(values: Sequence[float]) -> float:
     return float(np.average(ordered, weights=share))
 
 
-# -- tests that may be read after every episode ---------------------------------------------------------------------------
+# -- tests that may be read after every episode
+# ---------------------------------------------------------------------------
 
 
 def rate_evidence(rate: float, successes: int, episodes: int) -> float:
     """The natural logarithm of the evidence against a success rate of exactly `rate`, from 0 to 1.
 
-    This is the beta-binomial mixture martingale with Jeffreys' prior Beta(1/2, 1/2) (H. Robbins, Ann. Math. Stat. 41, 1970, p. 1397):
-    if `rate` is true, the evidence exceeds log(1 / ALPHA) after any number of episodes with a probability of at most ALPHA.
+    This is the beta-binomial mixture martingale with Jeffreys' prior Beta(1/2, 1/2) (H. Robbins, Ann. Math.
+    Stat. 41, 1970, p. 1397): if `rate` is true, the evidence exceeds log(1 / ALPHA) after any number of
+    episodes with a probability of at most ALPHA.
     """
     failures = episodes - successes
     if (rate == 0 and successes) or (rate == 1 and failures):
         return math.inf
-    likelihood = (successes * math.log(rate) if successes else 0.0) + (failures * math.log1p(-rate) if failures else 0.0)
+    likelihood = (successes * math.log(rate) if successes else 0.0) + (
+        failures * math.log1p(-rate) if failures else 0.0
+    )
     return float(betaln(successes + 0.5, failures + 0.5) - betaln(0.5, 0.5)) - likelihood
 
 
 def rate_sequence(successes: int, episodes: int) -> Interval:
-    """The confidence sequence of a success rate: with a probability of 95 % it holds the true rate after every episode at once."""
+    """The confidence sequence of a success rate: with a probability of 95 % it holds the true rate after
+    every episode at once."""
     from scipy.optimize import brentq  # here, since its import takes 0.2 s of CPU, which trainings do without
 
     def excess(rate: float) -> float:
@@ -98,21 +110,26 @@ _LARGEST_BET = 0.75  # of the capital that may be lost at once
 
 
 def mean_evidence(mean: float, values: Sequence[float], bounds: Interval) -> tuple[float, float]:
-    """The natural logarithms of the evidence that the mean of bounded values is above `mean`, and that it is below.
+    """The natural logarithms of the evidence that the mean of bounded values is above `mean`, and that it is
+    below.
 
-    Each is the capital of a gambler who bets on the next value, from 1 (I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random
-    variables by betting", J. R. Stat. Soc. B 86, 2024). If the true mean is not above `mean`, the first exceeds log(1 / a) after any number
-    of values with a probability of at most a. This holds for any distribution within the bounds, also if most values are equal. Values
-    without a lower bound are no evidence of a mean above, and values without an upper bound none of a mean below.
+    Each is the capital of a gambler who bets on the next value, from 1 (I. Waudby-Smith and A. Ramdas,
+    "Estimating means of bounded random variables by betting", J. R. Stat. Soc. B 86, 2024). If the true mean
+    is not above `mean`, the first exceeds log(1 / a) after any number of values with a probability of at most
+    a. This holds for any distribution within the bounds, also if most values are equal. Values without a
+    lower bound are no evidence of a mean above, and values without an upper bound none of a mean below.
     """
     low, high = bounds
-    return _capital([value - mean for value in values], mean - low), _capital([mean - value for value in values], high - mean)
+    return _capital([value - mean for value in values], mean - low), _capital(
+        [mean - value for value in values], high - mean
+    )
 
 
 def _capital(gains: Sequence[float], largest_loss: float) -> float:
     """The logarithm of the capital after bets on values of which none is below -`largest_loss`.
 
-    A bet is the ratio of the mean to the mean square of the values before, which nearly maximizes the growth of the capital.
+    A bet is the ratio of the mean to the mean square of the values before, which nearly maximizes the growth
+    of the capital.
     """
     if not 0 < largest_loss < math.inf:
         return 0.0
@@ -135,49 +152,64 @@ class Verdict:
 def gate_rate(required: float, successes: int, episodes: int, planned: int) -> Verdict:
     """Whether a success rate reaches `required` after `episodes` of `planned` episodes.
 
-    The answer is certain when the confidence sequence of the rate excludes `required`, or when the episodes that are left cannot change
-    it. After the last planned episode the measured rate decides.
+    The answer is certain when the confidence sequence of the rate excludes `required`, or when the episodes
+    that are left cannot change it. After the last planned episode the measured rate decides.
     """
     rate = successes / episodes
     if rate_evidence(required, successes, episodes) >= math.log(1 / ALPHA):
         low, high = rate_sequence(successes, episodes)
-        return Verdict(rate > required, f"{successes} of {episodes} episodes succeed; 95 % confidence sequence {low:.3g} .. {high:.3g}")
+        return Verdict(
+            rate > required,
+            f"{successes} of {episodes} episodes succeed; 95 % confidence sequence {low:.3g} .. {high:.3g}",
+        )
     left = planned - episodes
-    known = f"{successes} of {episodes} episodes succeed" + (f"; the remaining {left} cannot change the result" if left else "")
+    so_far = f"{successes} of {episodes} episodes succeed" + (
+        f"; the remaining {left} cannot change the result" if left else ""
+    )
     if successes >= required * planned:
-        return Verdict(True, known)
+        return Verdict(True, so_far)
     if successes + left < required * planned:
-        return Verdict(False, known)
-    return Verdict(None, known)
+        return Verdict(False, so_far)
+    return Verdict(None, so_far)
 
 
-def gate_mean(required: float, returns: Sequence[float], planned: int, bounds: Interval = UNBOUNDED) -> Verdict:
-    """Whether a mean return reaches `required` after some of `planned` episodes; `bounds` are those of a return.
+def gate_mean(
+    required: float, returns: Sequence[float], planned: int, bounds: Interval = UNBOUNDED
+) -> Verdict:
+    """Whether a mean return reaches `required` after some of `planned` episodes; `bounds` are those of a
+    return.
 
-    The answer is certain when the evidence against the other answer exceeds 2 / ALPHA, or when the episodes that are left cannot change
-    it. After the last planned episode the measured mean decides. Without bounds, no answer is certain before.
+    The answer is certain when the evidence against the other answer exceeds 2 / ALPHA, or when the episodes
+    that are left cannot change it. After the last planned episode the measured mean decides. Without bounds,
+    no answer is certain before.
     """
     left = planned - len(returns)
-    known = f"mean return {fmean(returns):.4g} in {len(returns)} episodes"
+    so_far = f"mean return {fmean(returns):.4g} in {len(returns)} episodes"
     above, below = mean_evidence(required, returns, bounds)
     if left and max(above, below) >= math.log(2 / ALPHA):
-        return Verdict(above > below, f"{known}; confidence sequence at 95 %")
+        return Verdict(above > below, f"{so_far}; confidence sequence at 95 %")
     total, needed = math.fsum(returns), required * planned
     if left == 0:
-        return Verdict(total >= needed, known)
-    met = True if total + left * bounds[0] >= needed else False if total + left * bounds[1] < needed else None
-    return Verdict(met, known if met is None else f"{known}, which the remaining {left} cannot change")
+        return Verdict(total >= needed, so_far)
+    if total + left * bounds[0] >= needed:
+        met = True
+    elif total + left * bounds[1] < needed:
+        met = False
+    else:
+        met = None
+    return Verdict(met, so_far if met is None else f"{so_far}, which the remaining {left} cannot change")
 
 
-# -- comparisons ----------------------------------------------------------------------------------------------------------
+# -- comparisons
+# ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Difference:
     """The second of two groups against the first: `mean` is the difference of their means, with its interval.
 
-    `interval` is None where a group has one run only and episodes cannot be paired. `improvement` is the probability that a run of the
-    second group scores higher than one of the first; equal scores count half.
+    `interval` is None where a group has one run only and episodes cannot be paired. `improvement` is the
+    probability that a run of the second group scores higher than one of the first; equal scores count half.
     """
 
     mean: float
@@ -190,12 +222,15 @@ class Difference:
         return self.interval is not None and (self.interval[0] > 0 or self.interval[1] < 0)
 
 
-def compare_seeds(first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED, error: float = ALPHA) -> Difference:
-    """Two groups of runs, by one score per seed: Welch's interval of the difference of their means (B. L. Welch, Biometrika 34, 1947).
+def compare_seeds(
+    first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED, error: float = ALPHA
+) -> Difference:
+    """Two groups of runs, by one score per seed: Welch's interval of the difference of their means (B. L.
+    Welch, Biometrika 34, 1947).
 
-    The interval is cut at the largest difference that the `bounds` of a score allow. The seeds of both groups are independent, also where
-    they have the same numbers: two trainings diverge after the first update. `error` is the probability that the interval misses the
-    true difference.
+    The interval is cut at the largest difference that the `bounds` of a score allow. The seeds of both groups
+    are independent, also where they have the same numbers: two trainings diverge after the first update.
+    `error` is the probability that the interval misses the true difference.
     """
     mean = fmean(second) - fmean(first)
     improvement = probability_of_improvement(first, second)
@@ -205,14 +240,19 @@ def compare_seeds(first: Sequence[float], second: Sequence[float], bounds: Inter
     standard_error = math.sqrt(sum(parts))
     if standard_error == 0:
         return Difference(mean, (mean, mean), improvement)
-    freedom = sum(parts) ** 2 / sum(part * part / (len(group) - 1) for part, group in zip(parts, (first, second), strict=True))
+    freedom = sum(parts) ** 2 / sum(
+        part * part / (len(group) - 1) for part, group in zip(parts, (first, second), strict=True)
+    )
     half = float(stdtrit(freedom, 1 - error / 2)) * standard_error
     largest = bounds[1] - bounds[0]
     return Difference(mean, (max(mean - half, -largest), min(mean + half, largest)), improvement)
 
 
-def compare_episodes(first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED) -> Difference:
-    """Two policies on the same starts, by one score per episode in the same order: Student's interval of the mean of the differences.
+def compare_episodes(
+    first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED
+) -> Difference:
+    """Two policies on the same starts, by one score per episode in the same order: Student's interval of the
+    mean of the differences.
 
     The interval is cut at the largest difference that the `bounds` of a score allow.
     """

@@ -1,4 +1,5 @@
-"""Studies: searches for better values of a scenario with Optuna. A trial is a group of runs under one set of values.
+"""Studies: searches for better values of a scenario with Optuna. A trial is a group of runs under one set of
+values.
 
     runs/cartpole-tune-1/
     ├── study.json           search space, seeds, objective, settings of the trainings, versions, command
@@ -7,10 +8,11 @@
     ├── workers/             the output of workers
     └── trial-0/, trial-1/ ...   a group for each trial
 
-Several processes may work on one study: each takes the next trial under a lock that ends with the process. A trial of a process that was
-killed is taken up again, and its runs continue from their checkpoints. The values of a trial depend on the seed of the study, the number
-of the trial and the trials before it, so one process with the same seed gives the same study, with or without an interruption.
-Importing this module loads neither Optuna nor torch.
+Several processes may work on one study: each takes the next trial under a lock that ends with the process. A
+trial of a process that was killed is taken up again, and its runs continue from their checkpoints. The values
+of a trial depend on the seed of the study, the number of the trial and the trials before it, so one process
+with the same seed gives the same study, with or without an interruption. Importing this module loads neither
+Optuna nor torch.
 """
 
 from __future__ import annotations
@@ -34,10 +36,11 @@ from deepbots_cli.document.load import TUNE, setting_path
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.campaign import Campaign, CampaignRecord, Member
+from deepbots_cli.learning.directories import new_directory
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval
 from deepbots_cli.learning.order import Measure, Rank, rank
+from deepbots_cli.learning.records import versions
 from deepbots_cli.learning.report import TrainingProgress
-from deepbots_cli.learning.run import new_directory, versions
 from deepbots_cli.rollout.source import STUDY_RECORD_NAME, SourceKind
 from deepbots_cli.scenario.search import SearchSpace
 
@@ -56,8 +59,9 @@ _MAX_JOURNAL_BYTES = 200_000_000
 class StudyRecord(CampaignRecord):
     """The content of `study.json`.
 
-    `set` are the assignments of `--set`. `present` are the values of the scenario itself, which the first trial tries; empty where one of
-    them is not in the file, or not in its range. `total_timesteps` are those of each training, `seed` is that of the search.
+    `set` are the assignments of `--set`. `present` are the values of the scenario itself, which the first
+    trial tries; empty where one of them is not in the file, or not in its range. `total_timesteps` are those
+    of each training, `seed` is that of the search.
     """
 
     set: tuple[str, ...] = ()
@@ -89,7 +93,16 @@ class StudyRecord(CampaignRecord):
         """The command that trains a trial with these values, without a study."""
         settings = [word for text in (*self.set, *assignments) for word in ("--set", text)]
         seeds = ",".join(map(str, self.seeds))
-        return ["deepbots", "train", self.source, "--seeds", seeds, "--timesteps", str(self.total_timesteps), *settings]
+        return [
+            "deepbots",
+            "train",
+            self.source,
+            "--seeds",
+            seeds,
+            "--timesteps",
+            str(self.total_timesteps),
+            *settings,
+        ]
 
     def texts(self, values: Mapping[str, Any]) -> dict[str, str]:
         """The values of a trial as they are written in a scenario, by key."""
@@ -98,7 +111,8 @@ class StudyRecord(CampaignRecord):
 
 @dataclass(frozen=True)
 class SeedScore:
-    """The result of one training of a trial; statistics are None without a model, `steps` where the task is not solved."""
+    """The result of one training of a trial; statistics are None without a model, `steps` where the task is
+    not solved."""
 
     seed: int
     score: float
@@ -137,8 +151,9 @@ def _mean(values: Sequence[float | None]) -> float | None:
 class OverFirst:
     """The best trial against the first one, which has the values of the scenario itself.
 
-    `difference` is that of the scores over the seeds. Its interval covers all complete trials together: the best of many
-    trials looks better than it is. `is_clear` holds where the interval shows that the best trial is better.
+    `difference` is that of the scores over the seeds. Its interval covers all complete trials together: the
+    best of many trials looks better than it is. `is_clear` holds where the interval shows that the best trial
+    is better.
     """
 
     difference: Difference
@@ -199,7 +214,8 @@ class Journal:
         return self.known.get_trials(deepcopy=False)
 
     def importances(self, seeds: int, *, lower_is_better: bool) -> list[dict[str, float]]:
-        """How much each key matters for the best quarter of the complete trials, by the scores of one seed after the other; sums are 1.
+        """How much each key matters for the best quarter of the complete trials, by the scores of one seed
+        after the other; sums are 1.
 
         This is PED-ANOVA (S. Watanabe, A. Bansal and F. Hutter, IJCAI 2023).
         """
@@ -207,10 +223,12 @@ class Journal:
 
         def importances(seed: int) -> dict[str, float]:
             def cost(trial: optuna.trial.FrozenTrial) -> float:
-                found = float(trial.user_attrs["seeds"][seed]["score"])
-                return found if lower_is_better else -found
+                seed_score = float(trial.user_attrs["seeds"][seed]["score"])
+                return seed_score if lower_is_better else -seed_score
 
-            return get_param_importances(self.known, evaluator=PedAnovaImportanceEvaluator(target_quantile=0.25), target=cost)
+            return get_param_importances(
+                self.known, evaluator=PedAnovaImportanceEvaluator(target_quantile=0.25), target=cost
+            )
 
         with warnings.catch_warnings(action="ignore"):  # that low values are good, which they are
             return [importances(seed) for seed in range(seeds)]
@@ -220,7 +238,9 @@ class Journal:
         import optuna
 
         study_id = self.storage.get_study_id_from_name(self.known.study_name)
-        return optuna.trial.Trial(self.known, self.storage.get_trial_id_from_study_id_trial_number(study_id, number))
+        return optuna.trial.Trial(
+            self.known, self.storage.get_trial_id_from_study_id_trial_number(study_id, number)
+        )
 
 
 @dataclass(frozen=True)
@@ -271,10 +291,14 @@ class Study(Campaign[StudyRecord]):
             raise RunError(f"{path} is larger than {_MAX_JOURNAL_BYTES} bytes, so deepbots did not write it")
         optuna.logging.set_verbosity(optuna.logging.WARNING)  # or it reports each study that it makes
         try:
-            direction: Literal["minimize", "maximize"] = "minimize" if self.record.lower_is_better else "maximize"
+            direction: Literal["minimize", "maximize"] = (
+                "minimize" if self.record.lower_is_better else "maximize"
+            )
             storage = JournalStorage(JournalFileBackend(str(path), JournalFileOpenLock(str(path))))
-            known = optuna.create_study(storage=storage, study_name=self.record.scenario, direction=direction, load_if_exists=True)
-            return Journal(known, storage)
+            study = optuna.create_study(
+                storage=storage, study_name=self.record.scenario, direction=direction, load_if_exists=True
+            )
+            return Journal(study, storage)
         except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
             raise RunError(f"{path} is damaged, or was not written by deepbots") from error
         finally:
@@ -299,17 +323,22 @@ class Study(Campaign[StudyRecord]):
             seeds = TypeAdapter(tuple[SeedScore, ...]).validate_python(frozen.user_attrs.get("seeds", ()))
             values = self.record.texts(frozen.params)
         except (ValidationError, LookupError, TypeError, ValueError) as error:
-            raise RunError(f"{self.path / JOURNAL_NAME} is damaged: trial {frozen.number} does not fit the search space") from error
+            raise RunError(
+                f"{self.path / JOURNAL_NAME} is damaged: trial {frozen.number} does not fit the search space"
+            ) from error
         state, reason = ("failed", str(reason)) if reason else (state, None)
         score = frozen.value if state == "complete" else None
         folder = self.trial_folder(frozen.number)
-        return StudyTrial(folder, values, number=frozen.number, state=state, score=score, seeds=seeds, reason=reason)
+        return StudyTrial(
+            folder, values, number=frozen.number, state=state, score=score, seeds=seeds, reason=reason
+        )
 
     def ranked(self, trials: Sequence[StudyTrial]) -> list[StudyTrial]:
         """The complete trials, the best first.
 
-        Of equal scores, such as those of trials without any success, the higher success rate comes first, then the higher
-        return; with the objective `mean_return`, in the other order. Of equals, the earlier trial comes first.
+        Of equal scores, such as those of trials without any success, the higher success rate comes first,
+        then the higher return; with the objective `mean_return`, in the other order. Of equals, the earlier
+        trial comes first.
         """
         sign = -1 if self.record.lower_is_better else 1
         measure: Measure = "mean_return" if self.record.objective == "mean_return" else "success_rate"
@@ -321,7 +350,8 @@ class Study(Campaign[StudyRecord]):
         return sorted((trial for trial in trials if trial.score is not None), key=quality, reverse=True)
 
     def over_first(self, trials: Sequence[StudyTrial]) -> OverFirst | None:
-        """The best trial against the first one; None if it is the first one, or the first one has no score."""
+        """The best trial against the first one; None if it is the first one, or the first one has no
+        score."""
         from deepbots_cli.learning.statistics import ALPHA, compare_seeds  # which imports scipy
 
         ranked = self.ranked(trials)
@@ -358,21 +388,37 @@ def create_study(
     compiled = api.compile(checked)
     program, tune, root = compiled.program, checked.spec.tune if checked.spec else None, checked.document.root
     if tune is None or root is None:
-        raise UsageError(f"{program.name} has no `tune` section; name what to search: --param train.learning_rate=1e-4..1e-2:log")
+        raise UsageError(
+            f"{program.name} has no `tune` section; name what to search: --param"
+            " train.learning_rate=1e-4..1e-2:log"
+        )
     training, solved = program.agent.training, program.agent.solved
     if training is None:
         raise UsageError(f"{program.name} has no `train` section; add `train: {{algorithm: auto}}`")
-    chosen = objective or tune.objective or ("solved" if solved else "success_rate" if program.defines_success else "mean_return")
+    usual: Objective = "success_rate" if program.defines_success else "mean_return"
+    chosen = objective or tune.objective or ("solved" if solved else usual)
     if chosen == "solved" and solved is None:
-        raise UsageError(f"the objective `solved` needs the key `solved`, which {program.name} does not have; use --objective mean_return")
+        raise UsageError(
+            f"the objective `solved` needs the key `solved`, which {program.name} does not have; use"
+            " --objective mean_return"
+        )
     if chosen == "success_rate" and not program.defines_success:
-        raise UsageError(f"the objective `success_rate` needs a success, which {program.name} does not define; use --objective mean_return")
+        raise UsageError(
+            f"the objective `success_rate` needs a success, which {program.name} does not define; use"
+            " --objective mean_return"
+        )
     written = {name: node_at(root, *setting_path(root, name)) for name in checked.search}
-    values = {name: space.value_of(inline_text(node)) for name, space in checked.search.items() if (node := written[name]) is not None}
+    values = {
+        name: space.value_of(inline_text(node))
+        for name, space in checked.search.items()
+        if (node := written[name]) is not None
+    }
     present = {name: value for name, value in values.items() if value is not None}
     record = StudyRecord(
         **StudyRecord.common(compiled),
-        set=tuple(text for text in compiled.overrides if re.split(r"[.=]", text, maxsplit=1)[0].strip() != TUNE),
+        set=tuple(
+            text for text in compiled.overrides if re.split(r"[.=]", text, maxsplit=1)[0].strip() != TUNE
+        ),
         search=checked.search,
         present=present if len(present) == len(checked.search) else {},
         seeds=tuple(range(tune.seeds) if seeds is None else seeds),

@@ -1,9 +1,10 @@
 """A teacher, which is a script or a recording: when the policy imitates it, and how much.
 
-At first the policy only imitates: the script drives some of the worlds, fewer and fewer with time and agreement, and says in every state
-what it would do (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The critic learns meanwhile. This ends when an evaluation shows
-that the policy is about as good as the script, or after a share of all timesteps. Then the algorithm learns as usual, with an imitation
-loss whose weight fades. A recording does not drive; the policy imitates its actions in its states.
+At first the policy only imitates: the script drives some of the worlds, fewer and fewer with time and
+agreement, and says in every state what it would do (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011).
+The critic learns meanwhile. This ends when an evaluation shows that the policy is about as good as the
+script, or after a share of all timesteps. Then the algorithm learns as usual, with an imitation loss whose
+weight fades. A recording does not drive; the policy imitates its actions in its states.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ ENOUGH = 0.95
 _FADE_SHARE = 0.3
 """Share of all timesteps in which the weight of the imitation loss falls to 0."""
 _DEMONSTRATES_SHARE = 1 / 3
-"""Share of the time of imitation in which the script drives all worlds of an algorithm without an actor. A critic that sees only the script
-overrates other actions: on PandaPush with SAC, the policy succeeds in 5 % after 12,200 such steps, and in 95 % after 20,000 with 4,800."""
+"""Share of the time of imitation in which the script drives all worlds of an algorithm without an actor. A
+critic that sees only the script overrates other actions: on PandaPush with SAC, the policy succeeds in 5 %
+after 12,200 such steps, and in 95 % after 20,000 with 4,800."""
 _DRIVES_SHARE = 0.5
 """Share of the time of imitation in which the script drives some of the worlds."""
 
@@ -62,11 +64,20 @@ class Teaching:
         teacher: The teacher of the scenario.
         total: Timesteps of the training.
         worlds: Number of its worlds.
-        imitates: Whether the policy can imitate; otherwise the script only drives, and its steps stay in the replay buffer.
+        imitates: Whether the policy can imitate; otherwise the script only drives, and its steps stay in the
+            replay buffer.
         demonstrations: Those of a recording, which is the teacher then.
     """
 
-    def __init__(self, teacher: Teacher, total: int, worlds: int, *, imitates: bool, demonstrations: Demonstrations | None = None) -> None:
+    def __init__(
+        self,
+        teacher: Teacher,
+        total: int,
+        worlds: int,
+        *,
+        imitates: bool,
+        demonstrations: Demonstrations | None = None,
+    ) -> None:
         self.teacher, self._total, self._worlds, self._has_loss = teacher, total, worlds, imitates
         self.demonstrations, self._is_script = demonstrations, demonstrations is None
         self.score: Summary | None = None
@@ -87,18 +98,26 @@ class Teaching:
         return self.score is not None and (self._stage == stage or not self._is_script)
 
     def begin(self, stage: int, episodes: Sequence[Episode], defines_success: bool) -> str:
-        """Take over the episodes of the script in a stage of the curriculum; its score in a sentence. A new stage begins with lessons.
+        """Take over the episodes of the script in a stage of the curriculum; its score in a sentence. A new
+        stage begins with lessons.
 
         If none of them succeeds, the script does not teach in this stage.
         """
-        self.score = found = Summary.of_episodes(episodes)
-        name, mean = f"the teacher {self.teacher.script}", f"mean return {found.mean_return:.3g}"
+        self.score = summary = Summary.of_episodes(episodes)
+        name, mean = f"the teacher {self.teacher.script}", f"mean return {summary.mean_return:.3g}"
         if stage != self._stage and (self._is_script or self._stage < 0):
             self._stage, self._imitated_until, self.agreement = stage, -1, 0.0
-        self._is_able = bool(found.success_rate) or not defines_success
-        success = f"success {found.success_rate:.0%}, " if defines_success else ""
-        explores = "; training episodes explore, so they may succeed much less often than evaluations" if self._is_able else ""
-        return f"{name if self._is_script else 'the teacher, a recording'}: {success}{mean} in {len(episodes)} episodes{explores}"
+        self._is_able = bool(summary.success_rate) or not defines_success
+        success = f"success {summary.success_rate:.0%}, " if defines_success else ""
+        explores = (
+            "; training episodes explore, so they may succeed much less often than evaluations"
+            if self._is_able
+            else ""
+        )
+        return (
+            f"{name if self._is_script else 'the teacher, a recording'}: {success}{mean} in"
+            f" {len(episodes)} episodes{explores}"
+        )
 
     def plan(self, steps: int) -> Plan:
         """What to do in a fragment after `steps` timesteps."""
@@ -138,7 +157,12 @@ class Teaching:
             self._imitated_until = steps
 
     def state(self) -> TeacherState:
-        return TeacherState(stage=self._stage, imitated_until=self._imitated_until, drives=self.drives, agreement=self.agreement)
+        return TeacherState(
+            stage=self._stage,
+            imitated_until=self._imitated_until,
+            drives=self.drives,
+            agreement=self.agreement,
+        )
 
     def restore(self, state: TeacherState) -> None:
         self._stage, self._imitated_until = state.stage, state.imitated_until

@@ -17,12 +17,21 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.campaign import evaluate_once
+from deepbots_cli.learning.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.executor import SERIAL, Attempt, CallOptions, Executor, Watcher
 from deepbots_cli.learning.group import Group, resume_group, train_group
+from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.report import Reporter, TrainingProgress
-from deepbots_cli.learning.run import WORKERS_FOLDER, RunRecord, has_ended, is_training, run_lock
-from deepbots_cli.learning.study import Journal, Objective, SeedScore, Study, StudyReporter, TrialProgress, TrialResult
+from deepbots_cli.learning.study import (
+    Journal,
+    Objective,
+    SeedScore,
+    Study,
+    StudyReporter,
+    TrialProgress,
+    TrialResult,
+)
 from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
@@ -33,7 +42,7 @@ from deepbots_cli.scenario.search import SearchSpace
 if TYPE_CHECKING:
     import optuna
 
-    from deepbots_cli.learning.callbacks import Interruption
+    from deepbots_cli.learning.signals import Interruption
 
 PRUNED_BY = "tune"
 """`stopped_by` of a run whose trial was pruned."""
@@ -53,38 +62,50 @@ _MAX_FAILED_FIRST = 3
 
 
 def run_study(
-    study: Study, *, reporter: StudyReporter | None = None, permissions: Permissions = Permissions(), executor: Executor = SERIAL
+    study: Study,
+    *,
+    reporter: StudyReporter | None = None,
+    permissions: Permissions = Permissions(),
+    executor: Executor = SERIAL,
 ) -> bool:
     """Take trials until the study has as many as its record says, or none is left for this process.
 
-    Trials that other processes have begun and left are continued first. Returns False after Ctrl-C or SIGTERM.
+    Trials that other processes have begun and left are continued first. Returns False after Ctrl-C or
+    SIGTERM.
 
-    This process takes each trial when a worker is free, so that the sampler knows all results until then, and keeps its lock; a worker
-    trains it. The lock also outlasts a worker that is lost, and its trial continues on another one.
+    This process takes each trial when a worker is free, so that the sampler knows all results until then, and
+    keeps its lock; a worker trains it. The lock also outlasts a worker that is lost, and its trial continues
+    on another one.
 
     Args:
         study: The study.
         reporter: Follows the trials.
         permissions: With `code`, the scenario may run functions of installed Python packages.
-        executor: Where trials run, by default in this process, one after the other. With several at a time, the values of a trial depend on
-            those that have ended when it begins. What a trial with these values comes to does not, except for pruning.
+        executor: Where trials run, by default in this process, one after the other. With several at a time,
+            the values of a trial depend on those that have ended when it begins. What a trial with these
+            values comes to does not, except for pruning.
 
     Raises:
         RunError: The study is damaged.
-        UsageError: The first trials fail; the message is that of the last one. Also the errors of `Executor.map`.
+        UsageError: The first trials fail; the message is that of the last one. Also the errors of
+            `Executor.map`.
     """
     with ExitStack() as stack:
         search = stack.enter_context(closing(_Search(study, reporter or StudyReporter(), permissions)))
         options: CallOptions = {"watcher": search}
         if not executor.is_here:
-            from deepbots_cli.learning.callbacks import Interruption, signals_handled  # which imports torch
+            from deepbots_cli.learning.signals import Interruption, signals_handled  # which imports torch
 
             interruption = Interruption()
             stack.enter_context(signals_handled(interruption))
-            options |= {"stop": partial(search.stops, interruption), "files": [study.path / RESOLVED_NAME], "log": _log_of}
-        found = stack.enter_context(closing(executor.map(run_trial, search.trials(), **options)))
+            options |= {
+                "stop": partial(search.stops, interruption),
+                "files": [study.path / RESOLVED_NAME],
+                "log": _log_of,
+            }
+        outcomes = stack.enter_context(closing(executor.map(run_trial, search.trials(), **options)))
         try:
-            for outcome in found:
+            for outcome in outcomes:
                 if executor.is_here and (not isinstance(outcome, TrialResult) or outcome.stop_requested):
                     return False
         except KeyboardInterrupt:  # a second one
@@ -150,14 +171,22 @@ class _Search(Watcher):
         self._reporter.note(text)
 
     def on_loss(self, item: int) -> None:
-        self._reporter.note(f"the worker of trial {self._numbers[item]} was lost; another one continues the trial")
+        self._reporter.note(
+            f"the worker of trial {self._numbers[item]} was lost; another one continues the trial"
+        )
 
     def on_done(self, item: int, outcome: object) -> None:
         number = self._numbers[item]
         with self._locks.pop(number):
-            if isinstance(outcome, UsageError):  # about the study or the worker; errors of a training are in a `TrialResult`
+            if isinstance(
+                outcome, UsageError
+            ):  # about the study or the worker; errors of a training are in a `TrialResult`
                 raise outcome
-            result = TrialResult("failed", reason=outcome.full_message) if isinstance(outcome, DeepbotsError) else outcome
+            result = (
+                TrialResult("failed", reason=outcome.full_message)
+                if isinstance(outcome, DeepbotsError)
+                else outcome
+            )
             if not isinstance(result, TrialResult) or result.state == "running":
                 return
             end_trial(self._journal, number, result)
@@ -190,15 +219,20 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
                 if trial.state.name == "RUNNING":
                     with ExitStack() as attempt, suppress(UsageError):  # another process works on it
                         attempt.enter_context(lock(trial.number))
-                        is_left = not is_training(study.trial_folder(trial.number))  # by a worker whose driver has died
+                        is_left = not is_training(
+                            study.trial_folder(trial.number)
+                        )  # by a worker whose driver has died
                         if is_left and journal.trials[trial.number].state.name == "RUNNING":
                             number = trial.number
                             stack.enter_context(attempt.pop_all())
                             break
-            # A sampler for each trial: that of a process would begin again with the same numbers after an interruption.
+            # A sampler for each trial: that of a process would begin again with the same numbers after an
+            # interruption.
             seed = derive_seed(study.record.seed, "trial", len(trials) if number is None else number)
             journal.known.sampler = TPESampler(seed=seed)
-            if number is None and (len(trials) < study.record.trials or any(trial.state.name == "WAITING" for trial in trials)):
+            if number is None and (
+                len(trials) < study.record.trials or any(trial.state.name == "WAITING" for trial in trials)
+            ):
                 if not trials and study.record.present:
                     journal.known.enqueue_trial(dict(study.record.present))
                 number = journal.known.ask().number
@@ -220,7 +254,8 @@ def _suggest(trial: optuna.trial.Trial, search: Mapping[str, SearchSpace]) -> No
 
 
 def end_trial(journal: Journal, number: int, result: TrialResult) -> None:
-    """Tell Optuna the result of a trial. One that failed counts as pruned, so that the sampler keeps away from its values."""
+    """Tell Optuna the result of a trial. One that failed counts as pruned, so that the sampler keeps away
+    from its values."""
     from optuna.trial import TrialState
 
     trial = journal.trial(number)
@@ -246,16 +281,27 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
     if attempt.number > 1 and not has_ended(folder):  # on a node that was lost and works on
         return TrialResult("running")
     follower = _Follower(study, journal, number, study.compiled().program, attempt)
-    options: dict[str, Any] = {"progress": follower, "on_seed": follower.begin_seed, "on_evaluation": follower.add_evaluation}
+    options: dict[str, Any] = {
+        "progress": follower,
+        "on_seed": follower.begin_seed,
+        "on_evaluation": follower.add_evaluation,
+    }
     try:
         if folder_kind(folder) is SourceKind.GROUP:
             trained = resume_group(folder, permissions=permissions, **options)
         else:
-            shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed before it wrote the record
+            shutil.rmtree(
+                folder, ignore_errors=True
+            )  # of a process that was killed before it wrote the record
             overrides = study.trial(journal, number).assignments
             compiled = study.compiled(overrides, permissions)
-            options |= {"total_timesteps": record.total_timesteps, "engine": compiled.program.engine or record.engine}
-            trained = train_group(compiled, record.seeds, group=folder, command=record.training_command(overrides), **options)
+            options |= {
+                "total_timesteps": record.total_timesteps,
+                "engine": compiled.program.engine or record.engine,
+            }
+            trained = train_group(
+                compiled, record.seeds, group=folder, command=record.training_command(overrides), **options
+            )
     except StorageError:  # the trial stays as it is, and can be continued
         raise
     except DeepbotsError as error:  # values that do not go together
@@ -279,7 +325,12 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
     except DeepbotsError as error:
         return TrialResult("failed", reason=error.full_message, stop_requested=stop_requested)
     follower.finish()
-    return TrialResult("complete", tuple(_seed_score(study, group, follower.solved, seed) for seed in record.seeds), None, stop_requested)
+    return TrialResult(
+        "complete",
+        tuple(_seed_score(study, group, follower.solved, seed) for seed in record.seeds),
+        None,
+        stop_requested,
+    )
 
 
 def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) -> SeedScore:
@@ -289,20 +340,39 @@ def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) ->
     quoted = quoted_evaluation(path, run) if run is not None else None
     if run is None or run.result is None or quoted is None:
         return SeedScore(seed, UNSOLVED)
-    found, rate = quoted[1], quoted[1].success_rate or 0.0
-    met = found.solved if found.solved is not None else solved is not None and meets_solved(solved, found.mean_return, rate)
-    steps = (run.result.solved_at.steps if run.result.solved_at else run.result.steps) if met else None
-    value = score(record.objective, solved, found.mean_return, rate, None if steps is None else steps / record.total_timesteps)
-    return SeedScore(seed, value, steps, found.mean_return, found.success_rate)
+    evaluation, rate = quoted[1], quoted[1].success_rate or 0.0
+    met = (
+        evaluation.solved
+        if evaluation.solved is not None
+        else solved is not None and meets_solved(solved, evaluation.mean_return, rate)
+    )
+    steps = None
+    if met:
+        steps = run.result.solved_at.steps if run.result.solved_at else run.result.steps
+    value = score(
+        record.objective,
+        solved,
+        evaluation.mean_return,
+        rate,
+        None if steps is None else steps / record.total_timesteps,
+    )
+    return SeedScore(seed, value, steps, evaluation.mean_return, evaluation.success_rate)
 
 
-def score(objective: Objective, solved: Solved | None, mean_return: float, success_rate: float, solved_after: float | None) -> float:
+def score(
+    objective: Objective,
+    solved: Solved | None,
+    mean_return: float,
+    success_rate: float,
+    solved_after: float | None,
+) -> float:
     """The score of a training.
 
-    That of the objective `solved` is at most 1 for a solved task: the fraction of the timesteps after which it was solved
-    (`solved_after`, None if it was not). For others, it is 1 to 2, and grows with the distance d from the required value, relative to
-    this value: of a success rate, d / 2 is added, so that the mean over seeds follows their mean success rate; of a return, which has
-    no lower bound, d / (1 + d). Small values are good.
+    That of the objective `solved` is at most 1 for a solved task: the fraction of the timesteps after which
+    it was solved (`solved_after`, None if it was not). For others, it is 1 to 2, and grows with the distance
+    d from the required value, relative to this value: of a success rate, d / 2 is added, so that the mean
+    over seeds follows their mean success rate; of a return, which has no lower bound, d / (1 + d). Small
+    values are good.
     """
     if objective != "solved" or solved is None:
         return mean_return if objective == "mean_return" else success_rate
@@ -320,12 +390,15 @@ def score(objective: Objective, solved: Solved | None, mean_return: float, succe
 class _Follower(Reporter):
     """Reports the evaluations of the trainings of a trial to the journal, and says when the trial is pruned.
 
-    After each evaluation, the best one so far has a score. At `GRID` points of each training, the mean of this score and those of the
-    seeds before it goes to the journal. A trial is pruned where this mean is worse than the median of the complete trials at the same
-    point. Everything is read from the files of the runs, so a trial that is continued reports the same.
+    After each evaluation, the best one so far has a score. At `GRID` points of each training, the mean of
+    this score and those of the seeds before it goes to the journal. A trial is pruned where this mean is
+    worse than the median of the complete trials at the same point. Everything is read from the files of the
+    runs, so a trial that is continued reports the same.
     """
 
-    def __init__(self, study: Study, journal: Journal, number: int, program: Program, attempt: Attempt) -> None:
+    def __init__(
+        self, study: Study, journal: Journal, number: int, program: Program, attempt: Attempt
+    ) -> None:
         self._study, self._journal, self._attempt = study, journal, attempt
         self._seed = (0, 0, 0)
         self._trial = journal.trial(number)
@@ -357,7 +430,9 @@ class _Follower(Reporter):
         begun = [RunRecord.read(run) for run in self._runs if folder_kind(run) is SourceKind.RUN]
         if any(each.result is not None and each.result.stopped_by == PRUNED_BY for each in begun):
             return True
-        is_between = 0 < len(begun) < len(self._runs) and all(each.status in ("finished", "failed") for each in begun)
+        is_between = 0 < len(begun) < len(self._runs) and all(
+            each.status in ("finished", "failed") for each in begun
+        )
         return is_between and self._is_worse(len(begun) - 1, GRID)
 
     def finish(self) -> None:
@@ -365,16 +440,20 @@ class _Follower(Reporter):
         self._report(len(self._runs) - 1, GRID)
 
     def _is_worse(self, place: int, point: int) -> bool:
-        """Report the scores up to a point of the training at `place`; whether that at the point is worse than the median."""
+        """Report the scores up to a point of the training at `place`; whether that at the point is worse than
+        the median."""
         value, step = self._report(place, point), GRID * place + point
-        complete = [trial.intermediate_values for trial in self._journal.trials if trial.state.name == "COMPLETE"]
-        others = [found[step] for found in complete if step in found]
+        complete = [
+            trial.intermediate_values for trial in self._journal.trials if trial.state.name == "COMPLETE"
+        ]
+        others = [values[step] for values in complete if step in values]
         if value is None or not self._study.record.prune or step <= WARM_UP or len(others) < MIN_COMPARED:
             return False
         return value > median(others) if self._study.record.lower_is_better else value < median(others)
 
     def _report(self, place: int, point: int) -> float | None:
-        """Report the scores up to a point of the training at `place`, each once; returns that at the point."""
+        """Report the scores up to a point of the training at `place`, each once; returns that at the
+        point."""
         step = GRID * place + point
         reported = dict(self._journal.trials[self._trial.number].intermediate_values)
         for each in range(1, point + 1):
@@ -385,27 +464,39 @@ class _Follower(Reporter):
         return reported.get(step)
 
     def _score(self, place: int, point: int) -> float | None:
-        """The mean score of the trainings up to `place` at a point of the last one; None before its first evaluation."""
-        found = [self._score_of(run, GRID) for run in self._runs[:place]]
-        found.append(self._score_of(self._runs[place], point))
-        return None if None in found else fmean(each for each in found if each is not None)
+        """The mean score of the trainings up to `place` at a point of the last one; None before its first
+        evaluation."""
+        scores = [self._score_of(run, GRID) for run in self._runs[:place]]
+        scores.append(self._score_of(self._runs[place], point))
+        return None if None in scores else fmean(each for each in scores if each is not None)
 
     def _score_of(self, run: Path, point: int) -> float | None:
         """The score of the best evaluation of a training up to a point."""
         record, study = RunRecord.read(run), self._study.record
         at = record.result.solved_at if record.status == "finished" and record.result is not None else None
-        share = at.steps / study.total_timesteps if at is not None and GRID * at.steps <= point * study.total_timesteps else None
+        share = (
+            at.steps / study.total_timesteps
+            if at is not None and GRID * at.steps <= point * study.total_timesteps
+            else None
+        )
         evaluations = [each for each in self._evaluations(run) if GRID * each[0] <= point]
-        found = [score(study.objective, self.solved, mean_return, rate, share) for _, mean_return, rate in evaluations]
-        if not found and point == GRID and record.status != "running" and study.lower_is_better:
+        scores = [
+            score(study.objective, self.solved, mean_return, rate, share)
+            for _, mean_return, rate in evaluations
+        ]
+        if not scores and point == GRID and record.status != "running" and study.lower_is_better:
             return UNSOLVED
-        return (min if study.lower_is_better else max)(found, default=None)
+        return (min if study.lower_is_better else max)(scores, default=None)
 
     def _evaluations(self, run: Path) -> list[tuple[float, float, float]]:
-        """The evaluations of a training in the last stage of the curriculum: fraction of its steps, mean return, success rate."""
+        """The evaluations of a training in the last stage of the curriculum: fraction of its steps, mean
+        return, success rate."""
         path, total = run / "evaluations" / "training.jsonl", self._study.record.total_timesteps
         try:
-            lines = map(json.loads, read_at_most(path, _MAX_EVALUATIONS_BYTES).decode().splitlines() if path.is_file() else ())
+            lines = map(
+                json.loads,
+                read_at_most(path, _MAX_EVALUATIONS_BYTES).decode().splitlines() if path.is_file() else (),
+            )
             return [
                 (line["steps"] / total, fmean(line["returns"]), fmean(map(float, line["successes"])))
                 for line in lines

@@ -1,7 +1,7 @@
 """The verdict about a run: which of its evaluations everyone quotes, and whether the run solves its task.
 
-`run_verdict` is the one definition of "solved" of `train`, `runs`, `report`, `diagnose` and the card of an exported policy. Nothing is
-compiled, and torch is not imported.
+`run_verdict` is the one definition of "solved" of `train`, `runs`, `report`, `diagnose` and the card of an
+exported policy. Nothing is compiled, and torch is not imported.
 """
 
 from __future__ import annotations
@@ -14,17 +14,10 @@ from statistics import fmean
 from typing import NamedTuple
 
 from deepbots_cli.errors import RunError
+from deepbots_cli.learning.directories import is_training, numbered_files
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval, meets_solved
-from deepbots_cli.learning.run import (
-    EvaluationRecord,
-    EvaluationWithEpisodes,
-    ModelRef,
-    Run,
-    RunRecord,
-    has_model,
-    is_training,
-    numbered_files,
-)
+from deepbots_cli.learning.records import EvaluationRecord, EvaluationWithEpisodes, RunRecord
+from deepbots_cli.learning.run import ModelRef, Run, has_model
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 
@@ -33,8 +26,8 @@ class SolvedVerdict(NamedTuple):
     """Whether episodes show that a task is solved.
 
     Attributes:
-        solved: True: they show it. False: they do not meet the criterion, or would be refused as a confirmation. None: the scenario
-            has no criterion, or more episodes are needed.
+        solved: True: they show it. False: they do not meet the criterion, or would be refused as a
+            confirmation. None: the scenario has no criterion, or more episodes are needed.
         text: The answer and its reason.
         required_episodes: The number of episodes from which on there is an answer; None without a criterion.
     """
@@ -53,8 +46,8 @@ def solved_verdict(
         solved: What the scenario asks for.
         done: The episodes.
         returns: The lowest and the highest possible return.
-        number: The number of the confirmation that the episodes are; None for a policy that is confirmed, whose episodes need only
-            meet the criterion.
+        number: The number of the confirmation that the episodes are; None for a policy that is confirmed,
+            whose episodes need only meet the criterion.
     """
     episodes, mean_return = len(done), fmean(episode.total_return for episode in done)
     success_rate = fmean(episode.is_success for episode in done)
@@ -65,7 +58,9 @@ def solved_verdict(
 
         certain = gate_rate(solved.success_rate, round(success_rate * episodes), episodes, solved.episodes)
         if certain.met is False:
-            text = f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
+            text = (
+                f"not solved: a success rate of {solved.success_rate:.1%} is required, and {certain.reason}"
+            )
             return SolvedVerdict(False, text, solved.episodes)
     if episodes < solved.episodes:
         evaluated = f"{episodes} {'was' if episodes == 1 else 'were'} evaluated"
@@ -83,8 +78,12 @@ def solved_verdict(
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
     from deepbots_cli.learning.confirmation import Confirmation
 
-    lowest, highest = min(episode.total_return for episode in done), max(episode.total_return for episode in done)
-    bounds = (returns[0] if math.isfinite(returns[0]) else lowest, returns[1] if math.isfinite(returns[1]) else highest)
+    lowest = min(episode.total_return for episode in done)
+    highest = max(episode.total_return for episode in done)
+    bounds = (
+        returns[0] if math.isfinite(returns[0]) else lowest,
+        returns[1] if math.isfinite(returns[1]) else highest,
+    )
     confirmation = Confirmation.by(solved, number, bounds, episodes)
     if confirmation.passes(done):
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
@@ -101,8 +100,8 @@ def solved_verdict(
 class RunVerdict:
     """Whether a run solves its task: the answer of the evaluation that everyone quotes.
 
-    `solved` is None where there is no such evaluation, where it has too few episodes, or where the scenario has no `solved`. A training
-    that stopped because its task is solved has an evaluation: the confirmation.
+    `solved` is None where there is no such evaluation, where it has too few episodes, or where the scenario
+    has no `solved`. A training that stopped because its task is solved has an evaluation: the confirmation.
     """
 
     solved: bool | None
@@ -112,7 +111,8 @@ class RunVerdict:
 
     @property
     def solved_after(self) -> int | None:
-        """`confirmed_after` of a run that is solved; a later evaluation with more episodes may say otherwise."""
+        """`confirmed_after` of a run that is solved; a later evaluation with more episodes may say
+        otherwise."""
         return self.confirmed_after if self.solved else None
 
     @property
@@ -125,7 +125,8 @@ class RunVerdict:
 
 
 def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
-    """The verdict about a run, from its files. While the run trains, its evaluations are those of older models and do not count."""
+    """The verdict about a run, from its files. While the run trains, its evaluations are those of older
+    models and do not count."""
     quoted = None if record.status == "running" and is_training(path) else quoted_evaluation(path, record)
     if quoted is None:
         return RunVerdict(None, None)
@@ -137,17 +138,17 @@ def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
 def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRecord] | None:
     """The evaluation of the best model that everyone quotes, and its file: the one with the most episodes.
 
-    Of equals, it is the confirmation that ended the training, else the latest. It is one in the scenario and engine of the
-    training, since the training ended. One in a scenario that was changed since the training is taken only where there is no
-    other, and its `solved` is None.
+    Of equals, it is the confirmation that ended the training, else the latest. It is one in the scenario and
+    engine of the training, since the training ended. One in a scenario that was changed since the training is
+    taken only where there is no other, and its `solved` is None.
     """
-    found = own_evaluations(path, record)
+    evaluations = own_evaluations(path, record)
 
     def weight(entry: tuple[Path, EvaluationRecord]) -> tuple[bool, int, bool]:
         _, evaluation = entry
         return _of_training(evaluation, record), evaluation.episodes, evaluation.confirmation is not None
 
-    return max(reversed(found), key=weight, default=None)
+    return max(reversed(evaluations), key=weight, default=None)
 
 
 def quoted_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:
@@ -160,44 +161,59 @@ def quoted_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:
 
 
 def last_episodes(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes] | None:
-    """The last evaluation in the scenario and engine of the training, since the training ended, also with sampled actions.
+    """The last evaluation in the scenario and engine of the training, since the training ended, also with
+    sampled actions.
 
     It is one of the model that was named, or where a run was named, of any of its models.
 
     Raises:
         RunError: It is damaged.
     """
-    found = own_evaluations(ref.run.path, ref.run.record, best_deterministic=False)
+    evaluations = own_evaluations(ref.run.path, ref.run.record, best_deterministic=False)
     if ref.is_named:
-        found = [(path, evaluation) for path, evaluation in found if evaluation.model == ref.name]
-    return _with_episodes(found[-1] if found else None)
+        evaluations = [(path, evaluation) for path, evaluation in evaluations if evaluation.model == ref.name]
+    return _with_episodes(evaluations[-1] if evaluations else None)
 
 
-def own_evaluations(path: Path, record: RunRecord, *, best_deterministic: bool = True) -> list[tuple[Path, EvaluationRecord]]:
-    """The evaluations in the scenario and engine of the training, since it ended, by number; unreadable ones are left out.
+def own_evaluations(
+    path: Path, record: RunRecord, *, best_deterministic: bool = True
+) -> list[tuple[Path, EvaluationRecord]]:
+    """The evaluations in the scenario and engine of the training, since it ended, by number; unreadable ones
+    are left out.
 
     Args:
-        best_deterministic: Only those of the best model without sampled actions. Otherwise those of all models that the run
-            still has, checkpoints too.
+        best_deterministic: Only those of the best model without sampled actions. Otherwise those of all
+            models that the run still has, checkpoints too.
     """
     kept = []
     best = None if record.result is None else record.result.best_model
     steps_of_best = None if best is None else best.steps
     for _, file in numbered_files(path / "evaluations"):
         try:
-            found = EvaluationRecord.read(file)
+            evaluation = EvaluationRecord.read(file)
         except RunError:
             continue
-        own = not (found.set or found.elsewhere or found.case or found.stage) and found.engine in (None, record.engine)
+        own = not (
+            evaluation.set or evaluation.elsewhere or evaluation.case or evaluation.stage
+        ) and evaluation.engine in (None, record.engine)
         if best_deterministic:
             # `eval --keep` may have replaced the best model.
-            is_present = None in (found.model_steps, steps_of_best) or found.model_steps == steps_of_best
-            acts = found.model == "best" and found.deterministic and is_present
+            is_present = (
+                None in (evaluation.model_steps, steps_of_best) or evaluation.model_steps == steps_of_best
+            )
+            acts = evaluation.model == "best" and evaluation.deterministic and is_present
         else:
-            acts = has_model(path, found.model)
-        if own and acts and found.evaluated >= record.updated:
+            acts = has_model(path, evaluation.model)
+        if own and acts and evaluation.evaluated >= record.updated:
             # The criterion of a changed scenario may be another one.
-            kept.append((file, found if _of_training(found, record) else found.model_copy(update={"solved": None})))
+            kept.append(
+                (
+                    file,
+                    evaluation
+                    if _of_training(evaluation, record)
+                    else evaluation.model_copy(update={"solved": None}),
+                )
+            )
     return kept
 
 
@@ -206,8 +222,10 @@ def _of_training(evaluation: EvaluationRecord, record: RunRecord) -> bool:
     return evaluation.digest in (None, record.digest)
 
 
-def _with_episodes(found: tuple[Path, EvaluationRecord] | None) -> tuple[Path, EvaluationWithEpisodes] | None:
-    if found is None:
+def _with_episodes(
+    quoted: tuple[Path, EvaluationRecord] | None,
+) -> tuple[Path, EvaluationWithEpisodes] | None:
+    if quoted is None:
         return None
-    path, evaluation = found
+    path, evaluation = quoted
     return path, EvaluationWithEpisodes.read(path).model_copy(update={"solved": evaluation.solved})

@@ -1,20 +1,27 @@
-"""Lint: rules about scenarios that compile and are probably not what their author means, fixes, and project settings.
+"""Lint: rules about scenarios that compile and are probably not what their author means, fixes, and project
+settings.
 
-A static rule is a generator from a `RuleContext` to findings, a simulated rule one from a `Simulation`. No rule uses another rule. Each
-module of rules lists both kinds, in `STATIC_RULES` and `SIMULATED_RULES`. The docstring of a rule begins with its code; the docstring
-of a static rule is its page in the reference.
+A static rule is a generator from a `RuleContext` to findings, a simulated rule one from a `Simulation`. No
+rule uses another rule. Each module of rules lists both kinds, in `STATIC_RULES` and `SIMULATED_RULES`. The
+decorator `rule` gives a rule its code; its page is in `rule_pages`, by this code.
 
 names.py         unused definitions, equality of measurements, angles that jump              DB205, DB411, DB506
-robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317, DB319, DB322, DB615
-world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316, DB323, DB507, DB809, DB812
+robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317,
+                                                                                             DB319, DB322, DB615
+world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316,
+                                                                                             DB323, DB507, DB809,
+                                                                                             DB812
 observations.py  what the policy sees; saturation.py values at the end of their range        DB6
 rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
 cycles.py        what a cycle of states earns that never ends in success                     DB716
 endings.py       when episodes end, goals that cannot be reached                             DB8
 exploits.py      rewards that pay for something other than success                           DB712 to DB715, DB717
 
-context.py       what a rule is given: the scenario, its analysis, places in its text, the report of its simulation
-simulation.py    plan, process and report of a simulation; simulation_process.py, rollouts.py and search.py run in that process
+pages.py         the pages of findings, of which `rule_pages` contains the texts
+context.py       the code of a rule, and what a rule is given: the scenario, its analysis, places in its text,
+                 the report of its simulation
+simulation.py    plan, process and report of a simulation; simulation_process.py, rollouts.py and search.py
+                 run in that process
 fixes.py         applies fixes; settings.py which files are linted, and how
 """
 
@@ -24,35 +31,40 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache, partial
-from inspect import cleandoc
-from pathlib import Path
-from textwrap import dedent, fill, indent
+from functools import partial
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Findings, Source, Span, exceptions_as_findings
+from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, Source, Span, exceptions_as_findings
 from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
-from deepbots_cli.document.nodes import to_data
-from deepbots_cli.document.parse import parse
 from deepbots_cli.expressions.types import referenced_names
-from deepbots_cli.lint import cycles, endings, incentives, names, observations, rewards, robots, saturation, shaping, world
+from deepbots_cli.lint import (
+    cycles,
+    endings,
+    incentives,
+    names,
+    observations,
+    rewards,
+    robots,
+    saturation,
+    shaping,
+    world,
+)
 from deepbots_cli.lint.context import RuleContext, SimulatedRule, Simulation, StaticRule
 from deepbots_cli.lint.exploits import EXPLOIT_RULES, Exploit, ExploitContext
 from deepbots_cli.lint.simulation import EXPLOIT_LIMITS, Limits, SimulationReport, measure
 
 _MODULES = (names, world, robots, observations, saturation, rewards, incentives, cycles, shaping, endings)
-STATIC_RULES: tuple[StaticRule, ...] = tuple(rule for module in _MODULES for rule in getattr(module, "STATIC_RULES", ()))
-SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(rule for module in _MODULES for rule in getattr(module, "SIMULATED_RULES", ()))
+STATIC_RULES: tuple[StaticRule, ...] = tuple(
+    rule for module in _MODULES for rule in getattr(module, "STATIC_RULES", ())
+)
+SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(
+    rule for module in _MODULES for rule in getattr(module, "SIMULATED_RULES", ())
+)
 
 _CAUSES = frozenset({"DB315"})
 """Warnings that may explain an error: an arm that cannot reach its target contorts."""
 _DOUBTFUL = frozenset({"DB304", "DB504", "DB505"})
 """Findings about a value that is probably wrong, such as `fall_angle: 15 rad`."""
-
-
-def code_of(rule: Callable[..., Iterator[Finding]]) -> str:
-    """The code at the beginning of the docstring of a rule."""
-    return (rule.__doc__ or "").partition(":")[0]
 
 
 def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
@@ -62,13 +74,21 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
     """
     if checked.findings.errors or checked.program is None or checked.namespace is None:
         return
-    context, cascade, source = RuleContext(checked, checked.program, checked.namespace), CascadeFilter(checked), checked.document.source
-    checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [(code_of(rule), partial(rule, context)) for rule in STATIC_RULES]
-    checks += [(rule.code, partial(rule.check, checked)) for rule in RULES.from_plugins.values() if rule.check is not None]
+    context = RuleContext(checked, checked.program, checked.namespace)
+    cascade = CascadeFilter(checked)
+    source = checked.document.source
+    checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
+        (rule.code, partial(rule, context)) for rule in STATIC_RULES
+    ]
+    checks += [
+        (rule.code, partial(rule.check, checked))
+        for rule in RULES.from_plugins.values()
+        if rule.check is not None
+    ]
     for code, check in checks:
         if preview or not RULES[code].preview:
-            found = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))
-            yield from (finding for finding in found if not cascade.is_consequence(finding))
+            finder = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))
+            yield from (finding for finding in finder if not cascade.is_consequence(finding))
 
 
 def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
@@ -85,31 +105,44 @@ def all_findings(
     measured: Iterable[Finding] | None = None,
     exploits: Iterable[Finding] | None = None,
 ) -> list[Finding]:
-    """All findings of the compiler and of the rules, without suppressed ones and warnings about robot files of other packages.
+    """All findings of the compiler and of the rules, without suppressed ones and warnings about robot files
+    of other packages.
 
-    `inspect` of a robot file shows the latter. `measured` are the findings of a simulation, None if there was none; a static finding
-    replaces a measured one at the same place. `exploits` are those of a search for exploits, None if there was none.
+    `inspect` of a robot file shows the latter. `measured` are the findings of a simulation, None if there was
+    none; a static finding replaces a measured one at the same place. `exploits` are those of a search for
+    exploits, None if there was none.
     """
     models = (checked.robots or {}).values()
     sources = (*checked.document.sources, *(robot.file.source for robot in models))
-    found = [*checked.findings, *static_findings(checked, preview=preview)]
-    known = {(finding.code, finding.span) for finding in found}
-    found += [finding for finding in measured or () if (finding.code, finding.span) not in known]
-    found += exploits or ()
-    kept, unused = suppress(found, sources, preview=preview, deep=measured is not None, exploits=exploits is not None)
+    findings = [*checked.findings, *static_findings(checked, preview=preview)]
+    reported = {(finding.code, finding.span) for finding in findings}
+    findings += [finding for finding in measured or () if (finding.code, finding.span) not in reported]
+    findings += exploits or ()
+    kept, unused = suppress(
+        findings, sources, preview=preview, deep=measured is not None, exploits=exploits is not None
+    )
     packaged = {id(robot.file.source) for robot in models if robot.spec.urdf.startswith("package://")}
-    ours = [finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged]
+    ours = [
+        finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged
+    ]
     return _limited([*ours, *unused])
 
 
-def _limited(found: list[Finding]) -> list[Finding]:
-    """The findings in their order; of too many, errors before warnings and limits before both, with a note on the number of the rest."""
+def _limited(findings: list[Finding]) -> list[Finding]:
+    """The findings in their order; of too many, errors before warnings and limits before both, with a note on
+    the number of the rest."""
     limit = MAX_FINDINGS + 1  # the last may be that there are too many
-    if len(found) > limit:
-        by_weight = sorted(found, key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key))
+    if len(findings) > limit:
+        by_weight = sorted(
+            findings,
+            key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key),
+        )
         *kept, last = by_weight[:limit]
-        found = [*kept, replace(last, notes=(*last.notes, f"{len(by_weight) - limit:,} more findings are not shown"))]
-    return sorted(found, key=lambda finding: finding.sort_key)
+        findings = [
+            *kept,
+            replace(last, notes=(*last.notes, f"{len(by_weight) - limit:,} more findings are not shown")),
+        ]
+    return sorted(findings, key=lambda finding: finding.sort_key)
 
 
 @dataclass(frozen=True)
@@ -120,11 +153,13 @@ class SimulationFindings:
     incomplete: str | None = None
 
 
-def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()) -> SimulationFindings:  # immutable
+def simulate(
+    checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()
+) -> SimulationFindings:  # immutable
     """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
-    If these find errors, warnings are dropped except `_CAUSES`: the behavior would follow from the errors. A rule that raises an
-    exception is reported as DB903, and so is a fault of deepbots in the simulation.
+    If these find errors, warnings are dropped except `_CAUSES`: the behavior would follow from the errors. A
+    rule that raises an exception is reported as DB903, and so is a fault of deepbots in the simulation.
     """
     assert checked.program is not None  # it has no errors
     assert checked.namespace is not None
@@ -133,19 +168,28 @@ def simulate(checked: CheckedScenario, *, preview: bool = False, limits: Limits 
     if report.fault is not None:
         return SimulationFindings([internal_error_finding("the simulation", source, report.fault)])
     simulation = Simulation(checked, checked.program, checked.namespace, report)
-    rules = [(code_of(rule), rule) for rule in SIMULATED_RULES]
-    active = [(code, rule) for code, rule in rules if preview or not RULES[code].deep_preview]
-    found = [finding for code, rule in active for finding in exceptions_as_findings(f"the rule {code}", source, partial(rule, simulation))]
-    errors = [finding for finding in found if finding.severity == "error"]
+    active = [rule for rule in SIMULATED_RULES if preview or not RULES[rule.code].deep_preview]
+    findings = [
+        finding
+        for rule in active
+        for finding in exceptions_as_findings(f"the rule {rule.code}", source, partial(rule, simulation))
+    ]
+    errors = [finding for finding in findings if finding.severity == "error"]
     if not all(finding.is_internal_error for finding in errors):
-        found = [finding for finding in found if finding.severity == "error" or finding.code in _CAUSES]
+        findings = [finding for finding in findings if finding.severity == "error" or finding.code in _CAUSES]
     halt = report.halt
-    return SimulationFindings(found, f"{simulation.when()}, after {halt.description}" if halt is not None and halt.kind == "slow" else None)
+    return SimulationFindings(
+        findings,
+        f"{simulation.when()}, after {halt.description}"
+        if halt is not None and halt.kind == "slow"
+        else None,
+    )
 
 
 @dataclass(frozen=True)
 class FoundExploits:
-    """The exploits of a reward, how many episodes were played, and how many succeeded; `incomplete` says why there are not all."""
+    """The exploits of a reward, how many episodes were played, and how many succeeded; `incomplete` says why
+    there are not all."""
 
     exploits: list[Exploit]
     episodes: int
@@ -162,8 +206,13 @@ def find_exploits(checked: CheckedScenario, *, limits: Limits = EXPLOIT_LIMITS) 
         fault = internal_error_finding("the search for exploits", checked.document.source, report.fault)
         return FoundExploits([Exploit(fault, None)], 0)
     context = ExploitContext(checked, checked.program, checked.namespace, report.driven)
-    found = [exploit for rule in EXPLOIT_RULES for exploit in rule(context)]
-    return FoundExploits(found, len(report.driven), sum(each.end == "success" for each in report.driven), _why_incomplete(report))
+    exploits = [exploit for rule in EXPLOIT_RULES for exploit in rule(context)]
+    return FoundExploits(
+        exploits,
+        len(report.driven),
+        sum(each.end == "success" for each in report.driven),
+        _why_incomplete(report),
+    )
 
 
 def _why_incomplete(report: SimulationReport) -> str | None:
@@ -176,14 +225,17 @@ def _why_incomplete(report: SimulationReport) -> str | None:
 
 
 class CascadeFilter:
-    """Drops warnings that follow from a doubtful value: an ending never holds because of `fall_angle: 15 rad`.
+    """Drops warnings that follow from a doubtful value: an ending never holds because of `fall_angle: 15
+    rad`.
 
     A value whose finding is suppressed by a comment is not doubtful.
     """
 
     def __init__(self, checked: CheckedScenario) -> None:
         doubtful = [finding for finding in checked.findings if finding.code in _DOUBTFUL]
-        spans = [finding.span for finding in suppress(doubtful, checked.document.sources)[0]] if doubtful else []
+        spans = (
+            [finding.span for finding in suppress(doubtful, checked.document.sources)[0]] if doubtful else []
+        )
         self._texts = _Texts(_depending_on(checked, spans) if spans else ())
 
     def is_consequence(self, finding: Finding) -> bool:
@@ -207,7 +259,8 @@ class _Texts:
 
 
 def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
-    """The texts of the doubtful values, and all texts that refer to names that these define, however indirectly."""
+    """The texts of the doubtful values, and all texts that refer to names that these define, however
+    indirectly."""
     assert checked.namespace is not None  # the scenario has no errors
     values = checked.namespace.values
     users: dict[str, set[Span]] = defaultdict(set)
@@ -218,83 +271,12 @@ def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
     for definition in checked.namespace.definitions.values():
         defined[values.span(definition.path)].append(definition.name)
     texts, definitions = _Texts(reading.text.span for reading in values.readings), _Texts(defined)
-    found: set[Span] = set()
+    spans: set[Span] = set()
     waiting = [text for span in doubtful if (text := texts.around(span))]
     while waiting:
         text = waiting.pop()
         place = definitions.around(text)
-        if text not in found:
-            found.add(text)
+        if text not in spans:
+            spans.add(text)
             waiting += [user for name in (defined[place] if place else ()) for user in users.pop(name, ())]
-    return found
-
-
-# Pages
-
-PAGES = Path(__file__).with_name("pages.yaml")
-
-
-@dataclass(frozen=True)
-class RulePage:
-    """The page of a finding, for the reference and for `deepbots explain`: why it matters, an example, and what to write instead.
-
-    The page of a static rule is the docstring of its function. Pages of the compiler's findings and of simulated rules are in
-    `pages.yaml`. `about` holds paragraphs with blank lines between; `example` and `instead` are both given or both empty.
-
-    A `deep` page is about a rule that simulates.
-    """
-
-    code: str
-    about: str
-    example: str = ""
-    instead: str = ""
-    deep: bool = False
-
-    @property
-    def language(self) -> str:
-        """`yaml`, to be laid upon CartPole, or `xml`, a whole robot file."""
-        return "xml" if self.example.startswith("<") else "yaml"
-
-    def text(self, width: int = 100) -> str:
-        """For a terminal: paragraphs of at most `width` columns, examples indented."""
-        parts = [fill(" ".join(part.split()), width, break_long_words=False, break_on_hyphens=False) for part in self.about.split("\n\n")]
-        if self.example:
-            parts += ["For example:", indent(self.example, "    "), "Instead:", indent(self.instead, "    ")]
-        return "\n\n".join(parts)
-
-    def markdown(self) -> str:
-        """For code scanning."""
-        if not self.example:
-            return self.about
-        example, instead = (f"```{self.language}\n{part}\n```" for part in (self.example, self.instead))
-        return f"{self.about}\n\n{example}\n\nInstead:\n\n{instead}"
-
-
-@cache
-def every_page() -> tuple[RulePage, ...]:
-    """All pages in the order of their codes; of two pages of a code, the one about static analysis comes first."""
-    static = [_page(code_of(rule), cleandoc(rule.__doc__ or "").partition(": ")[2]) for rule in STATIC_RULES]
-    return tuple(sorted([*static, *_of_file()], key=lambda page: page.code))
-
-
-def pages_of(code: str) -> tuple[RulePage, ...]:
-    """The pages of one code."""
-    check = RULES[code].check
-    return tuple(page for page in every_page() if page.code == code) if check is None else (_page(code, cleandoc(check.__doc__ or "")),)
-
-
-def _page(code: str, text: str) -> RulePage:
-    about, _, rest = text.partition("\n\nExample::\n\n")
-    example, _, instead = rest.partition("\n\nInstead::\n\n")
-    return RulePage(code, about[0].upper() + about[1:], dedent(example), dedent(instead))
-
-
-def _of_file() -> Iterator[RulePage]:
-    findings = Findings()
-    root = parse(Source(PAGES.name, PAGES.read_text(encoding="utf-8")), findings)
-    table = to_data(root) if root else None
-    if not isinstance(table, dict) or len(findings):
-        raise ValueError(f"{PAGES} is broken: {findings}")
-    for code, page in table.items():
-        texts = {part: text.strip() for part, text in page.items() if isinstance(text, str)}
-        yield RulePage(code, deep=page.get("deep") is True, **texts)
+    return spans

@@ -1,11 +1,13 @@
-"""What a rule is given: the checked scenario, its program, the analysis of it, places in the text, and the report of a simulation."""
+"""A rule and its code, and what a rule is given: the checked scenario, its program, its analysis, places in
+the text, a simulation."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Generic, Literal, NamedTuple, TypeVar
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler import CheckedScenario
@@ -22,7 +24,8 @@ from deepbots_cli.program.world import ARENA_WALLS, GROUND
 class RuleContext:
     """A scenario without errors, for the rules.
 
-    `program` is what it compiles to, `analysis` what several rules ask about that, and `values` the places in its text.
+    `program` is what it compiles to, `analysis` what several rules ask about that, and `values` the places in
+    its text.
     """
 
     def __init__(self, checked: CheckedScenario, program: Program, namespace: Namespace) -> None:
@@ -31,7 +34,10 @@ class RuleContext:
         self.namespace = namespace
         self.values: ValueReader = namespace.values
         self.analysis = Analysis(program)
-        variants = [*(case.program for case in program.cases), *(stage.program for stage in program.curriculum)]
+        variants = [
+            *(case.program for case in program.cases),
+            *(stage.program for stage in program.curriculum),
+        ]
         self.versions = (self.analysis, *map(Analysis, variants))
         """The scenario itself, and under the settings of each case and each stage."""
 
@@ -59,23 +65,30 @@ class FailedExpression(NamedTuple):
 class Simulation(RuleContext):
     """A scenario and the report of its simulation."""
 
-    def __init__(self, checked: CheckedScenario, program: Program, namespace: Namespace, report: SimulationReport) -> None:
+    def __init__(
+        self, checked: CheckedScenario, program: Program, namespace: Namespace, report: SimulationReport
+    ) -> None:
         super().__init__(checked, program, namespace)
         self.plan = simulation_plan(program)
         self.report = report
-        self.measured = {by: found for by, found in report.measured.items() if found.steps}
+        self.measured = {by: measured for by, measured in report.measured.items() if measured.steps}
         """By policy; only policies that made a step."""
-        self.steps = sum(found.steps for found in self.measured.values())
+        self.steps = sum(measured.steps for measured in self.measured.values())
         self.is_complete = report.done and report.stop is None
         """Whether nothing stopped the simulation, so that absence of an event means something."""
         self.robot_names = tuple(robot.name for robot in program.robots)
-        self.walls = {piece: name for name, pieces in namespace.walls.items() if pieces != ARENA_WALLS for piece in pieces}
+        self.walls = {
+            piece: name
+            for name, pieces in namespace.walls.items()
+            if pieces != ARENA_WALLS
+            for piece in pieces
+        }
         """The name of the wall that each piece, such as `bay 1`, belongs to."""
 
     def terms(self) -> Iterator[tuple[Expression, dict[str, TermStatistics]]]:
         """Every term of the reward, with its statistics by policy."""
         for place, term in enumerate(self.program.agent.reward):
-            yield term, {by: found.terms[place] for by, found in self.measured.items()}
+            yield term, {by: measured.terms[place] for by, measured in self.measured.items()}
 
     # Places in the scenario
 
@@ -108,7 +121,8 @@ class Simulation(RuleContext):
     # Words
 
     def called(self, body: str) -> str:
-        """The name of a body in a sentence; a wall with one segment has the name that the scenario gives it."""
+        """The name of a body in a sentence; a wall with one segment has the name that the scenario gives
+        it."""
         wall = self.walls.get(body, body)
         return wall if list(self.walls.values()).count(wall) == 1 else body
 
@@ -125,8 +139,12 @@ class Simulation(RuleContext):
     @property
     def summary(self) -> str:
         """How much was simulated, for a note."""
-        parts = [f"{found.steps} steps of {by}" for by, found in self.measured.items()]
-        return f"simulated: {' and '.join(filter(None, (', '.join(parts[:-1]), parts[-1])))}" if parts else "nothing was simulated"
+        parts = [f"{measured.steps} steps of {by}" for by, measured in self.measured.items()]
+        return (
+            f"simulated: {' and '.join(filter(None, (', '.join(parts[:-1]), parts[-1])))}"
+            if parts
+            else "nothing was simulated"
+        )
 
     # Expressions without a value
 
@@ -142,16 +160,19 @@ class Simulation(RuleContext):
         for name in map(str, stop.get("terms", ())):
             if name in terms:
                 return FailedExpression(name, terms[name].span, "reward", notes)
-        known = dict(self._identifiers())
-        for line in map(str, stop.get("lines", ())):  # an assignment names its target first, then what it reads
+        identifiers = dict(self._identifiers())
+        for line in map(
+            str, stop.get("lines", ())
+        ):  # an assignment names its target first, then what it reads
             for word in re.findall(r"(?:self\.)?([A-Za-z_]\w*)", line):
-                if word in known:
-                    value, section = known[word]
+                if word in identifiers:
+                    value, section = identifiers[word]
                     return FailedExpression(value.name, value.span, section, notes)
         return None
 
     def _identifiers(self) -> Iterator[tuple[str, tuple[Expression, Section]]]:
-        """The identifiers of values in generated code, in the order of `codegen.text`, which appends a number to a taken one."""
+        """The identifiers of values in generated code, in the order of `codegen.text`, which appends a number
+        to a taken one."""
         program = self.program
         for entry in program.agent.observation:
             for name in (_identifier("seen", entry.value.name), _identifier(entry.value.name)):
@@ -159,21 +180,59 @@ class Simulation(RuleContext):
         for term in program.agent.reward:
             yield _identifier("term", term.name), (term, "reward")
             yield _identifier(term.name, "term"), (term, "reward")
-        seen, paid = self._names_behind([entry.value for entry in program.agent.observation]), self._names_behind(program.agent.reward)
+        seen = self._names_behind([entry.value for entry in program.agent.observation])
+        paid = self._names_behind(program.agent.reward)
         for value in program.signals:
-            section: Section = "observation" if value.name in seen else "reward" if value.name in paid else "other"
+            section: Section
+            if value.name in seen:
+                section = "observation"
+            elif value.name in paid:
+                section = "reward"
+            else:
+                section = "other"
             yield _identifier(value.name), (value, section)
         for ending in program.endings:
             yield _identifier(ending.name), (ending, "other")
 
     def _names_behind(self, values: Iterable[Expression]) -> set[str]:
         analysis = self.analysis.ideal
-        return {name for value in values for tree in analysis.scalars(value) for name in analysis.dependencies(tree)}
+        return {
+            name
+            for value in values
+            for tree in analysis.scalars(value)
+            for name in analysis.dependencies(tree)
+        }
 
 
 def _identifier(*parts: str) -> str:
     return re.sub(r"\W", "_", "_".join(part for part in parts if part))
 
 
-StaticRule = Callable[[RuleContext], Iterator[Finding]]
-SimulatedRule = Callable[[Simulation], Iterator[Finding]]
+# Rules
+
+C = TypeVar("C")
+F = TypeVar("F")
+
+
+@dataclass(frozen=True)
+class LintRule(Generic[C, F]):
+    """A rule: the code of its findings, and the generator that yields them."""
+
+    code: str
+    check: Callable[[C], Iterator[F]]
+
+    def __call__(self, context: C) -> Iterator[F]:
+        return self.check(context)
+
+
+def rule(code: str) -> Callable[[Callable[[C], Iterator[F]]], LintRule[C, F]]:
+    """A decorator that makes a generator of findings the rule of this code."""
+
+    def with_code(check: Callable[[C], Iterator[F]]) -> LintRule[C, F]:
+        return LintRule(code, check)
+
+    return with_code
+
+
+StaticRule = LintRule[RuleContext, Finding]
+SimulatedRule = LintRule[Simulation, Finding]

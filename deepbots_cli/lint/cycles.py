@@ -1,8 +1,9 @@
 """What a cycle of states earns that never ends in success (DB716).
 
-The rule assumes courses of the compared quantities (`analysis.courses`), and adds up the reward along them. A cycle is worth its reward per
-timestep for half of the episode; finishing is worth the reward from the cycle to the success. Progress that is charged on the way back sums
-to zero over a cycle. Nothing here depends on the form of a term.
+The rule assumes courses of the compared quantities (`analysis.courses`), and adds up the reward along them. A
+cycle is worth its reward per timestep for half of the episode; finishing is worth the reward from the cycle
+to the success. Progress that is charged on the way back sums to zero over a cycle. Nothing here depends on
+the form of a term.
 """
 
 from __future__ import annotations
@@ -12,7 +13,17 @@ from dataclasses import dataclass
 from math import ceil
 
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.courses import Course, Required, Way, beyond, hold_times, merged, thresholds_of, value_within, ways
+from deepbots_cli.analysis.courses import (
+    Course,
+    Required,
+    Way,
+    beyond,
+    hold_times,
+    merged,
+    thresholds_of,
+    value_within,
+    ways,
+)
 from deepbots_cli.analysis.ranges import with_unit
 from deepbots_cli.analysis.returns import total_range
 from deepbots_cli.analysis.speeds import rate_of
@@ -22,7 +33,7 @@ from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, single
 from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar, State
 from deepbots_cli.expressions.types import Operation, walk
-from deepbots_cli.lint.context import RuleContext
+from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.incentives import MIN_WORTH, horizon, hovering, steps_from
 from deepbots_cli.program.values import Expression
 
@@ -58,7 +69,8 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Earned:
-    """What a cycle earns: by term and in all per timestep, over the rest of an episode, and what finishing earns from there."""
+    """What a cycle earns: by term and in all per timestep, over the rest of an episode, and what finishing
+    earns from there."""
 
     cycle: Cycle
     rates: Mapping[str, float]
@@ -67,39 +79,16 @@ class Earned:
     finishing: float
 
 
+@rule("DB716")
 def cycle_pays(context: RuleContext) -> Iterator[Finding]:
-    """DB716: a cycle of states that never ends in success pays more than success.
-
-    The agent learns to repeat the cycle. Three kinds are common. A success must be held for a time, and a term pays in each step of it: the
-    agent interrupts it just in time, and begins again. A bonus is paid at each entry into a region: the agent leaves and enters again. A
-    term pays steps towards the goal, and does not charge steps away from it, as with `max(0, ...)` or `abs(...)`: the agent goes to and
-    fro. Pay at the end of the episode, or pay progress that is charged on the way back (`-10 * delta(distance) / m`), which sums to zero
-    over each cycle.
-
-    The rule follows the reward along such cycles, for half of the episode, and compares this with what success pays from there. To and fro,
-    it assumes 80 % of the largest speed, where wheels or joints limit it. DB708 reports states that pay without change.
-
-    Example::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {parked: 10 when inside, alive: 0}
-        signals: {inside: left < 5 cm}
-        termination: {success: {done: duration(inside) > 1 s}}
-
-    Instead::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {parked: 10 when done, alive: 0}
-        signals: {inside: left < 5 cm}
-        termination: {success: {done: duration(inside) > 1 s}}
-    """
+    """A cycle of states that never ends in success pays more than success."""
     if not context.analysis.reward.is_complete or hovering(context) is not None:
         return
     for success in context.program.successes:
         if success.foreign is None and success not in context.analysis.shadowed:
-            best = max(_Search(context.analysis.ideal, success).paid(), key=lambda earned: earned.total, default=None)
+            best = max(
+                _Search(context.analysis.ideal, success).paid(), key=lambda earned: earned.total, default=None
+            )
             if best is not None:
                 yield _finding(context, success, best)
                 return
@@ -115,7 +104,9 @@ class _Search:
         self._steps = steps_from(analysis, success) * program.action_repeat
         self._counted = min(self._steps * _SHARE_OF_EPISODE, horizon(self._reward) * program.action_repeat)
         self._condition = analysis.scalars(success)[0]
-        self._endings = [(ending, analysis.scalars(ending)[0]) for ending in program.endings if ending.foreign is None]
+        self._endings = [
+            (ending, analysis.scalars(ending)[0]) for ending in program.endings if ending.foreign is None
+        ]
         self._terms = [node for _, node in self._reward.terms]
         self._watched = [*self._terms, *(node for _, node in self._endings)]
         self._tick = program.world.timestep
@@ -146,11 +137,11 @@ class _Search:
     # Cycles
 
     def _values(self, way: Way) -> dict[int, Interval]:
-        found = {}
+        values = {}
         for key, required in way.items():
             self._nodes[key] = required.node
-            found[key] = single(value_within(self._analysis.ranges, required))
-        return found
+            values[key] = single(value_within(self._analysis.ranges, required))
+        return values
 
     def _cycles(self, within: Way, finish: Values, outside: list[Way]) -> Iterator[Cycle]:
         bases: list[tuple[Way, Values]] = []
@@ -170,7 +161,11 @@ class _Search:
         near = dict(finish)
         for key, required in out.items():
             edge = _across(required)
-            if edge is None or key not in within or not within[key].within.low <= edge <= within[key].within.high:
+            if (
+                edge is None
+                or key not in within
+                or not within[key].within.low <= edge <= within[key].within.high
+            ):
                 continue
             near[key] = single(edge)
         held = self._held(base, near)
@@ -181,7 +176,8 @@ class _Search:
             yield Cycle(((near, max(1, held // 2)), (base, max(1, held // 2))), changing)
 
     def _held(self, base: Values, near: Values) -> int:
-        """For how many timesteps the values of success do not yet end the episode; 0 where nothing ends it."""
+        """For how many timesteps the values of success do not yet end the episode; 0 where nothing ends
+        it."""
         course = self._course({**base, **near}, is_moving=False)
         for _ in range(2):
             course.follow(base)
@@ -193,7 +189,13 @@ class _Search:
 
     def _crossings(self, out: Way, base: Values) -> Iterator[Cycle]:
         """A quantity of the reward crosses a value that a term compares it with."""
-        times = {1, *(min(_MAX_HELD, ceil(time / self._tick) + 2) for time in hold_times(self._analysis, self._terms))}
+        times = {
+            1,
+            *(
+                min(_MAX_HELD, ceil(time / self._tick) + 2)
+                for time in hold_times(self._analysis, self._terms)
+            ),
+        }
         for key, sides in self._sides_in_reward():
             low, high = ({**base, key: side} for side in sides)
             yield Cycle(((low, 1),), key)
@@ -206,7 +208,8 @@ class _Search:
                 yield Cycle((({**base, **inside}, count), ({**base, **outside}, 1)), key)
 
     def _regions_in_reward(self) -> Iterator[tuple[int, Values, Values]]:
-        """The values of several quantities that meet a condition of a term, and the same with one of them beyond its bound."""
+        """The values of several quantities that meet a condition of a term, and the same with one of them
+        beyond its bound."""
         met: set[int] = set()
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
             identity = self._analysis.identity(part)
@@ -229,7 +232,11 @@ class _Search:
                 self._nodes[key] = self._analysis.resolve_aliases(quantity)
                 yield key, (single(beyond(threshold, -1.0)), single(beyond(threshold, 1.0)))
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
-            if isinstance(part, EngineRead) and part.function in FUNCTIONS and FUNCTIONS[part.function].boolean:
+            if (
+                isinstance(part, EngineRead)
+                and part.function in FUNCTIONS
+                and FUNCTIONS[part.function].boolean
+            ):
                 key = self._analysis.identity(part)
                 self._nodes[key] = part
                 yield key, (NEVER, ALWAYS)
@@ -256,15 +263,17 @@ class _Search:
             if isinstance(part, State) and part.function in ("delta", "previous"):
                 node = self._analysis.resolve_aliases(part.args[0])
                 key = self._analysis.identity(node)
-                if key not in met and not any(isinstance(inner, State) for inner in self._analysis.walk_definitions(node)):
+                if key not in met and not any(
+                    isinstance(inner, State) for inner in self._analysis.walk_definitions(node)
+                ):
                     met.add(key)
                     yield key, node
 
     def _resting_value(self, node: Scalar) -> float:
-        known = self._analysis.ranges.of(node)
-        if known.is_finite:
-            return (known.low + known.high) / 2
-        return known.low + 1.0 if known.low > -INF else 0.0
+        interval = self._analysis.ranges.of(node)
+        if interval.is_finite:
+            return (interval.low + interval.high) / 2
+        return interval.low + 1.0 if interval.low > -INF else 0.0
 
     # Rewards along a cycle
 
@@ -318,8 +327,8 @@ class _Search:
 
     def _ends(self, course: Course) -> bool:
         for ending, node in self._endings:
-            known = course.of(node)
-            if (known.high if ending in self._analysis.program.successes else known.low) > 0.0:
+            interval = course.of(node)
+            if (interval.high if ending in self._analysis.program.successes else interval.low) > 0.0:
                 return True
         return False
 
@@ -350,12 +359,20 @@ def _across(required: Required) -> float | None:
 def _finding(context: RuleContext, success: Expression, best: Earned) -> Finding:
     name = max(best.rates, key=lambda term: best.rates[term])
     term = next(term for term in context.program.agent.reward if term.name == name)
-    headline = f"a cycle that avoids `{success.name}` earns up to {best.rate:.3g} per step, {best.total:.4g} in half an episode"
+    headline = (
+        f"a cycle that avoids `{success.name}` earns up to {best.rate:.3g} per step, {best.total:.4g}"
+        " in half an episode"
+    )
     headline += f"; going on to `{success.name}` earns {best.finishing:.3g}"
-    help = "pay at the end of the episode, as in `10 when success`, or pay progress, as in `-10 * delta(distance) / m`"
+    help = (
+        "pay at the end of the episode, as in `10 when success`, or pay progress, as in `-10 *"
+        " delta(distance) / m`"
+    )
     help = help.replace("success", success.name)
     labels = (Label(success.span, "never comes true in the cycle"),)
-    return Finding("DB716", term.span, headline, help, notes=(_description(context, best.cycle),), labels=labels)
+    return Finding(
+        "DB716", term.span, headline, help, notes=(_description(context, best.cycle),), labels=labels
+    )
 
 
 def _description(context: RuleContext, cycle: Cycle) -> str:
@@ -363,27 +380,31 @@ def _description(context: RuleContext, cycle: Cycle) -> str:
     parts = []
     for values, count in cycle.phases:
         value = values[cycle.changing]
-        said = with_unit(float(f"{value.low:.4g}"), dimension) if dimension is not None else f"{value.low:.4g}"
+        shown = (
+            with_unit(float(f"{value.low:.4g}"), dimension) if dimension is not None else f"{value.low:.4g}"
+        )
         if dimension is None and value in (ALWAYS, NEVER):
-            said = "true" if value == ALWAYS else "false"
-        parts.append(said if cycle.ticks == 1 else f"{said} for {count} step{'s' if count > 1 else ''}")
+            shown = "true" if value == ALWAYS else "false"
+        parts.append(shown if cycle.ticks == 1 else f"{shown} for {count} step{'s' if count > 1 else ''}")
     return f"the cycle: `{text}` {'stays' if cycle.ticks == 1 else 'is'} {', then '.join(parts)}"
 
 
 def _texts(context: RuleContext) -> dict[int, tuple[str, Dimension | None]]:
-    """How the scenario writes quantities, at the shortest, by their identity, with their dimension; None for truth values."""
-    analysis, found = context.analysis.ideal, dict[int, tuple[str, Dimension | None]]()
+    """How the scenario writes quantities, at the shortest, by their identity, with their dimension; None for
+    truth values."""
+    analysis, texts = context.analysis.ideal, dict[int, tuple[str, Dimension | None]]()
     values = [*context.program.endings, *context.program.signals, *context.program.agent.reward]
     for value in values:
         for node in walk(value.typed) if value.foreign is None else ():
             parts = node.args if isinstance(node, Operation) else (node,)
             for part in parts:
                 trees = analysis.lowered(part, value.owner)
-                text, dimension = value.text[part.start : part.end], None if part.type.boolean else part.type.dimension
+                text = value.text[part.start : part.end]
+                dimension = None if part.type.boolean else part.type.dimension
                 key = analysis.identity(trees[0])
-                if len(trees) == 1 and text and (key not in found or len(text) < len(found[key][0])):
-                    found[key] = text, dimension
-    return found
+                if len(trees) == 1 and text and (key not in texts or len(text) < len(texts[key][0])):
+                    texts[key] = text, dimension
+    return texts
 
 
 STATIC_RULES = (cycle_pays,)

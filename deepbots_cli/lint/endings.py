@@ -8,7 +8,13 @@ from typing import NamedTuple
 
 from deepbots_cli import footprint
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.conditions import ConditionComparison, Threshold, comparisons, has_choice, thresholds
+from deepbots_cli.analysis.conditions import (
+    ConditionComparison,
+    Threshold,
+    comparisons,
+    has_choice,
+    thresholds,
+)
 from deepbots_cli.analysis.ranges import Ranges, bounds_text, with_unit
 from deepbots_cli.analysis.returns import total_range
 from deepbots_cli.diagnostics import Finding, Label
@@ -17,7 +23,7 @@ from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, Interval, hull
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.types import referenced_names
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
@@ -32,19 +38,9 @@ _MAX_SEEDS = 8
 """Seeds listed in a note."""
 
 
+@rule("DB801")
 def never_true(context: RuleContext) -> Iterator[Finding]:
-    """DB801: an ending can never be true. For example, the joint stops before the limit, a distance would have to be
-    negative, or the limit of an angle is in the wrong unit. Episodes then run to the time limit. A contact between two
-    links of one robot, which never touch each other, is reported wherever an ending uses it.
-
-    Example::
-
-        termination: {failure: {fallen: abs(cart.pole_angle) > 90 deg}}
-
-    Instead::
-
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-    """
+    """An ending can never be true."""
     silent = [
         {ending.name for ending in analysis.program.endings if _truth_over_episode(analysis, ending) == NEVER}
         for analysis in context.versions
@@ -53,10 +49,21 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
         if all(ending.name in names for names in silent):
             headline = f"`{ending.name}` can never be true"
             notes = tuple(_reasons(context.analysis, ending))
-            yield Finding("DB801", ending.span, headline, _help_for_untrue(context.analysis, ending), notes=notes)
-        elif own := [] if ending.foreign else context.analysis.own_contacts(context.analysis.scalars(ending)[0]):
+            yield Finding(
+                "DB801", ending.span, headline, _help_for_untrue(context.analysis, ending), notes=notes
+            )
+        elif (
+            own := []
+            if ending.foreign
+            else context.analysis.own_contacts(context.analysis.scalars(ending)[0])
+        ):
             headline = f"`{own[0]}` is never true: links of one robot do not touch each other"
-            yield Finding("DB801", ending.span, headline, "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`")
+            yield Finding(
+                "DB801",
+                ending.span,
+                headline,
+                "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`",
+            )
 
 
 def _truth_over_episode(analysis: Analysis, ending: Expression) -> Interval:
@@ -68,7 +75,10 @@ def _help_for_untrue(analysis: Analysis, ending: Expression) -> str:
     for touch in _impossible_contacts(analysis, ending):
         thing, *others = sorted(touch.subjects, key=lambda name: name not in analysis.intangible)
         other = others[0] if others else "a"
-        return f"use a distance, as in `distance({other}, {thing}) < 5 cm`, or remove `solid: false` of `{thing}`"
+        return (
+            f"use a distance, as in `distance({other}, {thing}) < 5 cm`, or remove `solid: false` of"
+            f" `{thing}`"
+        )
     return "correct the condition, or remove the ending"
 
 
@@ -76,7 +86,11 @@ def _impossible_contacts(analysis: Analysis, ending: Expression) -> list[EngineR
     """Contacts of an object that is not solid."""
     (node,) = analysis.scalars(ending)
     touches = (part for part in analysis.walk_definitions(node) if isinstance(part, EngineRead))
-    return [part for part in touches if part.function in ("contact", "collided") and not analysis.intangible.isdisjoint(part.subjects)]
+    return [
+        part
+        for part in touches
+        if part.function in ("contact", "collided") and not analysis.intangible.isdisjoint(part.subjects)
+    ]
 
 
 def _reasons(analysis: Analysis, ending: Expression) -> Iterator[str]:
@@ -88,56 +102,46 @@ def _reasons(analysis: Analysis, ending: Expression) -> Iterator[str]:
         if all(ranges.of(part) == NEVER for part in analysis.lowered(entry.node, entry.value.owner))
     ]
     for entry in never:
-        yield from (f"`{text}` is {words}" for text, known, words in _sides(entry, ranges) if known.low > -INF or known.high < INF)
+        yield from (
+            f"`{text}` is {words}"
+            for text, interval, words in _sides(entry, ranges)
+            if interval.low > -INF or interval.high < INF
+        )
     (node,) = analysis.scalars(ending)
     touched = _impossible_contacts(analysis, ending)
-    intangible = sorted({name for part in touched for name in analysis.intangible.intersection(part.subjects)})
+    intangible = sorted(
+        {name for part in touched for name in analysis.intangible.intersection(part.subjects)}
+    )
     yield from (f"nothing touches `{name}`, which is not solid" for name in intangible)
-    if not never and not intangible and isinstance(meaning := analysis.resolve_aliases(node), Op) and meaning.op == "and":
+    if (
+        not never
+        and not intangible
+        and isinstance(meaning := analysis.resolve_aliases(node), Op)
+        and meaning.op == "and"
+    ):
         yield "its parts are never true at the same time"
 
 
 def _sides(entry: ConditionComparison, ranges: Ranges) -> Iterator[tuple[str, Interval, str]]:
     """The text, the range and the range in words of both sides of a comparison, except constants."""
     for arg in entry.node.args:
-        known = hull([ranges.of(part) for part in ranges.analysis.lowered(arg, entry.value.owner)])
-        if not known.is_single:
-            yield entry.value.text[arg.start : arg.end], known, bounds_text(known, arg.type.dimension)
+        interval = hull([ranges.of(part) for part in ranges.analysis.lowered(arg, entry.value.owner)])
+        if not interval.is_single:
+            yield entry.value.text[arg.start : arg.end], interval, bounds_text(interval, arg.type.dimension)
 
 
+@rule("DB802")
 def always_true(context: RuleContext) -> Iterator[Finding]:
-    """DB802: an ending holds in every step, so that each episode ends at once.
-
-    Example::
-
-        termination: {failure: {fallen: abs(cart.pole_angle) > -15 deg}}
-
-    Instead::
-
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-    """
+    """An ending holds in every step, so that each episode ends at once."""
     for ending in context.program.endings:
         if _truth_over_episode(context.analysis, ending) == ALWAYS:
             headline = f"`{ending.name}` is true in every step"
             yield Finding("DB802", ending.span, headline, "write a condition that is not always true")
 
 
+@rule("DB804")
 def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
-    """DB804: one of two limits always comes first, so the other has no effect.
-
-    For example, `max_time` comes after `max_steps`, an ending can become true only after the truncation or after
-    another ending, or an ending always comes before the truncation. An ending at a return above 195, with a reward of 1
-    per step, ends the best episode in step 196 of 200.
-
-    Example::
-
-        termination: {failure: {enough: episode_return > 195}}
-        truncation: {max_steps: 200}
-
-    Instead::
-
-        truncation: {max_steps: 200}
-    """
+    """One of two limits always comes first, so the other has no effect."""
     yield from _later_limit(context)
     yield from _later_ending(context)
     analysis, last = context.analysis, context.analysis.last_step
@@ -149,9 +153,16 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
         if _with_return(analysis, 0, last).of(node) == NEVER:
             headline, what = f"`{ending.name}` cannot become true before {limit}", "the truncation"
             help = "raise the limit under `truncation`, or remove the ending"
-        elif not _leaves(analysis, node) <= _CLOCK_NAMES and last > 1 and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS:
+        elif (
+            not _leaves(analysis, node) <= _CLOCK_NAMES
+            and last > 1
+            and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS
+        ):
             headline, what = f"`{ending.name}` ends every episode before {limit}", "never reached"
-            help = "remove this ending: `truncation` already ends the episode; describe a good result under `solved`"
+            help = (
+                "remove this ending: `truncation` already ends the episode; describe a good result under"
+                " `solved`"
+            )
         else:
             continue
         also = (Label(context.values.key_span(("truncation",)), what),)
@@ -163,12 +174,12 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
     reward = analysis.reward
     step = total_range(reward.terms, reward.ranges_while_running())
     ticks = float((last - bool(first)) * analysis.program.action_repeat)
-    known = Interval()
+    return_interval = Interval()
     if reward.is_complete and not first:
-        known = Interval(min(0.0, step.low * ticks), max(0.0, step.high * ticks))
+        return_interval = Interval(min(0.0, step.low * ticks), max(0.0, step.high * ticks))
     elif reward.is_complete and step.is_finite:
-        known = Interval(step.low * ticks, step.high * ticks)
-    return Ranges(analysis, {"episode_return": known}, (float(first), float(last)))
+        return_interval = Interval(step.low * ticks, step.high * ticks)
+    return Ranges(analysis, {"episode_return": return_interval}, (float(first), float(last)))
 
 
 def _later_limit(context: RuleContext) -> Iterator[Finding]:
@@ -178,7 +189,9 @@ def _later_limit(context: RuleContext) -> Iterator[Finding]:
         other = "max_steps" if name == "max_time" else "max_time"
         headline = f"`{name}` has no effect: `{other}` always ends the episode first"
         also = (Label(context.values.span(("truncation", other)), "ends the episode first"),)
-        yield Finding("DB804", context.values.span(("truncation", name)), headline, "remove one of the two", labels=also)
+        yield Finding(
+            "DB804", context.values.span(("truncation", name)), headline, "remove one of the two", labels=also
+        )
 
 
 def _later(program: Program) -> str:
@@ -186,14 +199,18 @@ def _later(program: Program) -> str:
     if limits.max_steps is None or limits.max_time is None:
         return ""
     steps, time = limits.max_steps * program.action_repeat, ceil(limits.max_time / timestep - 1e-9)
-    return "max_time" if time > steps else "max_steps" if steps > time else ""
+    if time > steps:
+        return "max_time"
+    if steps > time:
+        return "max_steps"
+    return ""
 
 
 def _later_ending(context: RuleContext) -> Iterator[Finding]:
     """Endings that come too late in every case and every stage."""
-    found, failures = context.analysis.shadowed, context.program.failures
-    later = [{late.name for late in analysis.shadowed} for analysis in context.versions] if found else []
-    for late, first in found.items():
+    shadowed, failures = context.analysis.shadowed, context.program.failures
+    later = [{late.name for late in analysis.shadowed} for analysis in context.versions] if shadowed else []
+    for late, first in shadowed.items():
         if all(late.name in names for names in later):
             headline = f"`{late.name}` has no effect: `{first.name}` always ends the episode first"
             help = (
@@ -201,119 +218,132 @@ def _later_ending(context: RuleContext) -> Iterator[Finding]:
                 if (late.name in failures) != (first.name in failures)
                 else "remove one of the two"
             )
-            yield Finding("DB804", late.span, headline, help, labels=(Label(first.span, "ends the episode first"),))
+            yield Finding(
+                "DB804", late.span, headline, help, labels=(Label(first.span, "ends the episode first"),)
+            )
 
 
 def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
-    """The names without definition that a value depends on, except parameters; facts of the world by their function."""
+    """The names without definition that a value depends on, except parameters; facts of the world by their
+    function."""
     parameters = {value.name for value in analysis.program.parameters}
     nodes = list(analysis.walk_definitions(node))
     names = {part.name for part in nodes if isinstance(part, Name)} - parameters
     return names | {f"{part.function}()" for part in nodes if isinstance(part, EngineRead)}
 
 
+@rule("DB805")
 def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
-    """DB805: an ending depends only on the time, which the agent does not observe.
-
-    A time limit is not part of the task, because the world would continue. After a truncation the learner estimates the return that
-    would have followed; after an ending it learns that the state is worthless, for no visible reason. A limit that the policy observes
-    (`observation: {time: 0 .. 10 s}`) is part of the task, and is not reported.
-
-    Example::
-
-        termination: {failure: {late: time > 5 s}}
-
-    Instead::
-
-        truncation: {max_steps: 156}
-    """
+    """An ending depends only on the time, which the agent does not observe."""
     analysis = context.analysis
     shown = {
-        name for entry in context.program.agent.observation for node in analysis.scalars(entry.value) for name in _leaves(analysis, node)
+        name
+        for entry in context.program.agent.observation
+        for node in analysis.scalars(entry.value)
+        for name in _leaves(analysis, node)
     }
     for ending in context.program.endings if not shown & _CLOCK_NAMES else ():
         names = _leaves(analysis, analysis.scalars(ending)[0]) if ending.foreign is None else set()
         if names and names <= _CLOCK_NAMES and not analysis.ranges.of(analysis.scalars(ending)[0]).is_single:
             headline = f"`{ending.name}` depends only on the time, which the policy does not observe"
-            kept = " or ".join(f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names))
+            kept = " or ".join(
+                f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names)
+            )
             yield Finding("DB805", ending.span, headline, f"limit the episode under `truncation`: {kept}")
 
 
+@rule("DB806")
 def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
-    """DB806: an ending is already true at the start of every episode.
-
-    Example::
-
-        reset: {joints: {cart.pole_hinge: uniform(20 .. 30 deg)}}
-
-    Instead::
-
-        reset: {joints: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
-    """
+    """An ending is already true at the start of every episode."""
     analysis, start = context.analysis, context.analysis.start
     for ending in context.program.endings:
-        if ending.foreign is None and start.of(analysis.scalars(ending)[0]) == ALWAYS != _truth_over_episode(analysis, ending):
+        if ending.foreign is None and start.of(analysis.scalars(ending)[0]) == ALWAYS != _truth_over_episode(
+            analysis, ending
+        ):
             sides = [side for entry in comparisons(analysis, ending) for side in _sides(entry, start)]
-            notes = tuple(f"`{text}` begins {words}" for text, known, words in sides if known.is_finite)
+            notes = tuple(f"`{text}` begins {words}" for text, interval, words in sides if interval.is_finite)
             help = _help_for_early(
-                context.program, ending, "change the initial state under `reset`, widen the limit, or reverse the comparison"
+                context.program,
+                ending,
+                "change the initial state under `reset`, widen the limit, or reverse the comparison",
             )
-            yield Finding("DB806", ending.span, f"`{ending.name}` is already true when an episode begins", help, notes=notes)
+            yield Finding(
+                "DB806",
+                ending.span,
+                f"`{ending.name}` is already true when an episode begins",
+                help,
+                notes=notes,
+            )
 
 
+@rule("DB806")
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
-    """DB806: an ending holds when an episode begins, with at least one seed."""
+    """An ending holds when an episode begins, with at least one seed."""
     for ending in simulation.program.endings:
         seeds = simulation.report.endings_at_reset.get(ending.name, [])
         if seeds:
-            headline = f"`{ending.name}` is already true at the start of {len(seeds)} of {simulation.plan.resets} episodes"
+            headline = (
+                f"`{ending.name}` is already true at the start of {len(seeds)} of"
+                f" {simulation.plan.resets} episodes"
+            )
             more = ", ..." if len(seeds) > _MAX_SEEDS else ""
-            notes = (f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",)
-            help = _help_for_early(simulation.program, ending, "change the initial state under `reset`, or widen the limit")
+            notes = (
+                f"with seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds[:_MAX_SEEDS]))}{more}",
+            )
+            help = _help_for_early(
+                simulation.program, ending, "change the initial state under `reset`, or widen the limit"
+            )
             yield Finding("DB806", ending.span, headline, help, notes=notes)
 
 
 def _help_for_early(program: Program, ending: Expression, help_for_failure: str) -> str:
     if ending.name not in program.agent.success:
         return help_for_failure
-    return "change the initial state under `reset`, or add a condition that is false at the start, as in `... and time > 1 s`"
+    return (
+        "change the initial state under `reset`, or add a condition that is false at the start, as in"
+        " `... and time > 1 s`"
+    )
 
 
+@rule("DB808")
 def undefined_value(simulation: Simulation) -> Iterator[Finding]:
-    """DB808: an episode cannot begin or continue, for a reason that no other code reports."""
+    """An episode cannot begin or continue, for a reason that no other code reports."""
     stop, failed = simulation.report.stop or {}, simulation.failed
     if failed is not None and failed.section == "other":
-        help = "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d, 1 cm)` for a length `d`"
+        help = (
+            "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d,"
+            " 1 cm)` for a length `d`"
+        )
         yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help, notes=failed.notes)
     elif failed is None and stop.get("kind") == "value":
-        span = simulation.values.key_span(("reset",) if simulation.report.where.activity == "reset" else ("robots",))
-        headline = "an episode cannot begin" if simulation.report.where.activity == "reset" else "an episode cannot continue"
+        span = simulation.values.key_span(
+            ("reset",) if simulation.report.where.activity == "reset" else ("robots",)
+        )
+        headline = (
+            "an episode cannot begin"
+            if simulation.report.where.activity == "reset"
+            else "an episode cannot continue"
+        )
         yield Finding("DB808", span, headline, notes=(simulation.when(), str(stop.get("text", ""))))
 
 
+@rule("DB811")
 def after_the_end(context: RuleContext) -> Iterator[Finding]:
-    """DB811: a push, a reading or a message would come only after the end of every episode.
-
-    The rule checks whether three events can occur within an episode (`max_steps`, `max_time`): the first push of a disturbance, the
-    second reading of a sensor, and the first message after the reset. It reports an event that comes too late for every episode of the
-    scenario, its cases and its stages. The usual cause is a wrong unit.
-
-    Example::
-
-        disturbances:
-          knock: {body: cart, force: 5 0 0 N, at: 20 s, duration: 50 ms}
-
-    Instead::
-
-        disturbances:
-          knock: {body: cart, force: 5 0 0 N, at: 2 s, duration: 50 ms}
-    """
+    """A push, a reading or a message would come only after the end of every episode."""
     times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
     end = max(analysis.last_step * analysis.period for analysis in context.versions)  # s
     for what, time, path in _delays(context.analysis):
-        if time >= end and all(known.get(path, time) >= end for known in times):
-            headline = f"{what} at least {with_unit(time, TIME)}, but no episode lasts longer than {with_unit(end, TIME)}"
-            yield Finding("DB811", context.values.span(path), headline, "write a shorter time, or allow longer episodes under `truncation`")
+        if time >= end and all(first_times.get(path, time) >= end for first_times in times):
+            headline = (
+                f"{what} at least {with_unit(time, TIME)}, but no episode lasts longer than"
+                f" {with_unit(end, TIME)}"
+            )
+            yield Finding(
+                "DB811",
+                context.values.span(path),
+                headline,
+                "write a shorter time, or allow longer episodes under `truncation`",
+            )
 
 
 def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:
@@ -331,7 +361,11 @@ def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:
         for sensor in robot.sensors:
             if sensor.faults is not None and sensor.faults.period > 1:
                 period = sensor.faults.period * program.world.timestep
-                yield f"`{sensor.name}` is read again after", period, ("robots", robot.name, "sensors", sensor.name, "period")
+                yield (
+                    f"`{sensor.name}` is read again after",
+                    period,
+                    ("robots", robot.name, "sensors", sensor.name, "period"),
+                )
     for robot in program.robots[:1]:  # all have the same routes
         for key, route in (("to_robot", robot.to_route), ("from_robot", robot.from_route)):
             if route.latency is not None:
@@ -342,7 +376,8 @@ def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:
 
 
 class SolidProfile(NamedTuple):
-    """A solid part around the vertical through the origin of a body: a disc of some radius (m) at each height from `low` to `high` (m).
+    """A solid part around the vertical through the origin of a body: a disc of some radius (m) at each height
+    from `low` to `high` (m).
 
     A `ball` has its full radius in the middle.
     """
@@ -361,41 +396,36 @@ class SolidProfile(NamedTuple):
         return sqrt(max(0.0, self.radius**2 - off**2))
 
 
+@rule("DB807")
 def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
-    """DB807: success requires a distance that cannot be reached: the bodies touch before they are so close, or the
-    target is outside the walls.
-
-    `distance` and `ground_distance` are measured between origins. A robot of 4 cm radius and a ball of 7 cm radius never come closer
-    than 11 cm. `clearance` is measured between surfaces.
-
-    Example::
-
-        objects: {ball: {shape: sphere, radius: 7 cm, fixed: true, pose: {x: 0.3 m, z: 7 cm}}}
-        augment:
-          left: ground_distance(cart, ball)
-        observation: {left: 0 .. 1 m}
-        termination: {success: {there: left < 5 cm}}
-
-    Instead::
-
-        objects: {ball: {shape: sphere, radius: 7 cm, fixed: true, pose: {x: 0.3 m, z: 7 cm}}}
-        augment:
-          left: clearance(cart, ball)
-        observation: {left: 0 .. 1 m}
-        termination: {success: {there: left < 2 cm}}
-    """
+    """Success requires a distance that cannot be reached."""
     if context.program.world.terrain is not None:
         return
     analysis = context.analysis
     for ending in context.program.endings:
-        if ending.name not in context.program.agent.success or ending.foreign is not None or has_choice(analysis, ending):
+        if (
+            ending.name not in context.program.agent.success
+            or ending.foreign is not None
+            or has_choice(analysis, ending)
+        ):
             continue
         for entry in comparisons(analysis, ending):
             asked = (asked for asked in thresholds(entry, analysis.ranges) if not asked.above)
-            reason = next((reason for reason in (_unreachable(analysis, threshold) for threshold in asked) if reason is not None), None)
+            reason = next(
+                (
+                    reason
+                    for reason in (_unreachable(analysis, threshold) for threshold in asked)
+                    if reason is not None
+                ),
+                None,
+            )
             if reason is not None:
                 words, help = reason
-                also = () if entry.value is ending else (Label(entry.value.span, f"`{ending.name}` depends on it"),)
+                also = (
+                    ()
+                    if entry.value is ending
+                    else (Label(entry.value.span, f"`{ending.name}` depends on it"),)
+                )
                 yield Finding("DB807", ending.span, f"`{ending.name}` {words}", help, labels=also)
                 break
 
@@ -412,11 +442,15 @@ def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None
     touching = _touching_distance(_cores(analysis, a), _cores(analysis, b))
     if limit < _TOUCHING_FACTOR * touching:
         apart = with_unit(round(touching, 4), LENGTH)
-        words = f"requires the origins of `{a}` and `{b}` to come within {with_unit(limit, LENGTH)} of each other"
+        words = (
+            f"requires the origins of `{a}` and `{b}` to come within {with_unit(limit, LENGTH)} of each other"
+        )
         words += f", but they are {apart} apart when the bodies touch"
         return words, f"raise the limit above {apart}, or use the `clearance` between surfaces"
     outside = next((body for body in (a, b) if _is_outside(analysis, body, limit)), None)
-    if outside and any(robot.name in pair - {outside} and not robot.fixed_base for robot in analysis.program.world.robots):
+    if outside and any(
+        robot.name in pair - {outside} and not robot.fixed_base for robot in analysis.program.world.robots
+    ):
         words = f"requires the robot to reach `{outside}`, which lies outside the walls of the arena"
         return words, f"place `{outside}` within the walls, or make the arena larger"
     return None
@@ -425,19 +459,23 @@ def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None
 def _may_be_above(analysis: Analysis, body: str) -> bool:
     """Whether a body may be above another: a robot with rotors, or an arm."""
     is_fixed = any(robot.name == body and robot.fixed_base for robot in analysis.program.world.robots)
-    flying = (robot.name for robot in analysis.program.robots if any(isinstance(actuator, Thrust) for actuator in robot.actuators))
+    flying = (
+        robot.name
+        for robot in analysis.program.robots
+        if any(isinstance(actuator, Thrust) for actuator in robot.actuators)
+    )
     return is_fixed or body in flying
 
 
 def _touching_distance(first: list[SolidProfile], second: list[SolidProfile]) -> float:
     """The distance of two origins, seen from above, at which the first parts touch; 0 where none do."""
-    found = 0.0
+    distance = 0.0
     for a in first:
         for b in second:
             low, high = max(a.low, b.low), min(a.high, b.high)
             if high > low:
-                found = max(found, a.width(low, high) + b.width(low, high))
-    return found
+                distance = max(distance, a.width(low, high) + b.width(low, high))
+    return distance
 
 
 def _cores(analysis: Analysis, body: str) -> list[SolidProfile]:
@@ -452,8 +490,14 @@ def _cores(analysis: Analysis, body: str) -> list[SolidProfile]:
     if model is None or (height := _height(analysis, f"{body}.{model.root}", model)) is None:
         return []
     parts = model.link(model.root).collisions
-    centered = [part for part in parts if part.origin.rpy == (0.0, 0.0, 0.0) and abs(part.origin.xyz[0]) + abs(part.origin.xyz[1]) < 1e-6]
-    return [core for part in centered for core in _core(part.shape, height + part.origin.xyz[2], upright=True)]
+    centered = [
+        part
+        for part in parts
+        if part.origin.rpy == (0.0, 0.0, 0.0) and abs(part.origin.xyz[0]) + abs(part.origin.xyz[1]) < 1e-6
+    ]
+    return [
+        core for part in centered for core in _core(part.shape, height + part.origin.xyz[2], upright=True)
+    ]
 
 
 def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> float | None:
@@ -461,12 +505,12 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
     start = analysis.start
     if any(start.initial(EngineRead("orientation", (subject,), axis)) != NEVER for axis in "xy"):
         return None
-    known = start.initial(EngineRead("position", (subject,), "z"))
-    if known is None:
+    heights = start.initial(EngineRead("position", (subject,), "z"))
+    if heights is None:
         return None
-    if known.is_single:
-        return known.low
-    return footprint.resting_height(shape) if not known.is_finite else None
+    if heights.is_single:
+        return heights.low
+    return footprint.resting_height(shape) if not heights.is_finite else None
 
 
 def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
@@ -488,29 +532,23 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
     if arena is None or not any(thing.name == body for thing in analysis.program.world.objects):
         return False
     for axis, size in zip("xy", arena.size, strict=True):
-        known = analysis.start.initial(EngineRead("position", (body,), axis))
-        if known is not None and (known.low > size / 2 + near or known.high < -size / 2 - near):
+        coordinates = analysis.start.initial(EngineRead("position", (body,), axis))
+        if coordinates is not None and (
+            coordinates.low > size / 2 + near or coordinates.high < -size / 2 - near
+        ):
             return True
     return False
 
 
+@rule("DB813")
 def idle_test(context: RuleContext) -> Iterator[Finding]:
-    """DB813: a test that can only pass, or only fail.
-
-    A condition is true in every step or in none, a rate has no limits, or every ending of the scenario is accepted.
-
-    Example::
-
-        tests:
-          stays_up: {driver: random, expect: {always: abs(x) >= 0 m}}
-
-    Instead::
-
-        tests:
-          stays_up: {driver: random, expect: {always: abs(x) < 0.5 m}}
-    """
+    """A test that can only pass, or only fail."""
     program = context.program
-    settings = [("", ""), *((case.name, "") for case in program.cases), *(("", stage.name) for stage in program.curriculum)]
+    settings = [
+        ("", ""),
+        *((case.name, "") for case in program.cases),
+        *(("", stage.name) for stage in program.curriculum),
+    ]
     versions = dict(zip(settings, context.versions, strict=True))
     for test in context.checked.tests:
         analysis = versions[test.case or "", test.stage or ""]
@@ -535,12 +573,23 @@ def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResu
         every |= {name for name in ("max_steps", "max_time") if getattr(limits, name) is not None}
         return True if every <= set(expected.endings) and test.steps >= analysis.last_step else None
     if expected.condition is None:
-        return True if expected.key != "mean_return" and expected.low <= 0.0 and expected.high >= 1.0 else None
+        return (
+            True if expected.key != "mean_return" and expected.low <= 0.0 and expected.high >= 1.0 else None
+        )
     if not _OF_LAST_STEP.isdisjoint(referenced_names(expected.condition.typed)):
         return None  # their ranges are those of the step before
-    known = analysis.ranges_in(1.0, float(test.steps)).of(analysis.scalars(expected.condition)[0])
-    return known == ALWAYS if known.is_single else None
+    outcome = analysis.ranges_in(1.0, float(test.steps)).of(analysis.scalars(expected.condition)[0])
+    return outcome == ALWAYS if outcome.is_single else None
 
 
-STATIC_RULES = (never_true, always_true, shadowed_limit, timeout_as_termination, ends_at_reset, after_the_end, unreachable_goal, idle_test)
+STATIC_RULES = (
+    never_true,
+    always_true,
+    shadowed_limit,
+    timeout_as_termination,
+    ends_at_reset,
+    after_the_end,
+    unreachable_goal,
+    idle_test,
+)
 SIMULATED_RULES = (sometimes_ends_at_reset, undefined_value)

@@ -1,8 +1,8 @@
 """Fixes, for `deepbots lint --fix` and for editors.
 
-As in ruff, all fixes that do not overlap are applied at once and the scenario is linted again, until no fix is left. Fixes that
-together cause a new error are halved until the harmful ones are found and left out. An error within an edited entry is accepted:
-the entry could not be read before, which hid the error.
+As in ruff, all fixes that do not overlap are applied at once and the scenario is linted again, until no fix
+is left. Fixes that together cause a new error are halved until the harmful ones are found and left out. An
+error within an edited entry is accepted: the entry could not be read before, which hid the error.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ _TYPICAL_SIZE_CHARACTERS = 6_000
 """Characters; the largest shipped scenario has 5 219."""
 _BOM = b"\xef\xbb\xbf"
 _BETWEEN_ENTRIES = frozenset({"DB002", "DB202"})
-"""A duplicate concerns two entries: correcting the name of one makes the conflict, and does not uncover it."""
+"""A duplicate concerns two entries: correcting the name of one makes the conflict, and does not uncover
+it."""
 _PER_SCENARIO = frozenset({"DB205", "DB901"})
 """A definition that this scenario does not use may be used by another one that includes the same file."""
 
@@ -115,7 +116,11 @@ class Fixer:
             for _ in range(_MAX_ROUNDS):
                 if not self._round(name):
                     break
-        return [Rewrite(path, self._originals[path], data) for path, data in self.drafts.items() if data != self._originals[path]]
+        return [
+            Rewrite(path, self._originals[path], data)
+            for path, data in self.drafts.items()
+            if data != self._originals[path]
+        ]
 
     @property
     def remaining_findings(self) -> list[Finding]:
@@ -125,7 +130,12 @@ class Fixer:
     def _lint(self, name: str, drafts: Drafts) -> LintResult:
         checked = self._load(name, drafts=drafts)
         document = checked.document
-        return LintResult(all_findings(checked, preview=self._preview), document.files, document.root, checked.program is not None)
+        return LintResult(
+            all_findings(checked, preview=self._preview),
+            document.files,
+            document.root,
+            checked.program is not None,
+        )
 
     def _round(self, name: str) -> bool:
         """Whether any fix of a scenario was applied."""
@@ -143,10 +153,13 @@ class Fixer:
         return bool(applied)
 
     def _applicable(self, linted: LintResult) -> list[Finding]:
-        """Findings whose fixes do not overlap. Errors first: a warning may follow from an error that keeps rules from running."""
+        """Findings whose fixes do not overlap. Errors first: a warning may follow from an error that keeps
+        rules from running."""
         chosen: list[Finding] = []
         ends: dict[Source, int] = {}
-        for finding in sorted(linted.findings if linted.compiled else linted.errors, key=lambda finding: finding.sort_key):
+        for finding in sorted(
+            linted.findings if linted.compiled else linted.errors, key=lambda finding: finding.sort_key
+        ):
             edits = finding.fix.edits if finding.fix and self._is_applicable(finding, linted) else ()
             if edits and all(edit.span.start >= ends.get(edit.span.source, 0) for edit in edits):
                 chosen.append(finding)
@@ -165,19 +178,21 @@ class Fixer:
 
     def _try(self, name: str, fixes: list[Finding], before: dict[str, LintResult], drafts: Drafts) -> bool:
         """Apply fixes to the state at the beginning of a round; they stay applied if they do no harm."""
-        self._effort -= 1 + sum(len(source.text) for source in before[name].files.values()) // _TYPICAL_SIZE_CHARACTERS
+        self._effort -= (
+            1 + sum(len(source.text) for source in before[name].files.values()) // _TYPICAL_SIZE_CHARACTERS
+        )
         edits = [edit for finding in fixes if finding.fix for edit in finding.fix.edits]
         edited = self._edited(before[name], edits)
         after: dict[str, LintResult] = {}
-        for other, known in before.items():
-            if other != name and known.files.keys().isdisjoint(edited):
+        for other, count in before.items():
+            if other != name and count.files.keys().isdisjoint(edited):
                 continue
             linted = after[other] = self._lint(other, {**drafts, **edited})
-            if known.root is None:
-                if linted.root is None and linted.first_error <= known.first_error:
+            if count.root is None:
+                if linted.root is None and linted.first_error <= count.first_error:
                     return False
                 continue
-            added = _added(linted, known)
+            added = _added(linted, count)
             if linted.root is None or (_outside(added, linted.root, edits) if other == name else added):
                 return False
         if before[name].root is not None:
@@ -226,7 +241,10 @@ def _outside(added: Iterable[Finding], root: MappingNode, edits: Iterable[Edit])
         finding
         for finding in added
         if finding.code in _BETWEEN_ENTRIES
-        or not any(entry and finding.span.source is entry.source and entry.start <= finding.span.start <= entry.end for entry in entries)
+        or not any(
+            entry and finding.span.source is entry.source and entry.start <= finding.span.start <= entry.end
+            for entry in entries
+        )
     ]
 
 

@@ -14,7 +14,7 @@ from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, SimulatedEpisode
 from deepbots_cli.program.values import Expression
 
@@ -32,35 +32,9 @@ MIN_WORTH = 0.25
 # Failing early
 
 
+@rule("DB705")
 def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
-    """DB705: failing early costs less than an episode that goes on to its time limit.
-
-    The agent first learns to fail at once. If success is rewarded, continuing is worthwhile only if enough episodes
-    succeed. The finding states the required share, and appears only if it is more than one half. Make a failure cost
-    more than all steps together, or pay for each good step.
-
-    The rule takes the smallest cost of a step that does not end the episode, times the number of steps: those of the
-    episode, or of the horizon of the discount factor if that is shorter. A term with `delta(x)` adds up to the change
-    of x from its start, however many steps there are, so the rule computes its sum from the range of x. In a task with
-    a goal, the rule considers the steps in which the goal is not reached: if each of them costs, as with `-1 when not
-    goal_reached`, a failure that ends the episode ends these costs.
-
-    Example::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {time: -1, there: 10 when arrived, crash: -5 when off_track}
-        remove: [reward.alive]
-        termination: {success: {arrived: left < 5 cm}}
-
-    Instead::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {time: -0.01, there: 10 when arrived, crash: -5 when off_track}
-        remove: [reward.alive]
-        termination: {success: {arrived: left < 5 cm}}
-    """
+    """Failing early costs less than an episode that goes on to its time limit."""
     program, reward = context.program, context.analysis.reward
     ordinary, final = reward.split_by_end()
     running = _short_of_the_goal(reward)
@@ -68,7 +42,9 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     at_limit = total_range(final, reward.ranges_at(None)).high
     if not reward.is_complete or _total_sum(ordinary, running, last) + at_limit >= 0.0:
         return
-    if program.agent.goal is not None:  # no term can refer to the failure, so its price is whatever may be paid as it happens
+    if (
+        program.agent.goal is not None
+    ):  # no term can refer to the failure, so its price is whatever may be paid as it happens
         if total_range(ordinary, reward.ranges_while_running()).high > 0.0:
             return
         final = [*ordinary, *final]
@@ -88,14 +64,27 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     if success is not None and prize > 0.0:
         share = break_even(living, cost, prize + max(0.0, _total_sum(ordinary, running, 0)))
         if share >= MIN_BREAK_EVEN:
-            headline = f"an episode that lasts until the time limit costs at least {whole}, but `{ending.name}` {price}"
+            headline = (
+                f"an episode that lasts until the time limit costs at least {whole}, but"
+                f" `{ending.name}` {price}"
+            )
             headline += f"; `{success.name}` pays {prize:.3g}"
-            yield Finding("DB705", dearest.span, headline, LIVING_HELP, notes=_share_notes(reward, share, success), labels=also)
+            yield Finding(
+                "DB705",
+                dearest.span,
+                headline,
+                LIVING_HELP,
+                notes=_share_notes(reward, share, success),
+                labels=also,
+            )
         return
     headline = f"continuing an episode costs at least {whole}, but `{ending.name}` {price}"
     help = "reward each good step, as in `alive: 1`, or make a failure cost more than all steps together"
     if program.agent.goal is not None:
-        headline = f"an episode that misses the goal costs at least {whole}, but one that ends with `{ending.name}` {price} or less"
+        headline = (
+            f"an episode that misses the goal costs at least {whole}, but one that ends with"
+            f" `{ending.name}` {price} or less"
+        )
         help = f"reward the goal instead, as in `1 when goal_reached`, or remove `{ending.name}`"
     yield Finding("DB705", dearest.span, headline, help, labels=also)
 
@@ -104,50 +93,70 @@ LIVING_HELP = "raise the cost of a failure above the cost of all steps together,
 
 
 def _price(cost: float) -> str:
-    return "costs nothing" if cost == 0.0 else f"costs {-cost:.3g}" if cost < 0.0 else f"even pays {cost:.3g}"
+    if cost == 0.0:
+        return "costs nothing"
+    if cost < 0.0:
+        return f"costs {-cost:.3g}"
+    return f"even pays {cost:.3g}"
 
 
 def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tuple[str, ...]:
     less = horizon(reward) < reward.analysis.last_step - 1
-    known = f"with the discount factor of the training, only about {horizon(reward):.0f} steps matter: over these, " if less else ""
+    horizon_note = (
+        f"with the discount factor of the training, only about {horizon(reward):.0f} steps matter: over"
+        " these, "
+        if less
+        else ""
+    )
     return (
-        f"{known}failing at once gives a higher return unless more than {100.0 * share:.0f} % of the episodes end with `{success.name}`",
+        f"{horizon_note}failing at once gives a higher return unless more than {100.0 * share:.0f} % of the"
+        f" episodes end with `{success.name}`",
     )
 
 
 def break_even(living: float, failing: float, success: float) -> float:
-    """The share of episodes that must succeed, at once, before going on is worth more than failing; all three are returns."""
+    """The share of episodes that must succeed, at once, before going on is worth more than failing; all three
+    are returns."""
     return (failing - living) / (success - living)
 
 
 def horizon(reward: RewardTerms) -> float:
-    """The steps of the agent that count: those of an episode, or the horizon of the discount factor if it is shorter."""
+    """The steps of the agent that count: those of an episode, or the horizon of the discount factor if it is
+    shorter."""
     gamma = reward.program.agent.discount
     return min(float(reward.analysis.last_step), INF if gamma >= 1.0 else 1.0 / (1.0 - gamma))
 
 
 def _steps_that_count(reward: RewardTerms, ending: Expression) -> float:
-    """The steps of the agent after the first one in which an ending may hold, no more than the discount factor lets count."""
-    return max(0.0, min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), horizon(reward)))
+    """The steps of the agent after the first one in which an ending may hold, no more than the discount
+    factor lets count."""
+    return max(
+        0.0, min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), horizon(reward))
+    )
 
 
 def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Expression] | None:
     """The smallest reward for certain, and its failure, of the failure for which this is largest."""
     failed = reward.program.failures
-    costs = [(total_range(final, reward.ranges_at(ending)).low, ending) for ending in reward.program.endings if ending.name in failed]
+    costs = [
+        (total_range(final, reward.ranges_at(ending)).low, ending)
+        for ending in reward.program.endings
+        if ending.name in failed
+    ]
     return max(costs, key=lambda entry: entry[0], default=None)
 
 
 def _total_sum(terms: Terms, ranges: Ranges, steps: float) -> float:
     """The largest sum of terms over the first steps of an episode."""
-    found = NEVER
+    total = NEVER
     for _, node in terms:
-        found = iv.add(found, _sum_over_steps(ranges, node, steps))
-    return found.high
+        total = iv.add(total, _sum_over_steps(ranges, node, steps))
+    return total.high
 
 
 def _sum_over_steps(ranges: Ranges, node: Scalar, steps: float) -> Interval:
-    """The range of the sum of a value over the first steps of an episode. The sum of `delta(x)` is the change of x from its start."""
+    """The range of the sum of a value over the first steps of an episode. The sum of `delta(x)` is the change
+    of x from its start."""
     node = ranges.analysis.resolve_aliases(node)
     match node:
         case State("delta", (quantity, *start)):
@@ -173,25 +182,41 @@ def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     reached = reward.analysis.resolve_aliases(Name("goal_reached"))
     if goal is None or not isinstance(reached, Op):
         return running
-    return running.where(reward.analysis.identity(reached.args[0]), Interval(nextafter(goal.tolerance, INF), INF))
+    return running.where(
+        reward.analysis.identity(reached.args[0]), Interval(nextafter(goal.tolerance, INF), INF)
+    )
 
 
+@rule("DB705")
 def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
-    """DB705: the same for costs that only a simulation knows, such as `-distance`: even the cheapest simulated policy pays them."""
+    """Failing early costs less than even the cheapest simulated policy, as with `-distance`."""
     reward = simulation.analysis.reward
     ordinary, final = reward.split_by_end()
     failure, successes = _cheapest_failure(reward, final), simulation.program.successes
     rows = {by: simulation.measured[by] for by in (RANDOM, HELD_RANDOM, IDLE) if by in simulation.measured}
-    if not (simulation.is_complete and reward.is_complete and simulation.program.agent.goal is None and failure and successes and rows):
+    if not (
+        simulation.is_complete
+        and reward.is_complete
+        and simulation.program.agent.goal is None
+        and failure
+        and successes
+        and rows
+    ):
         return
     if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
         return  # the static rule knows the costs
     if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
         return  # later steps cost something else
     cost, ending = failure
-    prize, success = max(((total_range(final, reward.ranges_at(each)).high, each) for each in successes), key=lambda entry: entry[0])
+    prize, success = max(
+        ((total_range(final, reward.ranges_at(each)).high, each) for each in successes),
+        key=lambda entry: entry[0],
+    )
     ours = {term.name for term, _ in ordinary}
-    totals = {by: [(term, found[by].total) for term, found in simulation.terms() if term.name in ours] for by in rows}
+    totals = {
+        by: [(term, measured[by].total) for term, measured in simulation.terms() if term.name in ours]
+        for by in rows
+    }
     cheapest = max(rows, key=lambda by: sum(total for _, total in totals[by]) / rows[by].steps)
     pay = sum(total for _, total in totals[cheapest]) / rows[cheapest].steps
     living = pay * _steps_that_count(reward, ending) + total_range(final, reward.ranges_at(None)).high
@@ -200,16 +225,29 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     share = break_even(living, cost, prize)
     if share >= MIN_BREAK_EVEN:
         dearest = min(totals[cheapest], key=lambda entry: entry[1])[0]
-        headline = f"a step costs {-pay:.3g}, `{ending.name}` {_price(cost)}, and `{success.name}` pays {prize:.3g}"
-        notes = (f"measured in {rows[cheapest].steps} steps of {cheapest}", *_share_notes(reward, share, success))
-        yield Finding("DB705", dearest.span, headline, LIVING_HELP, notes=notes, labels=(Label(ending.span, "the cheaper ending"),))
+        headline = (
+            f"a step costs {-pay:.3g}, `{ending.name}` {_price(cost)}, and `{success.name}` pays {prize:.3g}"
+        )
+        notes = (
+            f"measured in {rows[cheapest].steps} steps of {cheapest}",
+            *_share_notes(reward, share, success),
+        )
+        yield Finding(
+            "DB705",
+            dearest.span,
+            headline,
+            LIVING_HELP,
+            notes=notes,
+            labels=(Label(ending.span, "the cheaper ending"),),
+        )
 
 
 # Staying short of the success
 
 
 class _StillRanges(Ranges):
-    """Ranges while nothing moves: speeds are 0, and values that are compared with the step before do not change."""
+    """Ranges while nothing moves: speeds are 0, and values that are compared with the step before do not
+    change."""
 
     def _world(self, node: EngineRead) -> Interval:
         return NEVER if node.function in _RATE_FUNCTIONS else super()._world(node)
@@ -273,31 +311,9 @@ class _StillRanges(Ranges):
                 return meaning
 
 
+@rule("DB708")
 def hovering_pays(context: RuleContext) -> Iterator[Finding]:
-    """DB708: an episode can collect more reward without success than success pays, because success ends the episode.
-
-    The agent learns to stay just outside the goal, for example 5 mm from the target, or to move within the goal so slowly that it never
-    comes to rest. Reward progress (`-10 * delta(distance) / m`), or make success pay more than the rest of an episode can pay.
-
-    The rule adds up the largest reward of a step in which nothing moves, and in which one condition of the success is only just
-    false. The rule does not report rewards that are small compared with the success after discounting.
-
-    Example::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {near: 0.1 when left < 10 cm, there: 10 when arrived}
-        termination: {success: {arrived: left < 5 cm}}
-        remove: [reward.alive]
-
-    Instead::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {nearer: -10 * delta(left) / m, there: 10 when arrived}
-        termination: {success: {arrived: left < 5 cm}}
-        remove: [reward.alive]
-    """
+    """An episode can collect more reward without success than success pays."""
     finding = hovering(context)
     if finding is not None:
         yield finding
@@ -311,7 +327,11 @@ def hovering(context: RuleContext) -> Finding | None:
     if not reward.is_complete or len(successes) != 1 or not ordinary:
         return None
     success, running = successes[0], reward.ranges_while_running()
-    possible = TRUTH if success.foreign else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success)[0])
+    possible = (
+        TRUTH
+        if success.foreign
+        else analysis.ranges_in(0.0, float(analysis.last_step)).of(analysis.scalars(success)[0])
+    )
     if possible == NEVER or success in analysis.shadowed:
         return None  # DB801, DB804
     steps = steps_from(analysis, success) * context.program.action_repeat
@@ -323,16 +343,29 @@ def hovering(context: RuleContext) -> Finding | None:
         if not 0.0 < pay < INF:
             continue
         prize = total_range(reward.terms, _just_before(reward.ranges_at(success), threshold)).high
-        if pay * steps + fine > prize and pay * min(steps, horizon(reward) * context.program.action_repeat) > MIN_WORTH * prize:
-            headline = f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step, {pay * steps:.4g} in all"
+        if (
+            pay * steps + fine > prize
+            and pay * min(steps, horizon(reward) * context.program.action_repeat) > MIN_WORTH * prize
+        ):
+            headline = (
+                f"an episode that avoids `{success.name}` can collect up to {pay:.3g} per step,"
+                f" {pay * steps:.4g} in all"
+            )
             headline += f", but `{success.name}` pays {prize:.3g} only once"
             best = max(ordinary, key=lambda term: waiting.of(term[1]).high)[0]
-            return Finding("DB708", best.span, headline, PROGRESS_HELP, labels=(Label(success.span, "ends these payments"),))
+            return Finding(
+                "DB708",
+                best.span,
+                headline,
+                PROGRESS_HELP,
+                labels=(Label(success.span, "ends these payments"),),
+            )
     return None
 
 
 def _pay(waiting: Ranges, node: Scalar, *, is_open: bool) -> float:
-    """What a term pays in each step of waiting: the largest value where other facts are `is_open`, but of memories what is certain.
+    """What a term pays in each step of waiting: the largest value where other facts are `is_open`, but of
+    memories what is certain.
 
     A memory such as `running_max` may have any value of its range, but does not pay its rise in each step.
     """
@@ -341,17 +374,22 @@ def _pay(waiting: Ranges, node: Scalar, *, is_open: bool) -> float:
 
 
 def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | None]:
-    """The thresholds of a success, at each of which it may barely not hold; None for one that compares nothing, such as a contact."""
+    """The thresholds of a success, at each of which it may barely not hold; None for one that compares
+    nothing, such as a contact."""
     running = analysis.reward.ranges_while_running()
     compared = list(comparisons(analysis, success))
-    found: list[Threshold | None] = [
-        each for entry in compared for each in thresholds(entry, running) if not is_clock(analysis, each.quantity)
+    ways: list[Threshold | None] = [
+        each
+        for entry in compared
+        for each in thresholds(entry, running)
+        if not is_clock(analysis, each.quantity)
     ]
-    return found if compared else [None]
+    return ways if compared else [None]
 
 
 def _first_step(analysis: Analysis, ending: Expression) -> float:
-    """The first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) > 5 s`."""
+    """The first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) > 5
+    s`."""
     first, ranges = 0.0, analysis.ranges_in(0.0, float(analysis.last_step))
     for node in analysis.conjuncts(*analysis.scalars(ending)[:1]) if ending.foreign is None else ():
         match node:
@@ -360,7 +398,9 @@ def _first_step(analysis: Analysis, ending: Expression) -> float:
                 if isinstance(clock, State) and clock.function == "duration":
                     clock = Name("time")
                 if isinstance(clock, Name) and clock.name in _CLOCKS:
-                    first = max(first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0))
+                    first = max(
+                        first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0)
+                    )
     return min(first, float(analysis.last_step))
 
 
@@ -370,60 +410,92 @@ def steps_from(analysis: Analysis, ending: Expression) -> float:
 
 
 def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
-    """The ranges while nothing moves, within a fifth of a threshold, on the side where the episode goes on."""
+    """The ranges while nothing moves, within a fifth of a threshold, on the side where the episode goes
+    on."""
     kept = None
     if threshold is not None:
         low, high = threshold.bound
-        side = Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
+        side = (
+            Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
+        )
         kept = (ranges.analysis.identity(threshold.quantity), side)
     return _StillRanges(ranges.analysis, ranges.given, ranges.steps, kept)
 
 
+@rule("DB708")
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
-    """DB708: another behavior pays more over a whole episode than success."""
+    """Another behavior pays more over a whole episode than success."""
     successes = simulation.program.successes
     if not successes or not simulation.is_complete:
         return
-    found = _better_than_success(simulation.report.episodes)
-    if found:
-        best, success = found
+    better = _better_than_success(simulation.report.episodes)
+    if better:
+        best, success = better
         also = (Label(successes[0].span, "ends these payments"),)
         headline = (
             f"the return of {best.policy}, which runs to the time limit, is {best.discounted_return:.3g}; "
             f"the return of {success.policy}, which succeeds, is {success.discounted_return:.3g}"
         )
         notes = (f"both are discounted returns of the episode with seed {best.seed}",)
-        yield Finding("DB708", _most_paid(simulation, best.policy).span, headline, PROGRESS_HELP, notes=notes, labels=also)
+        yield Finding(
+            "DB708",
+            _most_paid(simulation, best.policy).span,
+            headline,
+            PROGRESS_HELP,
+            notes=notes,
+            labels=also,
+        )
     elif len(successes) == 1:
         is_reached = any(episode.end == "success" for episode in simulation.report.episodes)
         idle = [] if is_reached else _idle_pays(simulation, successes[0])
         yield from idle or _place_pays(simulation, successes[0])
 
 
-PROGRESS_HELP = "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an episode without success can collect"
+PROGRESS_HELP = (
+    "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an"
+    " episode without success can collect"
+)
 
 
-def _better_than_success(episodes: list[SimulatedEpisode]) -> tuple[SimulatedEpisode, SimulatedEpisode] | None:
-    """The best episode that lasted to its limit and the best success, with the same seed, if each seed with both says the same."""
+def _better_than_success(
+    episodes: list[SimulatedEpisode],
+) -> tuple[SimulatedEpisode, SimulatedEpisode] | None:
+    """The best episode that lasted to its limit and the best success, with the same seed, if each seed with
+    both says the same."""
     pairs = []
     for seed in sorted({episode.seed for episode in episodes}):
         lasting = [episode for episode in episodes if episode.seed == seed and episode.end == "limit"]
         reached = [episode for episode in episodes if episode.seed == seed and episode.end == "success"]
         if lasting and reached:
             pairs.append(
-                (max(lasting, key=lambda episode: episode.discounted_return), max(reached, key=lambda episode: episode.discounted_return))
+                (
+                    max(lasting, key=lambda episode: episode.discounted_return),
+                    max(reached, key=lambda episode: episode.discounted_return),
+                )
             )
-    return pairs[0] if pairs and all(best.discounted_return > success.discounted_return for best, success in pairs) else None
+    return (
+        pairs[0]
+        if pairs and all(best.discounted_return > success.discounted_return for best, success in pairs)
+        else None
+    )
 
 
 def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
-    """As the static rule, for a reward of places whose range the scenario does not tell: the highest that any step paid."""
+    """As the static rule, for a reward of places whose range the scenario does not tell: the highest that any
+    step paid."""
     analysis, reward = simulation.analysis, simulation.analysis.reward
     ordinary, final = reward.split_by_end()
-    if not reward.is_complete or total_range(ordinary, _just_before(reward.ranges_while_running(), None)).high < INF:
+    if (
+        not reward.is_complete
+        or total_range(ordinary, _just_before(reward.ranges_while_running(), None)).high < INF
+    ):
         return []
     highest = {term.name: max(row.high for row in rows.values()) for term, rows in simulation.terms() if rows}
-    staying = [term for term, node in ordinary if term.name in highest and not (is_progress(analysis, node) or _is_motion(analysis, node))]
+    staying = [
+        term
+        for term, node in ordinary
+        if term.name in highest and not (is_progress(analysis, node) or _is_motion(analysis, node))
+    ]
     best = max(staying, key=lambda term: highest[term.name], default=None)
     prize = total_range(final, reward.ranges_at(success)).high
     if best is None:
@@ -440,16 +512,24 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
 
 def _is_motion(analysis: Analysis, node: Scalar) -> bool:
     """Whether a value depends on a speed."""
-    return any(isinstance(part, EngineRead) and part.function in _RATE_FUNCTIONS for part in analysis.walk_definitions(node))
+    return any(
+        isinstance(part, EngineRead) and part.function in _RATE_FUNCTIONS
+        for part in analysis.walk_definitions(node)
+    )
 
 
 def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
-    """As the static rule: compare what doing nothing pays in the steps that count with what the success pays once."""
+    """As the static rule: compare what doing nothing pays in the steps that count with what the success pays
+    once."""
     reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
     ordinary, _ = reward.split_by_end()
     if row is None or not reward.is_complete:
         return []
-    if any(episode.end not in ("limit", "left") for episode in simulation.report.episodes if episode.policy == IDLE):
+    if any(
+        episode.end not in ("limit", "left")
+        for episode in simulation.report.episodes
+        if episode.policy == IDLE
+    ):
         return []
     if any(is_progress(simulation.analysis, node) for _, node in ordinary):
         return []
@@ -457,10 +537,19 @@ def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     prize = total_range(reward.terms, reward.ranges_at(success)).high
     steps = min(reward.analysis.last_step / 2, horizon(reward))
     if pay > 0.0 and pay * steps > prize:
-        headline = f"doing nothing pays {pay:.3g} in every step, but `{success.name}` pays {prize:.3g} only once"
-        notes = (f"measured in {row.steps} steps; the horizon is about {steps:.0f} steps, given the discount factor and the time limit",)
+        headline = (
+            f"doing nothing pays {pay:.3g} in every step, but `{success.name}` pays {prize:.3g} only once"
+        )
+        notes = (
+            f"measured in {row.steps} steps; the horizon is about {steps:.0f} steps, given the discount"
+            " factor and the time limit",
+        )
         also = (Label(success.span, "ends these payments"),)
-        return [Finding("DB708", _most_paid(simulation, IDLE).span, headline, PROGRESS_HELP, notes=notes, labels=also)]
+        return [
+            Finding(
+                "DB708", _most_paid(simulation, IDLE).span, headline, PROGRESS_HELP, notes=notes, labels=also
+            )
+        ]
     return []
 
 

@@ -1,4 +1,5 @@
-"""Names and expressions: definitions that nothing uses (DB205), equality of measurements (DB411), angles that jump (DB506)."""
+"""Names and expressions: definitions that nothing uses (DB205), equality of measurements (DB411), angles that
+jump (DB506)."""
 
 from __future__ import annotations
 
@@ -11,8 +12,19 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar
-from deepbots_cli.expressions.types import Constant, Invocation, Kind, Known, Operation, Reference, Typed, children, referenced_names, walk
-from deepbots_cli.lint.context import RuleContext
+from deepbots_cli.expressions.types import (
+    Constant,
+    Invocation,
+    Kind,
+    Known,
+    Operation,
+    Reference,
+    Typed,
+    children,
+    referenced_names,
+    walk,
+)
+from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.values import Expression
@@ -22,34 +34,29 @@ from deepbots_cli.program.values import Expression
 _COUNTED_ORIGINS = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMENT, Origin.SIGNAL)
 
 
+@rule("DB205")
 def unused_definition(context: RuleContext) -> Iterator[Finding]:
-    """DB205: a parameter, action variable, message field, signal, sensor, actuator or message value is defined and never used.
-
-    Most often the name is misspelled elsewhere, or the definition is left over from an earlier version. A sensor is used if `emit`,
-    `apply`, the observation or an expression of the task uses it. An actuator without a command has no effect: the joint moves freely.
-    Unused parts of an included robot file are not reported, because they describe the robot and not the task.
-
-    Example::
-
-        signals: {away: abs(x)}
-        robots: {cart: {sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}}}
-
-    Instead::
-
-        signals: {away: abs(x)}
-        reward: {centered: -away / m}
-        robots:
-          cart:
-            sensors: {rolling: {type: joint_velocity, joints: [wheel_*]}}
-        observation: {cart.rolling: -10 .. 10 rad/s}
-    """
-    used = {name for each in context.checked.variants if each.namespace for name, known in each.namespace.definitions.items() if known.uses}
+    """A definition, a sensor, an actuator or a message value that nothing uses."""
+    used = {
+        name
+        for each in context.checked.variants
+        if each.namespace
+        for name, names in each.namespace.definitions.items()
+        if names.uses
+    }
     for name, definition in context.namespace.definitions.items():
         is_sensor = definition.path[2:3] == ("sensors",)  # of a robot without `emit`
-        if definition.origin in _COUNTED_ORIGINS and definition.uses == 0 and name not in used and not is_sensor:
+        if (
+            definition.origin in _COUNTED_ORIGINS
+            and definition.uses == 0
+            and name not in used
+            and not is_sensor
+        ):
             headline = f"`{name}` is {definition.origin.value} that nothing uses"
             fix = removal_fix(context.values.root, definition.path)
-            yield Finding("DB205", context.values.key_span(definition.path), headline, "use it, or remove it", fix=fix)
+            yield Finding(
+                "DB205", context.values.key_span(definition.path), headline, "use it, or remove it", fix=fix
+            )
     yield from _unused_parts(context)
 
 
@@ -64,7 +71,11 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
         if subject.kind in (Kind.SENSOR, Kind.CAMERA)
     }
     for robot in context.program.robots:
-        used = {name for value in (*robot.emit, *(command.target for command in robot.commands)) for name in referenced_names(value.typed)}
+        used = {
+            name
+            for value in (*robot.emit, *(command.target for command in robot.commands))
+            for name in referenced_names(value.typed)
+        }
         driven = {command.actuator.name for command in robot.commands}
         unused = [
             (("sensors", sensor.name), "a sensor that nothing uses", "use it, or remove it")
@@ -72,58 +83,95 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
             if sensor.name not in used and f"{robot.name}.{sensor.name}" not in read
         ]
         unused += [
-            (("receive", value.name), "sent to a robot that does not use it", "use it under `apply`, or remove it")
+            (
+                ("receive", value.name),
+                "sent to a robot that does not use it",
+                "use it under `apply`, or remove it",
+            )
             for value in robot.receive
             if value.name not in used
         ]
         unused += [
-            (("actuators", actuator.name), "an actuator without a command", "write a command for it under `apply`, or remove it")
+            (
+                ("actuators", actuator.name),
+                "an actuator without a command",
+                "write a command for it under `apply`, or remove it",
+            )
             for actuator in robot.actuators
             if actuator.name not in driven
         ]
         for place, what, help in unused:
             path = ("robots", robot.name, *place)
             span = context.values.key_span(path)
-            if span.source is context.checked.document.source:  # an included robot file may offer more than the task needs
-                yield Finding("DB205", span, f"`{path[-1]}` is {what}", help, fix=removal_fix(context.values.root, path))
+            if (
+                span.source is context.checked.document.source
+            ):  # an included robot file may offer more than the task needs
+                yield Finding(
+                    "DB205", span, f"`{path[-1]}` is {what}", help, fix=removal_fix(context.values.root, path)
+                )
 
 
 # Equality of measurements
 
 _MEASUREMENT_FUNCTIONS = frozenset(
-    {"position", "velocity", "angular_velocity", "orientation", "joint_position", "joint_velocity", "cross_track_error", "arc_length"}
+    {
+        "position",
+        "velocity",
+        "angular_velocity",
+        "orientation",
+        "joint_position",
+        "joint_velocity",
+        "cross_track_error",
+        "arc_length",
+    }
 )
 _SMOOTH_OPERATIONS = frozenset(
-    {"add", "sub", "mul", "div", "neg", "abs", "hypot", "sqrt", "pow", "sin", "cos", "tan", "atan2", "exp", "log"}
+    {
+        "add",
+        "sub",
+        "mul",
+        "div",
+        "neg",
+        "abs",
+        "hypot",
+        "sqrt",
+        "pow",
+        "sin",
+        "cos",
+        "tan",
+        "atan2",
+        "exp",
+        "log",
+    }
 )
-"""Operations on a measurement that give a measurement; `clamp`, `min` and `where` give values that can be met exactly."""
+"""Operations on a measurement that give a measurement; `clamp`, `min` and `where` give values that can be met
+exactly."""
 
 
+@rule("DB411")
 def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
-    """DB411: a condition requires a measurement to be equal to a number.
-
-    A distance, an angle or a speed has sixteen digits and changes in every step. It passes 20 cm without ever being
-    exactly 20 cm, so `==` is almost never true, and `!=` is almost always true. The rule does not report counts,
-    choices, clamped values and positions of fixed objects, because they can be equal to a number.
-
-    Example::
-
-        reward: {alive: 1, there: 5 when x == 20 cm}
-
-    Instead::
-
-        reward: {alive: 1, there: 5 when abs(x - 20 cm) < 1 cm}
-    """
+    """A condition requires a measurement to be equal to a number."""
     analysis = context.analysis.ideal
     for value in _written(context.program):
         for node in walk(value.typed):
-            if not isinstance(node, Operation) or node.operator not in ("equal", "not_equal") or node.args[0].type.boolean:
+            if (
+                not isinstance(node, Operation)
+                or node.operator not in ("equal", "not_equal")
+                or node.args[0].type.boolean
+            ):
                 continue
-            pair = next((pair for pair in (node.args, node.args[::-1]) if _equal_by_chance(analysis, value, *pair)), None)
+            pair = next(
+                (pair for pair in (node.args, node.args[::-1]) if _equal_by_chance(analysis, value, *pair)),
+                None,
+            )
             if pair is not None:
                 text = context.text(value.owner)
                 measure, constant, written = (text.text[part.start : part.end] for part in (*pair, node))
-                outcome, sign = ("is almost never true", "<") if node.operator == "equal" else ("is almost always true", ">")
+                outcome, sign = (
+                    ("is almost never true", "<")
+                    if node.operator == "equal"
+                    else ("is almost always true", ">")
+                )
                 is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
                 difference = measure if is_zero else f"{measure} - {constant}"
                 help = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
@@ -138,7 +186,9 @@ def _written(program: Program) -> Iterator[Expression]:
 
 def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, other: Typed) -> bool:
     is_settled = other.type.known is not Known.STEP
-    return is_settled and all(_is_measurement(analysis, part, {}) for part in analysis.lowered(measure, value.owner))
+    return is_settled and all(
+        _is_measurement(analysis, part, {}) for part in analysis.lowered(measure, value.owner)
+    )
 
 
 def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) -> bool:
@@ -148,9 +198,13 @@ def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) ->
         match analysis.resolve_aliases(node):
             case EngineRead(function, subjects):
                 fixed = {thing.name for thing in analysis.program.world.objects if thing.fixed}
-                known[number] = function in _MEASUREMENT_FUNCTIONS and fixed.isdisjoint(subject.partition("#")[0] for subject in subjects)
+                known[number] = function in _MEASUREMENT_FUNCTIONS and fixed.isdisjoint(
+                    subject.partition("#")[0] for subject in subjects
+                )
             case Op(op, args):
-                known[number] = op in _SMOOTH_OPERATIONS and any(_is_measurement(analysis, arg, known) for arg in args)
+                known[number] = op in _SMOOTH_OPERATIONS and any(
+                    _is_measurement(analysis, arg, known) for arg in args
+                )
             case _:
                 known[number] = False
     return known[number]
@@ -164,33 +218,23 @@ _PERIODIC_FUNCTIONS = frozenset({"wrap", "sin", "cos", "tan"})
 """Functions for which a full turn makes no difference."""
 
 
+@rule("DB506")
 def angle_jumps(context: RuleContext) -> Iterator[Finding]:
-    """DB506: the change of a heading, or the difference of two headings, jumps by a full turn at 180 deg.
-
-    `yaw`, `bearing`, `atan2` and a compass lie between -180 and 180 deg. A turn from 179 to -179 deg is a turn of 2 deg, but
-    `delta` gives -358 deg. A goal at 170 deg is 11 deg away from a heading of -179 deg, but the difference of the two
-    is 349 deg. A reward or an observation that depends on such a value is wrong for some headings. `wrap` gives the
-    shorter way round; `sin` and `cos` need no `wrap`.
-
-    Example::
-
-        signals: {turned: delta(yaw(cart))}
-        reward: {still: -abs(turned) / rad}
-
-    Instead::
-
-        signals: {turned: wrap(delta(yaw(cart)))}
-        reward: {still: -abs(turned) / rad}
-    """
+    """The change of a heading, or the difference of two headings, jumps by a full turn at 180 deg."""
     values: list[tuple[Expression, Robot | None]] = [(value, None) for value in _written(context.program)]
     for robot in context.program.robots:
         values += [(value, robot) for value in (*robot.emit, *(command.target for command in robot.commands))]
-    known: dict[str, bool] = {}
+    jumping: dict[str, bool] = {}
     for value, on in values:
-        for node in _AngleWrapping(context.analysis, on, known).jumps(value.typed):
+        for node in _AngleWrapping(context.analysis, on, jumping).jumps(value.typed):
             text = context.text(f"robots.{value.owner}" if on else value.owner)
             written, place = text.text[node.start : node.end], text.part(node.start, node.end)
-            yield Finding("DB506", place, f"`{written}` jumps by a full turn at 180 deg", f"take the shorter way round: `wrap({written})`")
+            yield Finding(
+                "DB506",
+                place,
+                f"`{written}` jumps by a full turn at 180 deg",
+                f"take the shorter way round: `wrap({written})`",
+            )
 
 
 class _AngleWrapping:
@@ -220,8 +264,10 @@ class _AngleWrapping:
 
     def _differ(self, heading: Typed, other: Typed) -> bool:
         """Whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
-        known = other.type.interval
-        return self._wraps(heading) and (self._wraps(other) or (known.is_finite and max(-known.low, known.high) > pi / 2 + 1e-9))
+        interval = other.type.interval
+        return self._wraps(heading) and (
+            self._wraps(other) or (interval.is_finite and max(-interval.low, interval.high) > pi / 2 + 1e-9)
+        )
 
     def _wraps(self, node: Typed) -> bool:
         if node.type.dimension != ANGLE or node.type.known is not Known.STEP:
@@ -232,7 +278,9 @@ class _AngleWrapping:
             case Operation(operator="add" | "sub" | "neg", args=args):
                 return any(self._wraps(arg) for arg in args)
             case Reference(symbol=symbol) if self._robot is not None:
-                return any(sensor.name == symbol.name and sensor.kind == "compass" for sensor in self._robot.sensors)
+                return any(
+                    sensor.name == symbol.name and sensor.kind == "compass" for sensor in self._robot.sensors
+                )
             case Reference(symbol=symbol):
                 return self._name_wraps(symbol.name)
             case _:
@@ -240,7 +288,9 @@ class _AngleWrapping:
 
     def _name_wraps(self, name: str) -> bool:
         if name not in self._known:
-            robot = next((robot for robot in self._analysis.program.robots if name.startswith(f"{robot.name}.")), None)
+            robot = next(
+                (robot for robot in self._analysis.program.robots if name.startswith(f"{robot.name}.")), None
+            )
             meant = self._analysis.expression_named(name)
             inner = _AngleWrapping(self._analysis, robot, self._known)
             self._known[name] = meant is not None and meant.foreign is None and inner._wraps(meant.typed)

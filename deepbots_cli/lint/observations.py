@@ -18,7 +18,7 @@ from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import Interval, hull
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.expressions.scalar import children as parts_of
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
@@ -36,7 +36,8 @@ _MIN_SATURATED_SHARE = 0.5
 
 
 class RangedNumber(NamedTuple):
-    """One number of the observation: its entry, its tree, its range in SI units, its place among all numbers, and its full name."""
+    """One number of the observation: its entry, its tree, its range in SI units, its place among all numbers,
+    and its full name."""
 
     entry: Observation
     node: Scalar
@@ -64,10 +65,16 @@ class RangedNumber(NamedTuple):
 
 def ranged_numbers(analysis: Analysis, *more: Observation) -> Iterator[RangedNumber]:
     """All numbers of the observation and of `more` entries, without pictures and truth values."""
-    parts = [(entry, index, number) for entry in (*analysis.program.agent.observation, *more) for index, number in enumerate(entry.numbers)]
+    parts = [
+        (entry, index, number)
+        for entry in (*analysis.program.agent.observation, *more)
+        for index, number in enumerate(entry.numbers)
+    ]
     for place, (entry, index, number) in enumerate(parts):
         if not number.is_truth:
-            yield RangedNumber(entry, analysis.scalars(entry.value)[index], number.low, number.high, place, number.full_name)
+            yield RangedNumber(
+                entry, analysis.scalars(entry.value)[index], number.low, number.high, place, number.full_name
+            )
 
 
 def first_of_each_clipped(analysis: Analysis) -> Iterator[RangedNumber]:
@@ -80,34 +87,21 @@ def first_of_each_clipped(analysis: Analysis) -> Iterator[RangedNumber]:
             yield number
 
 
-def replace_range(context: RuleContext, number: RangedNumber, wide: Interval, dimension: Dimension) -> Fix | None:
+def replace_range(
+    context: RuleContext, number: RangedNumber, wide: Interval, dimension: Dimension
+) -> Fix | None:
     """A fix that writes another range; None where the components have ranges of their own."""
     is_one = len({*zip(number.entry.low, number.entry.high, strict=True)}) == 1
-    return Fix((Edit(context.range_span(number.entry), range_text(wide, dimension)),), safe=False) if is_one else None
+    return (
+        Fix((Edit(context.range_span(number.entry), range_text(wide, dimension)),), safe=False)
+        if is_one
+        else None
+    )
 
 
+@rule("DB614")
 def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
-    """DB614: with hindsight replay, an entry of the observation depends on the goal.
-
-    Hindsight replay (HER) stores each step once more with another goal. It replaces `desired`, which the policy sees anyway, and recomputes
-    the reward. It cannot change an entry of `observation`, so the agent learns from steps with two contradictory goals.
-
-    Example::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-        augment: {left: mark - x}
-        observation: {left: -0.8 .. 0.8 m}
-        reward: {alive: 1 when goal_reached}
-        train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
-
-    Instead::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-        reward: {alive: 1 when goal_reached}
-        train: {algorithm: DQN, total_timesteps: 50_000, learning_starts: 1000, replay: her}
-    """
+    """With hindsight replay, an entry of the observation depends on the goal."""
     program = context.program
     if program.agent.goal is None or program.agent.training is None or program.agent.training.replay is None:
         return
@@ -122,7 +116,10 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     for entry in program.agent.observation:
         shared = sources(entry.value) & goal_sources
         if shared:
-            headline = f"`{entry.value.name}` depends on `{min(shared)}`, as the goal does, but hindsight replay replaces only `desired`"
+            headline = (
+                f"`{entry.value.name}` depends on `{min(shared)}`, as the goal does, but hindsight"
+                " replay replaces only `desired`"
+            )
             help = "remove it from the observation: the policy already sees `achieved` and `desired`"
             also = (Label(program.agent.goal.desired.span, f"the goal depends on `{min(shared)}`"),)
             yield Finding("DB614", entry.value.span, headline, help, labels=also)
@@ -135,43 +132,40 @@ class Linear(NamedTuple):
     offset: float = 0.0
 
 
+@rule("DB616")
 def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
-    """DB616: a value has noise, and the policy sees the exact value elsewhere.
-
-    The policy can use the exact value, for example in `achieved_goal`, and does not learn to cope with noise. The rule
-    treats two values as equal if they differ only by a constant factor and a constant offset. An exact value whose
-    range covers less than a quarter of the range of the noisy value is not reported: it may come from a sensor with a
-    short range.
-
-    Example::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        goal: {achieved: position(cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-        observation: {x: {range: -0.4 .. 0.4 m, noise: 5 mm}}
-        reward: {alive: 1 when goal_reached}
-
-    Instead::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        augment: {x: {value: position(cart).x, noise: 5 mm}}
-        goal: {achieved: x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
-        reward: {alive: 1 when goal_reached}
-    """
+    """A value has noise, and the policy sees the exact value elsewhere."""
     program, analysis = context.program, context.analysis
-    if not any((*(entry.noise for entry in program.agent.observation), *(value.noise for value in may_be_noisy(program)))):
+    if not any(
+        (
+            *(entry.noise for entry in program.agent.observation),
+            *(value.noise for value in may_be_noisy(program)),
+        )
+    ):
         return
     seen = [(number, _noises(analysis, number)) for number in _seen_numbers(analysis)]
-    known: dict[int, Linear] = {}
-    exact = [(number, _linear(analysis, number.node, known)) for number, noises in seen if not noises]
+    linear_by_node: dict[int, Linear] = {}
+    exact = [
+        (number, _linear(analysis, number.node, linear_by_node)) for number, noises in seen if not noises
+    ]
     reported: set[int] = set()
     for number, noises in seen:
-        hidden = _linear(analysis, number.node, known)
+        hidden = _linear(analysis, number.node, linear_by_node)
         shown = next((other for other, form in exact if noises and _shows(other, form, number, hidden)), None)
         if shown is not None and id(noises[0]) not in reported:
             reported.add(id(noises[0]))
             headline = f"`{number.name}` has noise, and the policy sees its exact value in `{shown.name}`"
-            help = "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this name in both places"
-            yield Finding("DB616", noises[0].std.span, headline, help, labels=(Label(shown.entry.value.span, "exact value"),))
+            help = (
+                "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this"
+                " name in both places"
+            )
+            yield Finding(
+                "DB616",
+                noises[0].std.span,
+                headline,
+                help,
+                labels=(Label(shown.entry.value.span, "exact value"),),
+            )
 
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:
@@ -184,7 +178,14 @@ def _seen_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
     program = analysis.program
     is_late = program.timing == "delayed" or any(robot.from_route.settings for robot in program.robots)
     goal = program.agent.goal
-    ends = [Observation(value, goal.low, goal.high, noise=value.noise) for value in (goal.achieved, goal.desired)] if goal else []
+    ends = (
+        [
+            Observation(value, goal.low, goal.high, noise=value.noise)
+            for value in (goal.achieved, goal.desired)
+        ]
+        if goal
+        else []
+    )
     return (
         number
         for number in ranged_numbers(analysis, *ends)
@@ -194,18 +195,31 @@ def _seen_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
 
 def _noises(analysis: Analysis, number: RangedNumber) -> list[Noise]:
     """The noise that a number has, its own first."""
-    names = [part.name for part in analysis.walk_definitions(number.node) if isinstance(part, Name) and analysis.is_noisy(part.name)]
+    names = [
+        part.name
+        for part in analysis.walk_definitions(number.node)
+        if isinstance(part, Name) and analysis.is_noisy(part.name)
+    ]
     measured = [value for name in names if (value := analysis.expression_named(name)) is not None]
-    return [noise for noise in (number.entry.noise, *(value.noise for value in measured)) if noise is not None]
+    return [
+        noise for noise in (number.entry.noise, *(value.noise for value in measured)) if noise is not None
+    ]
 
 
 def _linear(analysis: Analysis, node: Scalar, known: dict[int, Linear]) -> Linear:
-    """The value without noise; anything but a sum of products with fixed factors is one measurement. `known` is a cache."""
+    """The value without noise; anything but a sum of products with fixed factors is one measurement. `known`
+    is a cache."""
     node = analysis.resolve_aliases(node)
     number = analysis.identity(node)
     if number not in known:
-        exact = analysis.definition_without_noise(node) if isinstance(node, Name) and analysis.is_noisy(node.name) else None
-        parts = [_linear(analysis, part, known) for part in ((exact,) if exact is not None else parts_of(node))]
+        exact = (
+            analysis.definition_without_noise(node)
+            if isinstance(node, Name) and analysis.is_noisy(node.name)
+            else None
+        )
+        parts = [
+            _linear(analysis, part, known) for part in ((exact,) if exact is not None else parts_of(node))
+        ]
         match node:
             case Name() if exact is not None:
                 known[number] = parts[0]
@@ -218,7 +232,9 @@ def _linear(analysis: Analysis, node: Scalar, known: dict[int, Linear]) -> Linea
             case Op("sub"):
                 known[number] = _sum(parts[0], _scaled(parts[1], -1.0))
             case Op("mul", (Const(factor), _)) | Op("mul", (_, Const(factor))):
-                known[number] = _scaled(parts[1] if isinstance(node.args[0], Const) else parts[0], float(factor))
+                known[number] = _scaled(
+                    parts[1] if isinstance(node.args[0], Const) else parts[0], float(factor)
+                )
             case Op("div", (_, Const(divisor))) if divisor:
                 known[number] = _scaled(parts[0], 1.0 / float(divisor))
             case _:
@@ -227,11 +243,15 @@ def _linear(analysis: Analysis, node: Scalar, known: dict[int, Linear]) -> Linea
 
 
 def _scaled(value: Linear, factor: float) -> Linear:
-    return Linear({term: factor * of for term, of in value.terms.items() if factor * of}, factor * value.offset)
+    return Linear(
+        {term: factor * of for term, of in value.terms.items() if factor * of}, factor * value.offset
+    )
 
 
 def _sum(one: Linear, other: Linear) -> Linear:
-    terms = {term: one.terms.get(term, 0.0) + other.terms.get(term, 0.0) for term in (*one.terms, *other.terms)}
+    terms = {
+        term: one.terms.get(term, 0.0) + other.terms.get(term, 0.0) for term in (*one.terms, *other.terms)
+    }
     return Linear({term: of for term, of in terms.items() if of}, one.offset + other.offset)
 
 
@@ -248,91 +268,117 @@ def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Line
     return common >= _MIN_COVERED_SHARE * (noisy.high - noisy.low)
 
 
+@rule("DB601")
 def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
-    """DB601: an entry of the observation is not clipped to its range, and can be arbitrarily large.
-
-    A network that was trained on numbers around 1 gives arbitrary outputs for 1000. Such values occur when a robot is thrown, in a
-    collision, or when the physics is unstable for a step. Clipping costs one comparison.
-
-    Example::
-
-        observation: {speed: {range: -0.8 .. 0.8 m/s, clip: false}}
-
-    Instead::
-
-        observation: {speed: -0.8 .. 0.8 m/s}
-    """
+    """An entry of the observation is not clipped to its range, and can be arbitrarily large."""
     analysis = context.analysis
-    loose = [number for number in ranged_numbers(analysis) if not number.entry.clip and not analysis.ranges.of(number.node).is_finite]
+    loose = [
+        number
+        for number in ranged_numbers(analysis)
+        if not number.entry.clip and not analysis.ranges.of(number.node).is_finite
+    ]
     for entry in {id(number.entry): number.entry for number in loose}.values():
         headline = f"`{entry.value.name}` is not clipped to its range, and can be arbitrarily large"
         fix = removal_fix(context.values.root, ("observation", entry.value.name, "clip"))
-        yield Finding("DB601", context.range_span(entry), headline, "remove `clip: false`, or `clamp` the value under `augment`", fix=fix)
+        yield Finding(
+            "DB601",
+            context.range_span(entry),
+            headline,
+            "remove `clip: false`, or `clamp` the value under `augment`",
+            fix=fix,
+        )
 
 
+@rule("DB602")
 def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
-    """DB602: a value never lies within its range in the observation.
-
-    The value is clipped to one end of the range in every step, so the policy sees a constant. The usual causes are a range in another
-    unit, a missing sign, and the range of another value.
-
-    Example::
-
-        observation: {cart.pole_angle: 80 .. 100 deg}
-
-    Instead::
-
-        observation: {cart.pole_angle: -20 .. 20 deg}
-    """
+    """A value never lies within its range in the observation."""
     analysis = context.analysis
     for number in first_of_each_clipped(analysis):
-        known = analysis.ranges.of(number.node)
-        if number.is_outside(known):
-            headline = f"`{number.name}` is {bounds_text(known, number.dimension)}, outside of its range in the observation"
-            is_known = known.is_finite and not known.is_single
-            help = "write the range of the value" + (f": `{range_text(known, number.dimension)}`" if is_known else "")
-            fix = replace_range(context, number, known, number.dimension) if is_known else None
+        interval = analysis.ranges.of(number.node)
+        if number.is_outside(interval):
+            headline = (
+                f"`{number.name}` is {bounds_text(interval, number.dimension)}, outside of its range"
+                " in the observation"
+            )
+            is_known = interval.is_finite and not interval.is_single
+            help = "write the range of the value" + (
+                f": `{range_text(interval, number.dimension)}`" if is_known else ""
+            )
+            fix = replace_range(context, number, interval, number.dimension) if is_known else None
             yield Finding("DB602", context.range_span(number.entry), headline, help, fix=fix)
 
 
 # Measured in a simulation
 
 
+@rule("DB607")
 def outside_space(simulation: Simulation) -> Iterator[Finding]:
-    """DB607: a number of the observation is NaN, or outside of the observation space."""
+    """A number of the observation is NaN, or outside of the observation space."""
     stop = simulation.report.stop or {}
     if stop.get("kind") == "space":
         for entry in simulation.program.agent.observation:
-            names = [name for name in map(str, stop["entries"]) if name.partition(".")[0] == entry.value.name or name == entry.value.name]
+            names = [
+                name
+                for name in map(str, stop["entries"])
+                if name.partition(".")[0] == entry.value.name or name == entry.value.name
+            ]
             if names:
                 headline = f"`{names[0]}` is outside of the observation space"
-                yield Finding("DB607", entry.value.span, headline, "`clamp` the value, or remove `clip: false`", notes=(simulation.when(),))
+                yield Finding(
+                    "DB607",
+                    entry.value.span,
+                    headline,
+                    "`clamp` the value, or remove `clip: false`",
+                    notes=(simulation.when(),),
+                )
     failed = simulation.failed
     if failed is not None and failed.section == "observation":
-        help = "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d, 1 cm)` for a length `d`"
-        yield Finding("DB607", failed.span, f"`{failed.name}` in the observation has no value", help, notes=failed.notes)
+        help = (
+            "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d,"
+            " 1 cm)` for a length `d`"
+        )
+        yield Finding(
+            "DB607", failed.span, f"`{failed.name}` in the observation has no value", help, notes=failed.notes
+        )
 
 
+@rule("DB608")
 def constant_observation(simulation: Simulation) -> Iterator[Finding]:
-    """DB608: a number was the same in every step. A number at an end of its range is not reported: a sonar may meet nothing."""
+    """A number was the same in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
-    still = [number for number in ranged_numbers(simulation.analysis) if number.place in simulation.report.constant_numbers]
+    still = [
+        number
+        for number in ranged_numbers(simulation.analysis)
+        if number.place in simulation.report.constant_numbers
+    ]
     still = [number for number in still if -1.0 < _constant(simulation, number) < 1.0]
     for _, group in groupby(still, key=lambda number: number.entry.value.name):
         numbers = list(group)
         entry, parts = numbers[0].entry, max(1, len(numbers[0].entry.value.components))
         is_whole = len(numbers) == parts
-        name = entry.value.name if is_whole and parts > 1 else ", ".join(number.full_name for number in numbers)
+        name = (
+            entry.value.name if is_whole and parts > 1 else ", ".join(number.full_name for number in numbers)
+        )
         value = with_unit(_in_units(simulation, numbers[0]), numbers[0].dimension)
         headline = f"`{name}` never changes" + (f": it is {value} in every step" if len(numbers) == 1 else "")
-        help = ("remove it" if is_whole else "observe only the other components") + ", or add a script under `scripts` that changes it"
+        help = (
+            "remove it" if is_whole else "observe only the other components"
+        ) + ", or add a script under `scripts` that changes it"
         yield Finding("DB608", entry.value.span, headline, help, notes=(simulation.summary,))
     pictures = [entry for entry in simulation.program.agent.observation if entry.value.typed.type.picture]
     for place, entry in enumerate(pictures, start=len(simulation.program.agent.numbers)):
         if place in simulation.report.constant_numbers:
-            help = "check the place and the view of its camera, or add a script under `scripts` that changes it"
-            yield Finding("DB608", entry.value.span, f"the picture `{entry.value.name}` never changes", help, notes=(simulation.summary,))
+            help = (
+                "check the place and the view of its camera, or add a script under `scripts` that changes it"
+            )
+            yield Finding(
+                "DB608",
+                entry.value.span,
+                f"the picture `{entry.value.name}` never changes",
+                help,
+                notes=(simulation.summary,),
+            )
 
 
 def _constant(simulation: Simulation, number: RangedNumber) -> float:
@@ -345,8 +391,9 @@ def _in_units(simulation: Simulation, number: RangedNumber) -> float:
     return value if abs(value) > number.slack else 0.0
 
 
+@rule("DB611")
 def often_saturated(simulation: Simulation) -> Iterator[Finding]:
-    """DB611: under every policy a number is at the same end of its range in most steps, and could lie beyond."""
+    """Under every policy a number is at the same end of its range in most steps, and could lie beyond."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     met = set()
@@ -354,65 +401,62 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
         entry = number.entry
         if not entry.clip or id(entry) in met:
             continue
-        known, slack = simulation.analysis.ranges.of(number.node), number.slack
-        for end, is_beyond in ((number.high, known.high > number.high + slack), (number.low, known.low < number.low - slack)):
+        interval, slack = simulation.analysis.ranges.of(number.node), number.slack
+        for end, is_beyond in (
+            (number.high, interval.high > number.high + slack),
+            (number.low, interval.low < number.low - slack),
+        ):
             rows = {by: (row.numbers[number.place], row.rows) for by, row in simulation.measured.items()}
-            shares = {by: (seen.at_high if end == number.high else seen.at_low) / count for by, (seen, count) in rows.items()}
+            shares = {
+                by: (seen.at_high if end == number.high else seen.at_low) / count
+                for by, (seen, count) in rows.items()
+            }
             if is_beyond and min(shares.values()) >= _MIN_SATURATED_SHARE:
                 met.add(id(entry))
                 at = with_unit(end, number.dimension)
-                headline = f"`{number.full_name}` is at the end of its range, {at}, in most of the simulated steps"
+                headline = (
+                    f"`{number.full_name}` is at the end of its range, {at}, in most of the simulated steps"
+                )
                 notes = tuple(f"{100 * share:.0f} % of the steps of {by}" for by, share in shares.items())
                 yield Finding(
-                    "DB611", simulation.range_span(entry), headline, "widen the range so that it covers the usual values", notes=notes
+                    "DB611",
+                    simulation.range_span(entry),
+                    headline,
+                    "widen the range so that it covers the usual values",
+                    notes=notes,
                 )
                 break
 
 
+@rule("DB318")
 def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
-    """DB318: the range `auto` of an observation is the same for all joints of a vector, and the limits of one joint are much tighter.
-
-    All components of a vector share one range. If one joint moves by 52 cm and another by 16 cm, the second uses only a
-    third of [-1, 1], so the policy observes it at low resolution. Observe each joint separately. The rule reports joint
-    positions if one joint uses less than a third of the shared range.
-
-    Example::
-
-        robots:
-          arm:
-            urdf: panda
-            base: fixed
-            joints: {panda_joint2: {range: -10 .. 10 deg}}
-            sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]}}
-        observation: {arm.angles: auto}
-
-    Instead::
-
-        robots:
-          arm:
-            urdf: panda
-            base: fixed
-            joints: {panda_joint2: {range: -10 .. 10 deg}}
-            sensors: {angles: {type: joint_position, joints: [panda_joint1, panda_joint2]}}
-        observation: {arm.angles.panda_joint1: auto, arm.angles.panda_joint2: auto}
-    """
+    """The range `auto` of several joints is much wider than the limits of one of them."""
     for entry in context.program.agent.observation:
         span, dimension = context.range_span(entry), entry.value.typed.type.dimension
         own = _limits_of_parts(context.program, entry) if span.text == "auto" else []
         shares = [(part.high - part.low) / (entry.high[0] - entry.low[0]) for part in own]
         if shares and min(shares) < _MIN_RANGE_SHARE:
             place = shares.index(min(shares))
-            joint, known = entry.value.components[place], range_text(own[place], dimension)
+            joint, own_range = entry.value.components[place], range_text(own[place], dimension)
             whole = range_text(Interval(entry.low[0], entry.high[0]), dimension)
-            headline = f"`auto` uses one range for all joints, {whole}, but `{joint}` moves only within {known}"
-            yield Finding("DB318", span, headline, f"observe each joint by itself, as in `{entry.value.name}.{joint}: auto`")
+            headline = (
+                f"`auto` uses one range for all joints, {whole}, but `{joint}` moves only within {own_range}"
+            )
+            yield Finding(
+                "DB318",
+                span,
+                headline,
+                f"observe each joint by itself, as in `{entry.value.name}.{joint}: auto`",
+            )
 
 
 def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:
     """The limits of each joint, where an entry holds the positions of several; else nothing."""
     parts, dimension = entry.value.components, entry.value.typed.type.dimension
     for body in program.world.robots if len(parts) > 1 else ():
-        joints = {joint.name: joint for joint in body.model.moving_joints if joint_dimension(joint) == dimension}
+        joints = {
+            joint.name: joint for joint in body.model.moving_joints if joint_dimension(joint) == dimension
+        }
         if joints.keys() >= set(parts):
             limits = [joint_interval(joints[part]) for part in parts]
             if (hull(limits).low, hull(limits).high) == (entry.low[0], entry.high[0]):
@@ -420,37 +464,37 @@ def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:
     return []
 
 
+@rule("DB617")
 def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
-    """DB617: the policy needs a reading of the world that no robot measures, and `deploy` does not say what supplies it.
-
-    In the simulation, the supervisor reads the world: `position(ball)` is exact and never late. A robot has its sensors only. A scenario
-    with a section `deploy` is meant for a robot, so each such reading needs something that supplies it: a tracker, an estimator, another
-    robot. Write it under `deploy.supplied_by`, or observe a sensor instead. The rule also reports an entry of `supplied_by` that the
-    policy does not need. Scenarios without `deploy` are not checked.
-
-    Example::
-
-        deploy: {supplied_by: {position(cart): cameras}}
-
-    Instead::
-
-        deploy: {supplied_by: {position(cart): cameras, velocity(cart): cameras, velocity(cart.tip): cameras}}
-    """
+    """The policy needs a reading of the world that neither a robot nor `deploy` supplies."""
     spec = context.checked.spec
     if spec is None or spec.deploy is None:
         return
     deployment = Deployment(context.program)
-    given = {reading_key(key): key for key in spec.deploy.supplied_by}
-    missing = [name for name in deployment.unmeasured if name not in given]
+    supplied = {reading_key(key): key for key in spec.deploy.supplied_by}
+    missing = [name for name in deployment.unmeasured if name not in supplied]
     if missing:
         needed = f"{', '.join(f'`{name}`' for name in missing)}, which no robot measures"
-        help = f"write what supplies it, as in `deploy: {{supplied_by: {{{missing[0]}: motion capture}}}}`, or observe a sensor instead"
-        yield Finding("DB617", context.values.key_span(("deploy",)), f"the policy needs {needed}, and `deploy` names no supplier", help)
-    known = [*deployment.unmeasured, *deployment.goals]
-    for name, key in given.items():
-        if name not in known:
-            near = nearest_word(name, known)
-            help = f"did you mean `{near}`?" if near else "remove it" if not known else f"the policy needs {', '.join(known)}"
+        help = (
+            f"write what supplies it, as in `deploy: {{supplied_by: {{{missing[0]}: motion capture}}}}`,"
+            " or observe a sensor instead"
+        )
+        yield Finding(
+            "DB617",
+            context.values.key_span(("deploy",)),
+            f"the policy needs {needed}, and `deploy` names no supplier",
+            help,
+        )
+    readings = [*deployment.unmeasured, *deployment.goals]
+    for name, key in supplied.items():
+        if name not in readings:
+            near = nearest_word(name, readings)
+            if near:
+                help = f"did you mean `{near}`?"
+            elif not readings:
+                help = "remove it"
+            else:
+                help = f"the policy needs {', '.join(readings)}"
             span = context.values.key_span(("deploy", "supplied_by", key))
             yield Finding("DB617", span, f"the policy does not need `{name}`", help)
 

@@ -1,4 +1,5 @@
-"""The size of the reward: terms without bound, terms that dominate or never pay, and what an episode is worth (family DB7, DB810)."""
+"""The size of the reward: terms without bound, terms that dominate or never pay, and what an episode is worth
+(family DB7, DB810)."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import Scalar, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, Typed, children
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program.values import Expression
 
 _DOMINANCE_RATIO = 100.0
@@ -33,49 +34,42 @@ _MAX_SHOWN_CHARACTERS = 40
 
 
 class Singularity(NamedTuple):
-    """The part of an expression that makes a term unbounded: a divisor that may be zero, or the argument of an exponential."""
+    """The part of an expression that makes a term unbounded: a divisor that may be zero, or the argument of
+    an exponential."""
 
     value: Expression
     node: Typed
     is_divisor: bool
 
 
+@rule("DB701")
 def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
-    """DB701: a term of the reward has no bound: its divisor may be zero, or it takes the exponential of an unbounded value.
-
-    A single step with a very small divisor outweighs all other steps, also in the learned value function. At zero the
-    reward is undefined, and training fails with an error. Divisors that a condition (`a if condition else b`) or an
-    ending keeps away from zero are not reported.
-
-    Example::
-
-        reward: {near: 1 / (abs(x) / m)}
-
-    Instead::
-
-        reward: {near: exp(-abs(x) / 10 cm)}
-    """
+    """A term of the reward has no bound."""
     analysis = context.analysis
     search = _PoleSearch(analysis)
     for term in context.program.agent.reward:
         if term.foreign is None and not search.ranges.of(analysis.scalars(term)[0]).is_finite:
-            found = search.pole(term, term.typed)
+            singularity = search.pole(term, term.typed)
             search.met.clear()
-            if found is not None:
-                yield _unbounded(context, term, found)
+            if singularity is not None:
+                yield _unbounded(context, term, singularity)
 
 
-def _unbounded(context: RuleContext, term: Expression, found: Singularity) -> Finding:
-    text = context.text(found.value.owner)
-    place, part = text.part(found.node.start, found.node.end), text.text[found.node.start : found.node.end]
-    also = () if found.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
-    if found.is_divisor:
+def _unbounded(context: RuleContext, term: Expression, singularity: Singularity) -> Finding:
+    text = context.text(singularity.value.owner)
+    place = text.part(singularity.node.start, singularity.node.end)
+    part = text.text[singularity.node.start : singularity.node.end]
+    also = () if singularity.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
+    if singularity.is_divisor:
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
-        unit = "" if found.node.type.dimension == NUMBER else f" {found.node.type.dimension}"
+        unit = "" if singularity.node.type.dimension == NUMBER else f" {singularity.node.type.dimension}"
         depths = list(accumulate((character == "(") - (character == ")") for character in part))
         divisor = part[1:-1] if part.startswith("(") and depths.index(0) == len(part) - 1 else part
         lowest = f"`max({divisor if len(divisor) <= _MAX_SHOWN_CHARACTERS else 'd'}, 0.1{unit})`"
-        help = f"keep the divisor away from zero, as in {lowest}, or use an exponential, as in `exp(-d / 10 cm)` for a length `d`"
+        help = (
+            f"keep the divisor away from zero, as in {lowest}, or use an exponential, as in `exp(-d / 10"
+            " cm)` for a length `d`"
+        )
         return Finding("DB701", place, headline, help, labels=also)
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
     return Finding("DB701", place, headline, "bound the argument, as in `min(x, 3)`", labels=also)
@@ -91,13 +85,15 @@ class _PoleSearch:
         compared = [entry for ending in analysis.program.endings for entry in comparisons(analysis, ending)]
         threshold = [threshold for entry in compared for threshold in thresholds(entry, self.ranges)]
         self._guarded = {
-            analysis.identity(entry.quantity) for entry in threshold if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)
+            analysis.identity(entry.quantity)
+            for entry in threshold
+            if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)
         }
         """Quantities that end the episode before they come near zero."""
 
     def pole(self, value: Expression, node: Typed) -> Singularity | None:
         """The first part that is infinite because of a pole or an exponential."""
-        if node.type.boolean or all(known.is_finite for known in self._known(value, node)):
+        if node.type.boolean or all(interval.is_finite for interval in self._known(value, node)):
             return None
         match node:
             case Operation(operator="div", args=(_, below)) if self._may_be_zero(value, below):
@@ -107,7 +103,9 @@ class _PoleSearch:
             case Invocation(function="log", args=(inner,)) if self._may_be_zero(value, inner):
                 return Singularity(value, inner, True)
             case Invocation(function="exp", args=(inner,)):
-                grows = any(known.low > -INF and known.high == INF for known in self._known(value, inner))
+                grows = any(
+                    interval.low > -INF and interval.high == INF for interval in self._known(value, inner)
+                )
                 return Singularity(value, inner, False) if grows else None
             case Operation(operator="where"):
                 return None
@@ -116,7 +114,7 @@ class _PoleSearch:
             ) is not None and symbol.name not in self.met:
                 self.met.add(symbol.name)
                 return None if "." in symbol.name or meant.foreign else self.pole(meant, meant.typed)
-        return next((found for part in children(node) if (found := self.pole(value, part)) is not None), None)
+        return next((pole for part in children(node) if (pole := self.pole(value, part)) is not None), None)
 
     def _known(self, value: Expression, node: Typed) -> list[Interval]:
         return [self.ranges.of(part) for part in self._analysis.lowered(node, value.owner)]
@@ -139,57 +137,61 @@ class _PoleSearch:
 # Too large, too small
 
 
+@rule("DB702")
 def term_dominates(context: RuleContext) -> Iterator[Finding]:
-    """DB702: over an episode a term adds up to more than a hundred times what any ending pays.
-
-    The agent cannot learn to reach the goal or to avoid failure, because both have a negligible share of the return.
-    The rule computes the smallest absolute sum of the term in an episode that lasts until the time limit. A term that
-    is the same in every step, such as `alive: 1`, is not reported. In the example, `step` is the number of the step, so
-    the term is -200 at first, and -1 after 200 steps.
-
-    Example::
-
-        reward: {time: -200 / step, fallen_over: -1 when fallen}
-
-    Instead::
-
-        reward: {time: -1 / 200, fallen_over: -1 when fallen}
-    """
+    """Over an episode a term adds up to more than a hundred times what any ending pays."""
     reward = context.analysis.reward
     ordinary, final = reward.split_by_end()
     prize = reward.largest_final(final)
     if not 0.0 < prize < INF:
         return
     for term, node in ordinary:
-        known = reward.ranges_while_running().of(node)
-        high = max(abs(known.low), abs(known.high)) * reward.analysis.last_step * reward.program.action_repeat
-        if known.is_single or high <= _DOMINANCE_RATIO * prize:
+        interval = reward.ranges_while_running().of(node)
+        high = (
+            max(abs(interval.low), abs(interval.high))
+            * reward.analysis.last_step
+            * reward.program.action_repeat
+        )
+        if interval.is_single or high <= _DOMINANCE_RATIO * prize:
             continue
         low = _smallest_sum(reward, node)
         if low > _DOMINANCE_RATIO * prize:
             headline = f"over an episode, `{term.name}` adds up to at least {low:.4g} in absolute value"
             headline += f", but an ending gives at most {prize:.4g}"
             also = tuple(Label(paid.span, "paid at the end") for paid, _ in final)
-            yield Finding("DB702", term.span, headline, f"scale `{term.name}` down, or scale the rewards of the endings up", labels=also)
+            yield Finding(
+                "DB702",
+                term.span,
+                headline,
+                f"scale `{term.name}` down, or scale the rewards of the endings up",
+                labels=also,
+            )
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
-    """The smallest size of the sum over an episode: block by block, since a term may depend on the number of the step."""
-    first, last, found, sign = 1, reward.analysis.last_step, 0.0, 0.0
+    """The smallest size of the sum over an episode: block by block, since a term may depend on the number of
+    the step."""
+    first, last, total, sign = 1, reward.analysis.last_step, 0.0, 0.0
     while first <= last:
         end = min(last, 2 * first - 1)
-        known = reward.ranges_while_running((float(first), float(end))).of(node)
-        side = 1.0 if known.low > 0.0 else -1.0 if known.high < 0.0 else 0.0
+        interval = reward.ranges_while_running((float(first), float(end))).of(node)
+        if interval.low > 0.0:
+            side = 1.0
+        elif interval.high < 0.0:
+            side = -1.0
+        else:
+            side = 0.0
         if side == 0.0 or side == -sign:
             return 0.0
         sign = side
-        found += min(abs(known.low), abs(known.high)) * (end - first + 1) * reward.program.action_repeat
+        total += min(abs(interval.low), abs(interval.high)) * (end - first + 1) * reward.program.action_repeat
         first = end + 1
-    return found
+    return total
 
 
+@rule("DB702")
 def dominating_term(simulation: Simulation) -> Iterator[Finding]:
-    """DB702: under every policy a term adds up to more than a hundred times all other terms, including what endings pay."""
+    """Under every policy, a term adds up to more than a hundred times all other terms and endings."""
     if not simulation.is_complete or not simulation.measured:
         return
     reward = simulation.analysis.reward
@@ -199,14 +201,29 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
         ratios, notes = [], []
         for by, row in rows.items():
             episodes = max(1, sum(episode.policy == by for episode in simulation.report.episodes))
-            others = sum(other[by].absolute_total for name, other in simulation.terms() if name is not term) / episodes
+            others = (
+                sum(other[by].absolute_total for name, other in simulation.terms() if name is not term)
+                / episodes
+            )
             size, rival = row.absolute_total / episodes, max(others, prize)
             ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
-            note = f"{by}: `{term.name}` adds up to {_short(size)} per episode, all other terms to {_short(others)}"
+            note = (
+                f"{by}: `{term.name}` adds up to {_short(size)} per episode, all other terms to"
+                f" {_short(others)}"
+            )
             notes.append(f"{note}, and an ending pays up to {_short(prize)}" if prize else note)
         if min(ratios) > _DOMINANCE_RATIO:
-            headline = f"summed over an episode, `{term.name}` is at least {_short(min(ratios))} times as large as all other terms together"
-            yield Finding("DB702", term.span, headline, f"scale `{term.name}` down, or the other terms up", notes=tuple(notes))
+            headline = (
+                f"summed over an episode, `{term.name}` is at least {_short(min(ratios))} times as"
+                " large as all other terms together"
+            )
+            yield Finding(
+                "DB702",
+                term.span,
+                headline,
+                f"scale `{term.name}` down, or the other terms up",
+                notes=tuple(notes),
+            )
 
 
 def _short(number: float) -> str:
@@ -214,36 +231,42 @@ def _short(number: float) -> str:
     return f"{float(f'{number:.3g}'):g}"
 
 
+@rule("DB704")
 def inactive_term(context: RuleContext) -> Iterator[Finding]:
-    """DB704: a term of the reward is zero in every step.
-
-    Its condition is never true, it is a difference of constants, or it has a factor of zero. Links of one robot never
-    touch each other, so the rule also reports every `contact` of two links of one robot. A term that is written as 0, or
-    is multiplied by a parameter of 0, is disabled on purpose, and is not reported.
-
-    Example::
-
-        reward: {alive: 1, upright: 1 when abs(cart.pole_angle) > 90 deg}
-
-    Instead::
-
-        reward: {alive: 1, upright: 1 when abs(cart.pole_angle) < 5 deg}
-    """
+    """A term of the reward is zero in every step."""
     inactive = [_always_zero(analysis) for analysis in context.versions]
-    touching = {term.name: context.analysis.own_contacts(node) for term, node in context.analysis.reward.terms}
+    touching = {
+        term.name: context.analysis.own_contacts(node) for term, node in context.analysis.reward.terms
+    }
     for term in context.program.agent.reward:
         if touching.get(term.name):
             headline = f"`{touching[term.name][0]}` is never true: links of one robot do not touch each other"
-            yield Finding("DB704", term.span, headline, "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`")
+            yield Finding(
+                "DB704",
+                term.span,
+                headline,
+                "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`",
+            )
             continue
         if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):
-            faulty = "condition" if isinstance(term.typed, Operation) and term.typed.operator == "where" else "expression"
-            yield Finding("DB704", term.span, f"`{term.name}` is zero in every step", f"remove the term, or correct its {faulty}")
+            faulty = (
+                "condition"
+                if isinstance(term.typed, Operation) and term.typed.operator == "where"
+                else "expression"
+            )
+            yield Finding(
+                "DB704",
+                term.span,
+                f"`{term.name}` is zero in every step",
+                f"remove the term, or correct its {faulty}",
+            )
 
 
 def _always_zero(analysis: Analysis) -> set[str]:
-    given = {ending.name: TRUTH for ending in analysis.program.endings}  # an ending that never holds is DB801
-    ranges = Ranges(analysis, given, (1.0, float(analysis.last_step)))
+    endings = {
+        ending.name: TRUTH for ending in analysis.program.endings
+    }  # an ending that never holds is DB801
+    ranges = Ranges(analysis, endings, (1.0, float(analysis.last_step)))
     return {term.name for term, node in analysis.reward.terms if ranges.of(node) == NEVER}
 
 
@@ -258,7 +281,9 @@ def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
             return not any(values)
         case Reference(symbol=symbol):
             meant = analysis.expression_named(symbol.name)
-            return (symbol.value is not None and not any(symbol.value)) or (meant is not None and is_off(meant.typed))
+            return (symbol.value is not None and not any(symbol.value)) or (
+                meant is not None and is_off(meant.typed)
+            )
         case Operation(operator="where", args=(_, paid, _)):
             return is_off(paid)
         case Operation(operator="div", args=(above, _)):
@@ -270,8 +295,9 @@ def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
     return any(map(is_off, children(node)))
 
 
+@rule("DB704")
 def silent_term(simulation: Simulation) -> Iterator[Finding]:
-    """DB704: a term without a condition was 0 in every step. One with a condition may wait for a rare event, such as a collision."""
+    """A term without a condition was 0 in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     analysis = simulation.analysis
@@ -292,43 +318,41 @@ def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
     if isinstance(node, Reference) and node.symbol.name not in met:
         met.add(node.symbol.name)
         meant = analysis.expression_named(node.symbol.name)
-        return meant is not None and (meant.foreign is not None or _is_conditional(meant.typed, analysis, met))
+        return meant is not None and (
+            meant.foreign is not None or _is_conditional(meant.typed, analysis, met)
+        )
     return any(_is_conditional(part, analysis, met) for part in children(node))
 
 
+@rule("DB707")
 def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
-    """DB707: a term is NaN or infinite."""
+    """A term is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
-        help = "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow, `exp(min(n, 3))` for a number"
+        help = (
+            "against a division by zero, write `1 / max(d, 1 cm)` for a length `d`; against an overflow,"
+            " `exp(min(n, 3))` for a number"
+        )
         yield Finding("DB707", failed.span, f"`{failed.name}` is not finite", help, notes=failed.notes)
 
 
 # Returns
 
 
+@rule("DB711")
 def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
-    """DB711: every episode has the same return, whatever the policy does.
-
-    The reward is the same in every step and no ending shortens an episode, so no action is better than another. A constant
-    such as `alive: 1` needs a failure that ends bad episodes early; a constant cost such as `time: -1` needs a success that ends good
-    episodes early. Scenarios without `train` are not reported.
-
-    Example::
-
-        reward: {alive: 1}
-        remove: [termination, parameters.fall_angle, parameters.track]
-
-    Instead::
-
-        reward: {alive: 1}
-        termination: {failure: {fallen: abs(cart.pole_angle) > fall_angle}}
-    """
-    if context.program.agent.training is None or not all(return_range(analysis).is_single for analysis in context.versions):
+    """Every episode has the same return, whatever the policy does."""
+    if context.program.agent.training is None or not all(
+        return_range(analysis).is_single for analysis in context.versions
+    ):
         return
     worth = return_range(context.analysis).low
     headline = f"every episode has the return {worth:.4g}, whatever the policy does"
-    help = "reward the goal, as in `1 when goal_reached`" if context.program.agent.goal else "reward the intended behavior"
+    help = (
+        "reward the goal, as in `1 when goal_reached`"
+        if context.program.agent.goal
+        else "reward the intended behavior"
+    )
     if worth > 0.0:
         help += ", or add a failure that ends a bad episode early"
     elif worth < 0.0:  # a failure would end the costs (DB705)
@@ -336,33 +360,35 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
     yield Finding("DB711", context.program.agent.reward[0].span, headline, help)
 
 
+@rule("DB810")
 def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
-    """DB810: no episode can reach the required mean return, or every episode does.
-
-    If no episode can reach it, training never stops early, no policy counts as solved, and a stage of a curriculum never ends. If every
-    episode reaches it, every policy counts as solved, and a stage ends at once. The rule computes the bounds of the return from the
-    rewards of the steps and of the endings: 200 steps of `alive: 1` give at most 200. Where wheels on flat ground or motors limit a speed,
-    it takes this limit: a robot that drives with 0.2 m/s comes 2 m closer in 10 s at most.
-
-    Example::
-
-        solved: mean_return >= 500 over 100 episodes
-
-    Instead::
-
-        solved: mean_return >= 195 over 100 episodes
-    """
+    """No episode can reach the required mean return, or every episode does."""
     for analysis, wanted, path in _wanted_returns(context):
-        known = return_range(analysis)
-        if wanted > known.high + _ROUNDING * abs(known.high):
-            headline = f"no episode reaches the required return of {wanted:g}: the highest possible return is {known.high:.4g}"
+        possible = return_range(analysis)
+        if wanted > possible.high + _ROUNDING * abs(possible.high):
+            headline = (
+                f"no episode reaches the required return of {wanted:g}: the highest possible return"
+                f" is {possible.high:.4g}"
+            )
             yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
         elif wanted > (limited := highest_return(analysis.ideal)) + _ROUNDING * abs(limited):
-            headline = f"no episode reaches the required return of {wanted:g}: limits of speed allow at most {limited:.4g}"
+            headline = (
+                f"no episode reaches the required return of {wanted:g}: limits of speed allow at most"
+                f" {limited:.4g}"
+            )
             notes = speed_notes(analysis)
-            yield Finding("DB810", context.values.span(path), headline, "require a smaller return, or allow a higher speed", notes=notes)
-        elif wanted <= known.low:
-            headline = f"every episode reaches the required return of {wanted:g}: the lowest possible return is {known.low:.4g}"
+            yield Finding(
+                "DB810",
+                context.values.span(path),
+                headline,
+                "require a smaller return, or allow a higher speed",
+                notes=notes,
+            )
+        elif wanted <= possible.low:
+            headline = (
+                f"every episode reaches the required return of {wanted:g}: the lowest possible return"
+                f" is {possible.low:.4g}"
+            )
             yield Finding("DB810", context.values.span(path), headline, "require a larger return")
 
 

@@ -1,5 +1,5 @@
-"""Robots: commands and actuators (DB312 to DB315, DB319), wheels that do not move a robot (DB322), limits in degrees (DB317), and rays that
-pass over everything (DB615).
+"""Robots: commands and actuators (DB312 to DB315, DB319), wheels that do not move a robot (DB322), limits in
+degrees (DB317), and rays that pass over everything (DB615).
 """
 
 from __future__ import annotations
@@ -21,8 +21,16 @@ from deepbots_cli.expressions.types import Reference
 from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
-from deepbots_cli.lint.context import RuleContext, Simulation
-from deepbots_cli.lint.simulation import ARENA, MAX_SINK, Clearance, SimulationPosition, UnreachedPose, casts_rays, driven_wheels
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
+from deepbots_cli.lint.simulation import (
+    ARENA,
+    MAX_SINK,
+    Clearance,
+    SimulationPosition,
+    UnreachedPose,
+    casts_rays,
+    driven_wheels,
+)
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.meshes import mesh_bounds
@@ -52,7 +60,8 @@ _MAX_JOINT_POSITIONS = 12
 """Positions of all joints together that are tried."""
 _RANGE_FACTOR = 1.2
 _DEGREES = Interval(10.0, 360.0)
-"""The larger limit (rad) of a joint that is probably in degrees; a whole number, since the turns of a joint are multiples of pi."""
+"""The larger limit (rad) of a joint that is probably in degrees; a whole number, since the turns of a joint
+are multiples of pi."""
 _LOWEST, _HIGHEST = 0, 1
 _JOINT_KEYS = ("joint", "joints")
 
@@ -60,37 +69,36 @@ _JOINT_KEYS = ("joint", "joints")
 # Commands and actuators
 
 
+@rule("DB312")
 def command_cut_off(context: RuleContext) -> Iterator[Finding]:
-    """DB312: most commands of the agent are beyond the limits of an actuator, so most actions have the same effect.
-
-    A speed beyond the limit of the motor, a thrust beyond its range and a position beyond the stop of the joint are clipped. If the
-    actuator can follow less than a quarter of the range of commands, few actions make a difference, and exploration has little
-    effect. Commands that depend on sensors are not reported.
-
-    Example::
-
-        parameters: {wheel_speed: 500 rad/s}
-        action: {drive: -1 .. 1}
-
-    Instead::
-
-        parameters: {wheel_speed: 10 rad/s}
-        action: {drive: -1 .. 1}
-    """
+    """Most commands of the agent are beyond the limits of an actuator."""
     analysis = context.analysis
     for robot in context.program.robots:
         for command in robot.commands:
             trees = analysis.value_on_robot(command.target, robot.name)
-            limits = Interval(0.0, 1.0) if command.opening else _limits(command.actuator, analysis.body(robot.name).model)
+            limits = (
+                Interval(0.0, 1.0)
+                if command.opening
+                else _limits(command.actuator, analysis.body(robot.name).model)
+            )
             if limits is None or not all(_follows_action(analysis, tree, robot) for tree in trees):
                 continue
             asked = hull([analysis.ranges.of(tree) for tree in trees])
             done = min(asked.high, limits.high) - max(asked.low, limits.low)
             if asked.is_finite and not asked.is_single and done < _MIN_SHARE * (asked.high - asked.low):
                 dimension = command.target.typed.type.dimension
-                able = f"receives commands of {range_text(asked, dimension)}, but its limits are {range_text(limits, dimension)}"
-                names = [node.symbol.name for node in walk_typed(command.target.typed) if isinstance(node, Reference) and node.symbol.value]
-                changed = " or ".join(f"`{name}`" for name in names) or "the command or the range of the action"
+                able = (
+                    f"receives commands of {range_text(asked, dimension)}, but its limits are"
+                    f" {range_text(limits, dimension)}"
+                )
+                names = [
+                    node.symbol.name
+                    for node in walk_typed(command.target.typed)
+                    if isinstance(node, Reference) and node.symbol.value
+                ]
+                changed = (
+                    " or ".join(f"`{name}`" for name in names) or "the command or the range of the action"
+                )
                 help = f"change {changed} so that the commands stay within `{range_text(limits, dimension)}`"
                 yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help)
 
@@ -103,11 +111,16 @@ def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
         case Motor(kind="position_motor", joints=joints):
             ends = [(limit.lower, limit.upper) for limit in (model.joint(joint).limit for joint in joints)]
         case Motor(kind=kind, max_torque=torques, max_velocity=speeds):
-            ends = [(None if limit is None else -limit, limit) for limit in (torques if kind == "torque_motor" else speeds)]
+            ends = [
+                (None if limit is None else -limit, limit)
+                for limit in (torques if kind == "torque_motor" else speeds)
+            ]
         case _:
             return None
-    known = [Interval(low, high) for low, high in ends if low is not None and high is not None and low < high]
-    return hull(known) if len(known) == len(ends) else None
+    intervals = [
+        Interval(low, high) for low, high in ends if low is not None and high is not None and low < high
+    ]
+    return hull(intervals) if len(intervals) == len(ends) else None
 
 
 def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
@@ -124,29 +137,9 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
     return True
 
 
+@rule("DB313")
 def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
-    """DB313: two actuators drive the motor of the same joint, so the command of the first one is lost. A joint has one
-    motor, and the last command overrides the others. The usual cause is a copied line, such as the left wheels twice: the
-    right wheels then have no actuator. A torque or a spring (`stiffness`) adds to the motor, and is not reported.
-
-    Example::
-
-        robots:
-          cart:
-            actuators:
-              wheels: {type: velocity_motor, joints: ["*_left"], max_torque: 10 N*m}
-              right:  {type: velocity_motor, joints: ["*_left"], max_torque: 10 N*m}
-            apply: {right: drive * wheel_speed}
-
-    Instead::
-
-        robots:
-          cart:
-            actuators:
-              wheels: {type: velocity_motor, joints: ["*_left"], max_torque: 10 N*m}
-              right:  {type: velocity_motor, joints: ["*_right"], max_torque: 10 N*m}
-            apply: {right: drive * wheel_speed}
-    """
+    """Two actuators drive the motor of the same joint, so the command of the first one is lost."""
     for robot in context.program.robots:
         driving: dict[str, str] = {}
         for command in robot.commands:
@@ -159,7 +152,11 @@ def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
                 )
                 headline = f"`{name}` drives the joint `{shared}`, which `{driving[shared]}` already drives"
                 yield Finding(
-                    "DB313", second, headline, "drive each joint with only one of the two actuators", labels=(Label(first, "driven here"),)
+                    "DB313",
+                    second,
+                    headline,
+                    "drive each joint with only one of the two actuators",
+                    labels=(Label(first, "driven here"),),
                 )
             driving |= dict.fromkeys(joints, name)
 
@@ -173,41 +170,19 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
             return ()
 
 
+@rule("DB314")
 def limp_at_start(context: RuleContext) -> Iterator[Finding]:
-    """DB314: an arm sinks at the start of an episode, because the first command reaches its torque motors late. A
-    torque motor exerts no torque until its first command, but position and velocity motors keep the joint in place. The
-    rule reports joints of robots with a fixed base that gravity moves by more than 2 deg or 5 mm in this time, if the
-    motor is strong enough to hold them.
-
-    Example::
-
-        messages: {to_robot: {latency: 100 ms}}
-        robots:
-          arm:
-            urdf: package://pybullet_data/kuka_iiwa/model.urdf
-            base: fixed
-            pose: {y: 2 m}
-            actuators: {shoulder: {type: torque_motor, joint: lbr_iiwa_joint_2}}
-            apply: {shoulder: -60 N*m}
-        reset: {joints: {arm.lbr_iiwa_joint_2: 60 deg}}
-
-    Instead::
-
-        messages: {to_robot: {latency: 100 ms}}
-        robots:
-          arm:
-            urdf: package://pybullet_data/kuka_iiwa/model.urdf
-            base: fixed
-            pose: {y: 2 m}
-            actuators: {shoulder: {type: position_motor, joint: lbr_iiwa_joint_2}}
-            apply: {shoulder: 60 deg}
-        reset: {joints: {arm.lbr_iiwa_joint_2: 60 deg}}
-    """
+    """An arm sinks at the start of an episode, because the first command reaches its torque motors late."""
     program, analysis, values = context.program, context.analysis, context.values
     if program.reset.settle or any(varied.what == "gravity" for varied in program.reset.variations):
         return
     for robot in program.robots:
-        held = {joint for command in robot.commands if not _is_limp(command.actuator) for joint in getattr(command.actuator, "joints", ())}
+        held = {
+            joint
+            for command in robot.commands
+            if not _is_limp(command.actuator)
+            for joint in getattr(command.actuator, "joints", ())
+        }
         limp = [command.actuator for command in robot.commands if _is_limp(command.actuator)]
         body = analysis.body(robot.name)
         positions = _start_positions(analysis, body) if limp else None
@@ -217,19 +192,32 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
             ticks += ceil(latency / program.world.timestep - 1e-9) if latency > 0.0 else 0
         for motor in limp:
             wait = ticks * program.world.timestep + motor.response.delay
-            joints = {joint: limit for joint, limit in zip(motor.joints, motor.max_torque, strict=True) if joint not in held}
+            joints = {
+                joint: limit
+                for joint, limit in zip(motor.joints, motor.max_torque, strict=True)
+                if joint not in held
+            }
             if positions is None or wait <= program.world.timestep:
                 continue
             sunk = _sunk(body, positions, joints, program.world.gravity, wait)
             if sunk is not None:
                 by = with_unit(sunk[1], joint_dimension(sunk[0]))
                 headline = (
-                    f"`{motor.name}` exerts no torque for the first {with_unit(wait, TIME)}, and `{sunk[0].name}` sinks by about {by}"
+                    f"`{motor.name}` exerts no torque for the first {with_unit(wait, TIME)}, and"
+                    f" `{sunk[0].name}` sinks by about {by}"
                 )
                 help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
-                also = (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
-                yield Finding("DB314", values.key_span(("robots", robot.name, "actuators", motor.name)), headline, help, labels=also)
+                also = (
+                    (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
+                )
+                yield Finding(
+                    "DB314",
+                    values.key_span(("robots", robot.name, "actuators", motor.name)),
+                    headline,
+                    help,
+                    labels=also,
+                )
 
 
 def _is_limp(actuator: Actuator) -> TypeGuard[Motor]:
@@ -238,32 +226,55 @@ def _is_limp(actuator: Actuator) -> TypeGuard[Motor]:
 
 
 def _start_positions(analysis: Analysis, body: RobotBody) -> dict[str, float] | None:
-    """The initial positions of the joints of a robot with a fixed base, rad or m; None where they are not known."""
+    """The initial positions of the joints of a robot with a fixed base, rad or m; None where they are not
+    known."""
     placements = analysis.program.reset.placements
-    is_tilted = any(place.body == body.name and place.coordinates.keys() & {"roll", "pitch"} for place in placements)
+    is_tilted = any(
+        place.body == body.name and place.coordinates.keys() & {"roll", "pitch"} for place in placements
+    )
     if not body.fixed_base or is_tilted:
         return None
-    found = {joint.name: analysis.start.joint(f"{body.name}.{joint.name}") or NEVER for joint in body.model.moving_joints}
-    if any(known.high - known.low > _MAX_KNOWN_SPREAD for known in found.values()):
+    starts = {
+        joint.name: analysis.start.joint(f"{body.name}.{joint.name}") or NEVER
+        for joint in body.model.moving_joints
+    }
+    if any(interval.high - interval.low > _MAX_KNOWN_SPREAD for interval in starts.values()):
         return None
-    return {name: (known.low + known.high) / 2 for name, known in found.items()}
+    return {name: (interval.low + interval.high) / 2 for name, interval in starts.items()}
 
 
 def _sunk(
-    body: RobotBody, positions: Mapping[str, float], joints: Mapping[str, float | None], gravity: Triple, time: float
+    body: RobotBody,
+    positions: Mapping[str, float],
+    joints: Mapping[str, float | None],
+    gravity: Triple,
+    time: float,
 ) -> tuple[Joint, float] | None:
-    """The joint that gravity moves farthest in a time (s), and how far (rad or m); `joints` maps names to the torque limits of motors."""
+    """The joint that gravity moves farthest in a time (s), and how far (rad or m); `joints` maps names to the
+    torque limits of motors."""
     where = link_frames(body.model, positions)
     pull = frames.rotate_back(frames.frame(body.pose)[1], gravity)
-    moved = {name: _moved(body.model, where, body.model.joint(name), limit, pull, time) for name, limit in joints.items()}
+    moved = {
+        name: _moved(body.model, where, body.model.joint(name), limit, pull, time)
+        for name, limit in joints.items()
+    }
     name = max(moved, key=lambda joint: moved[joint], default="")
     if not name:
         return None
     joint = body.model.joint(name)
-    return (joint, moved[name]) if moved[name] > (0.005 if joint.type == "prismatic" else radians(2.0)) else None
+    return (
+        (joint, moved[name]) if moved[name] > (0.005 if joint.type == "prismatic" else radians(2.0)) else None
+    )
 
 
-def _moved(model: RobotModel, where: Mapping[str, Frame], joint: Joint, limit: float | None, pull: Triple, time: float) -> float:
+def _moved(
+    model: RobotModel,
+    where: Mapping[str, Frame],
+    joint: Joint,
+    limit: float | None,
+    pull: Triple,
+    time: float,
+) -> float:
     """How far gravity moves a joint while the other joints are still; 0 where its motor could not hold it."""
     pivot, turned = where[joint.child]
     axis = frames.rotate(turned, joint.axis)
@@ -278,22 +289,30 @@ def _moved(model: RobotModel, where: Mapping[str, Frame], joint: Joint, limit: f
             continue
         arm = frames.cross(axis, frames.subtract(center, pivot))
         local = frames.rotate_back(own, axis)
-        spin = sum(local[i] * row[j] * local[j] for i, row in enumerate(link.inertial.matrix) for j in range(3))
+        spin = sum(
+            local[i] * row[j] * local[j] for i, row in enumerate(link.inertial.matrix) for j in range(3)
+        )
         load, inertia = load + mass * frames.dot(arm, pull), inertia + mass * frames.dot(arm, arm) + spin
     excess = abs(load) - joint.friction
     if excess <= 0.0 or inertia <= 0.0 or (limit is not None and abs(load) > limit):
         return 0.0
-    return min(excess / inertia * time * time / 2, excess / joint.damping * time if joint.damping > 0.0 else inf)
+    return min(
+        excess / inertia * time * time / 2, excess / joint.damping * time if joint.damping > 0.0 else inf
+    )
 
 
 # Measured in a simulation
 
 
+@rule("DB315")
 def pose_out_of_reach(simulation: Simulation) -> Iterator[Finding]:
-    """DB315: a `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
+    """A `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
     reported: set[tuple[str, str]] = set()
     for miss in simulation.report.misses:
-        if (miss.turn or miss.unreached_commands >= _MIN_MISS_SHARE * miss.commands) and (miss.robot, miss.actuator) not in reported:
+        if (miss.turn or miss.unreached_commands >= _MIN_MISS_SHARE * miss.commands) and (
+            miss.robot,
+            miss.actuator,
+        ) not in reported:
             reported.add((miss.robot, miss.actuator))
             yield _turned_in_place(simulation, miss) if miss.turn else _missed(simulation, miss)
 
@@ -301,14 +320,26 @@ def pose_out_of_reach(simulation: Simulation) -> Iterator[Finding]:
 def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
     model = simulation.analysis.body(miss.robot).model
     is_turned = miss.angle > _MIN_SHOWN_ANGLE
-    span = simulation.values.span(("robots", miss.robot, "actuators", miss.actuator, "rpy" if is_turned else "link"))
+    span = simulation.values.span(
+        ("robots", miss.robot, "actuators", miss.actuator, "rpy" if is_turned else "link")
+    )
     distance = f"{miss.distance:.3g} m" if miss.distance > _MIN_SHOWN_DISTANCE_M else ""
     by = " and ".join(filter(None, [distance, f"{degrees(miss.angle):.3g} deg" if is_turned else ""]))
     notes = [simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step))]
     for name, limit in miss.at_limit.items():
-        notes.append(f"joint `{name}` is at its limit of {with_unit(limit, joint_dimension(model.joint(name)))}")
-    notes += [f"{miss.unreached_commands} of {miss.commands} commands in this episode are out of reach"] if miss.commands > 1 else []
-    remedy = "change `rpy`, or remove it if the orientation does not matter" if is_turned else "send positions within the reach of the arm"
+        notes.append(
+            f"joint `{name}` is at its limit of {with_unit(limit, joint_dimension(model.joint(name)))}"
+        )
+    notes += (
+        [f"{miss.unreached_commands} of {miss.commands} commands in this episode are out of reach"]
+        if miss.commands > 1
+        else []
+    )
+    remedy = (
+        "change `rpy`, or remove it if the orientation does not matter"
+        if is_turned
+        else "send positions within the reach of the arm"
+    )
     headline = f"`{miss.actuator}` is commanded to a pose that its inverse kinematics misses by {by}"
     help = f"{remedy}; `deepbots inspect` prints the pose of the link at the start of an episode"
     return Finding("DB315", span, headline, help, notes=tuple(notes))
@@ -320,7 +351,9 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
-    help = f"write `rpy: {start} deg`, which is near the initial orientation, or start the arm in another pose"
+    help = (
+        f"write `rpy: {start} deg`, which is near the initial orientation, or start the arm in another pose"
+    )
     notes = (
         simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step)),
         "the joints may move far before the link reaches the pose",
@@ -328,17 +361,29 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     return Finding("DB315", span, headline, help, notes=notes)
 
 
+@rule("DB322")
 def robot_stays(simulation: Simulation) -> Iterator[Finding]:
-    """DB322: no action moves or turns a robot, although its wheels turn: they slip, or do not touch the ground."""
+    """No action moves or turns a robot, although its wheels turn: they slip, or do not touch the ground."""
     if not simulation.is_complete:
         return
     for robot, rolling in simulation.report.rolling.items():
-        if rolling.wheel > _MIN_WHEEL_TURN and rolling.distance < _MAX_STAY_M and rolling.turn < _MAX_STAY_ANGLE:
+        if (
+            rolling.wheel > _MIN_WHEEL_TURN
+            and rolling.distance < _MAX_STAY_M
+            and rolling.turn < _MAX_STAY_ANGLE
+        ):
             body = simulation.analysis.body(robot)
-            wheels = driven_wheels(next(each for each in simulation.program.robots if each.name == robot), body.model)
+            wheels = driven_wheels(
+                next(each for each in simulation.program.robots if each.name == robot), body.model
+            )
             moved = ceil(rolling.distance * 1000)
-            headline = f"`{robot}` stays in its place although its wheels turn: it moves by less than {moved} mm"
-            help = "let the driven wheels carry the robot: raise its skids and casters, or reduce their friction under `links`"
+            headline = (
+                f"`{robot}` stays in its place although its wheels turn: it moves by less than {moved} mm"
+            )
+            help = (
+                "let the driven wheels carry the robot: raise its skids and casters, or reduce their"
+                " friction under `links`"
+            )
             yield Finding(
                 "DB322",
                 simulation.values.key_span(("robots", robot)),
@@ -349,9 +394,15 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
 
 
 def _links_beside_wheels(model: RobotModel, wheels: tuple[str, ...]) -> Iterator[str]:
-    """A sentence on each link that reaches the ground where the driven wheels do, or before; with all joints at 0, without meshes."""
+    """A sentence on each link that reaches the ground where the driven wheels do, or before; with all joints
+    at 0, without meshes."""
     where = link_frames(model)
-    shapes = [(link.name, part) for link in model.links for part in link.collisions if not isinstance(part.shape, Mesh)]
+    shapes = [
+        (link.name, part)
+        for link in model.links
+        for part in link.collisions
+        if not isinstance(part.shape, Mesh)
+    ]
     bottoms: dict[str, float] = {}
     for link, part in shapes:
         box = footprint.bounds_of_shape(part.shape, frames.compose(where[link], frames.frame(part.origin)))
@@ -362,29 +413,18 @@ def _links_beside_wheels(model: RobotModel, wheels: tuple[str, ...]) -> Iterator
         if link not in driven and bottom < lowest + _SAME_HEIGHT_M < inf:
             gap = lowest - bottom
             yield f"`{link}` reaches " + (
-                f"{gap * 1000:.2g} mm lower than the driven wheels" if gap > _SAME_HEIGHT_M else "as low as the driven wheels"
+                f"{gap * 1000:.2g} mm lower than the driven wheels"
+                if gap > _SAME_HEIGHT_M
+                else "as low as the driven wheels"
             )
 
 
 # Limits of the robot file
 
 
+@rule("DB319")
 def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
-    """DB319: a motor without a limit of torque or force.
-
-    The limit of a motor is the `effort` of its joint in the robot file, or `max_torque` of the actuator. deepbots
-    treats `effort="0"` as missing, because many files contain 0 for driven joints. A motor without a limit follows its
-    command under any load, and pushes everything aside. Torque motors and springs (`stiffness`) are not reported: their
-    command limits them.
-
-    Example::
-
-        robots: {cart: {actuators: {pole: {type: position_motor, joint: pole_hinge}}, apply: {pole: drive * 10 deg}}}
-
-    Instead::
-
-        robots: {cart: {actuators: {pole: {type: position_motor, joint: pole_hinge, max_torque: 2 N*m}}, apply: {pole: drive * 10 deg}}}
-    """
+    """A motor without a limit of torque or force."""
     for robot in context.program.robots:
         model = context.analysis.body(robot.name).model
         for actuator in robot.actuators:
@@ -393,49 +433,23 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
             if not free:
                 continue
             what, unit = ("force", "N") if free[0].type == "prismatic" else ("torque", "N*m")
-            shown = ", ".join(f"`{joint.name}`" for joint in free[:_MAX_NAMES]) + (", ..." if len(free) > _MAX_NAMES else "")
-            headline = f"`{actuator.name}` has no limit of {what}: the robot file states no effort for {shown}"
+            shown = ", ".join(f"`{joint.name}`" for joint in free[:_MAX_NAMES]) + (
+                ", ..." if len(free) > _MAX_NAMES else ""
+            )
+            headline = (
+                f"`{actuator.name}` has no limit of {what}: the robot file states no effort for {shown}"
+            )
             help = f"write `max_torque` with the {what} of the motor, such as `max_torque: 10 {unit}`"
             notes = ('an effort of 0 in a robot file is read as "not stated"',)
-            span = context.values.span_of_first(("robots", robot.name, "actuators", actuator.name), *_JOINT_KEYS)
+            span = context.values.span_of_first(
+                ("robots", robot.name, "actuators", actuator.name), *_JOINT_KEYS
+            )
             yield Finding("DB319", span, headline, help, notes=notes)
 
 
+@rule("DB317")
 def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
-    """DB317: the limits of a joint in a robot file were probably meant in degrees.
-
-    URDF uses radians: `upper="90"` is more than 14 turns. The range `auto` of an observation takes these limits, and is then far too wide.
-    The rule reports a turning joint that an actuator, a sensor or an expression uses, if its limits are whole numbers and the larger one is
-    from 10 to 360. Joints of several turns, whose limits are multiples of pi, and very large limits that mean "no limit" are not reported.
-
-    Example::
-
-        <robot name="table">
-          <link name="base"/>
-          <link name="plate">
-            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
-          </link>
-          <joint name="tilt" type="revolute">
-            <parent link="base"/>
-            <child link="plate"/>
-            <limit lower="-15" upper="15" effort="20" velocity="2"/>
-          </joint>
-        </robot>
-
-    Instead::
-
-        <robot name="table">
-          <link name="base"/>
-          <link name="plate">
-            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
-          </link>
-          <joint name="tilt" type="revolute">
-            <parent link="base"/>
-            <child link="plate"/>
-            <limit lower="-0.2618" upper="0.2618" effort="20" velocity="2"/>
-          </joint>
-        </robot>
-    """
+    """The limits of a joint in a robot file were probably meant in degrees."""
     program = context.program
     trees = [tree for value in program.computed_expressions for tree in value.scalars]
     read = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, EngineRead)}
@@ -447,13 +461,22 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
         used |= {name for sensor in robot.sensors for name in sensor.subjects}
         for joint in context.analysis.body(robot.name).model.moving_joints:
             is_used = joint.name in used or f"{robot.name}.{joint.name}" in read
-            written = joint.limit == resolved.file.model.joint(joint.name).limit and joint.name in resolved.file.limit_spans
+            written = (
+                joint.limit == resolved.file.model.joint(joint.name).limit
+                and joint.name in resolved.file.limit_spans
+            )
             low, high = joint.limit.lower, joint.limit.upper
             if not (is_used and written and joint.type == "revolute") or low is None or high is None:
                 continue
             if low.is_integer() and high.is_integer() and _DEGREES.low <= max(-low, high) <= _DEGREES.high:
-                headline = f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are {(high - low) / (2 * pi):.3g} turns apart"
-                help = f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}" in the robot file'
+                headline = (
+                    f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are"
+                    f" {(high - low) / (2 * pi):.3g} turns apart"
+                )
+                help = (
+                    f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}"'
+                    " in the robot file"
+                )
                 help += f", or `range: {low:g} .. {high:g} deg` under `joints`"
                 yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help)
 
@@ -461,39 +484,25 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
 # Rays
 
 
+@rule("DB615")
 def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
-    """DB615: the rays of a lidar, a sonar, an infrared or a laser sensor pass over everything in the world, or begin below the ground.
-
-    Rays that pass above every body never hit one, and rays that begin below the ground meet nothing: every reading is the maximum of the
-    range, and the policy learns nothing from it. The walls of an arena are 10 cm high by default. The rule compares the height of the rays
-    with the ground and with the top of all solid bodies. It needs a robot that stands level on flat ground or has a fixed base, and a
-    sensor that no joint raises or tilts; rays that meet the ground within their range are not reported.
-
-    Example::
-
-        world: {arena: {size: 12 2 m}}
-        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}}}
-        observation: {cart.ahead: auto}
-
-    Instead::
-
-        world: {arena: {size: 12 2 m, wall_height: 50 cm}}
-        robots: {cart: {sensors: {ahead: {type: sonar, link: body, pose: {z: 20 cm}, range: 0 .. 8 m}}}}
-        observation: {cart.ahead: auto}
-    """
+    """The rays of a sensor pass over everything in the world, or begin below the ground."""
     here, variants = Heights(context.analysis), [Heights(analysis) for analysis in context.versions[1:]]
     for robot in context.program.robots:
         for sensor in robot.sensors:
             clearance = here.clearance(robot.name, sensor.name) if casts_rays(sensor) else None
-            if clearance is not None and all(variant.clearance(robot.name, sensor.name) for variant in variants):
+            if clearance is not None and all(
+                variant.clearance(robot.name, sensor.name) for variant in variants
+            ):
                 yield _passing_over(context.values, robot.name, sensor.name, clearance)
             depth = here.depth(robot.name, sensor.name) if casts_rays(sensor) else None
             if depth is not None and all(variant.depth(robot.name, sensor.name) for variant in variants):
                 yield _buried(context.values, robot.name, sensor.name, depth)
 
 
+@rule("DB615")
 def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
-    """DB615: the same for robots whose height does not follow from the scenario."""
+    """The same as `rays_meet_nothing`, for robots whose height does not follow from the scenario."""
     if not simulation.is_complete:
         return
     heights = Heights(simulation.analysis)
@@ -506,7 +515,8 @@ def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
 
 
 PlacedRays = tuple[float, list[list[tuple[float, float]]]]
-"""The reach (m) of a sensor; the height (m) at which each ray begins, and its rise per m, in each attitude."""
+"""The reach (m) of a sensor; the height (m) at which each ray begins, and its rise per m, in each
+attitude."""
 
 
 class Heights:
@@ -519,7 +529,8 @@ class Heights:
         self._rays: dict[tuple[str, str], PlacedRays | None] = {}
 
     def clearance(self, robot: str, sensor: str) -> Clearance | None:
-        """Where the rays of a sensor pass, if that is over everything; None if they meet the ground or a body, or that is unknown."""
+        """Where the rays of a sensor pass, if that is over everything; None if they meet the ground or a
+        body, or that is unknown."""
         gravity = self._world.gravity
         if self._world.ground is None or gravity[0] or gravity[1] or gravity[2] >= 0.0:
             return None
@@ -535,7 +546,8 @@ class Heights:
         return Clearance(lowest, highest, tallest) if tallest else None
 
     def depth(self, robot: str, sensor: str) -> float | None:
-        """How far below flat ground all rays of a sensor begin, m; None if one begins above, or that is unknown."""
+        """How far below flat ground all rays of a sensor begin, m; None if one begins above, or that is
+        unknown."""
         placed = self._placed_rays(robot, sensor) if self._world.ground is not None else None
         if placed is None:
             return None
@@ -543,23 +555,33 @@ class Heights:
         return -highest if highest < -MAX_SINK else None
 
     def needs_simulation(self, robot: str, sensor: str) -> bool:
-        """Whether the text does not tell the height of the rays, and no robot flies or may lift an object above them later."""
-        loose = any(thing.solid and not kind.fixed for thing in self._world.objects for kind in (thing.variants or (thing,)))
+        """Whether the text does not tell the height of the rays, and no robot flies or may lift an object
+        above them later."""
+        loose = any(
+            thing.solid and not kind.fixed
+            for thing in self._world.objects
+            for kind in (thing.variants or (thing,))
+        )
         return not (self._flies or (loose and _can_lift(self._world))) and self._lowest(robot, sensor) is None
 
     @property
     def _flies(self) -> bool:
-        return any(isinstance(command.actuator, Thrust) for robot in self._program.robots for command in robot.commands)
+        return any(
+            isinstance(command.actuator, Thrust)
+            for robot in self._program.robots
+            for command in robot.commands
+        )
 
     def _lowest(self, robot: str, name: str) -> float | None:
-        """The lowest point of any ray within its range, m above the ground; None where it is unknown or a ray meets the ground."""
+        """The lowest point of any ray within its range, m above the ground; None where it is unknown or a ray
+        meets the ground."""
         placed = self._placed_rays(robot, name)
         if placed is None:
             return None
         reach, tried = placed
         for other in tried[1:]:
-            for (height, slope), (known, known_slope) in zip(other, tried[0], strict=True):
-                if abs(height - known) > _SAME_HEIGHT_M or abs(slope - known_slope) > _SAME_HEIGHT_M:
+            for (height, slope), (reference, known_slope) in zip(other, tried[0], strict=True):
+                if abs(height - reference) > _SAME_HEIGHT_M or abs(slope - known_slope) > _SAME_HEIGHT_M:
                     return None
         lowest = min(height + min(0.0, slope * reach) for height, slope in tried[0])
         return lowest if lowest > 0.0 else None
@@ -587,20 +609,27 @@ class Heights:
         return sensor.beams.reach, tried
 
     def _root(self, body: RobotBody) -> Frame | None:
-        """The frame of a robot's root, without yaw: of a fixed base, or of a robot that stands level on the ground."""
+        """The frame of a robot's root, without yaw: of a fixed base, or of a robot that stands level on the
+        ground."""
         if self._flies:
             return None
         height = None if body.fixed_base else _standing_height(body.model)
-        found: set[Frame] = set()
+        seen_frames: set[Frame] = set()
         for place, pose in self._analysis.start.poses(body.name):
-            known = [pose[key] for key in ("z", "roll", "pitch")]
-            if body.fixed_base and all(interval.is_single for interval in known):
-                found.add(((0.0, 0.0, pose["z"].low), quaternion(pose["roll"].low, pose["pitch"].low, 0.0)))
-            elif height is not None and is_level(pose) and (place.rests or all(abs(end - height) < _RESTING_GAP_M for end in pose["z"])):
-                found.add(((0.0, 0.0, height), frames.IDENTITY_ROTATION))
+            coordinates = [pose[key] for key in ("z", "roll", "pitch")]
+            if body.fixed_base and all(interval.is_single for interval in coordinates):
+                seen_frames.add(
+                    ((0.0, 0.0, pose["z"].low), quaternion(pose["roll"].low, pose["pitch"].low, 0.0))
+                )
+            elif (
+                height is not None
+                and is_level(pose)
+                and (place.rests or all(abs(end - height) < _RESTING_GAP_M for end in pose["z"]))
+            ):
+                seen_frames.add(((0.0, 0.0, height), frames.IDENTITY_ROTATION))
             else:
                 return None
-        return found.pop() if len(found) == 1 else None
+        return seen_frames.pop() if len(seen_frames) == 1 else None
 
     def _tops(self, robot: str) -> Iterator[tuple[str, float]]:
         """The name and the top of everything solid except the robot, m; infinite where it is unknown."""
@@ -617,7 +646,10 @@ class Heights:
     def _top(self, thing: ObjectBody, *, may_be_lifted: bool) -> float:
         """The top of an object; of a movable one with its longest side upright."""
         kinds = [(kind.shape, kind.fixed) for kind in thing.variants] or [(thing.shape, thing.fixed)]
-        if any((isinstance(shape, Mesh) and mesh_bounds(shape) is None) or (may_be_lifted and not fixed) for shape, fixed in kinds):
+        if any(
+            (isinstance(shape, Mesh) and mesh_bounds(shape) is None) or (may_be_lifted and not fixed)
+            for shape, fixed in kinds
+        ):
             return inf
         poses = list(self._analysis.start.poses(thing.name))
         top = -inf
@@ -628,25 +660,39 @@ class Heights:
             if not poses:  # a wall
                 top = max(top, size[2], thing.pose.xyz[2] + high)
             for place, pose in poses:
-                if place.velocity is not None or place.angular_velocity is not None or (fixed and not is_level(pose)):
+                if (
+                    place.velocity is not None
+                    or place.angular_velocity is not None
+                    or (fixed and not is_level(pose))
+                ):
                     return inf  # it may fly, or robots may drive up on it
                 half = high if is_level(pose) else hypot(*size)
-                top = max(top, (size[2] if is_level(pose) else half) if place.rests else pose["z"].high + half)
+                top = max(
+                    top, (size[2] if is_level(pose) else half) if place.rests else pose["z"].high + half
+                )
         return top
 
     def _top_of_robot(self, body: RobotBody) -> float:
         root = self._root(body)
-        if root is None or root[1] != frames.IDENTITY_ROTATION or not _end_is_motionless(body.model, _HIGHEST):
+        if (
+            root is None
+            or root[1] != frames.IDENTITY_ROTATION
+            or not _end_is_motionless(body.model, _HIGHEST)
+        ):
             return inf
         return root[0][2] + footprint.robot_bounds(body.model)[1][2]
 
 
 def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
-    """All joints at 0, then at positions that differ from joint to joint, spread evenly over their ranges (golden ratio)."""
+    """All joints at 0, then at positions that differ from joint to joint, spread evenly over their ranges
+    (golden ratio)."""
     yield {}
     free = [joint for joint in model.moving_joints if joint.name not in model.followers]
     for number in range(1, _MAX_JOINT_POSITIONS):
-        yield {joint.name: _position(joint, (number * (0.618034 + 0.1 * index)) % 1.0) for index, joint in enumerate(free)}
+        yield {
+            joint.name: _position(joint, (number * (0.618034 + 0.1 * index)) % 1.0)
+            for index, joint in enumerate(free)
+        }
 
 
 def _position(joint: Joint, share: float) -> float:
@@ -656,13 +702,14 @@ def _position(joint: Joint, share: float) -> float:
 
 
 def _end_is_motionless(model: RobotModel, end: int) -> bool:
-    """Whether no joint moves the lowest (0) or the highest (1) point of a robot: wheels do not, legs move both, arms the highest.
+    """Whether no joint moves the lowest (0) or the highest (1) point of a robot: wheels do not, legs move
+    both, arms the highest.
 
     Meshes do not count.
     """
     plain = footprint.without_meshes(model)
-    known, *others = [footprint.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)]
-    return all(abs(other - known) <= _SAME_HEIGHT_M for other in others)
+    height, *others = [footprint.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)]
+    return all(abs(other - height) <= _SAME_HEIGHT_M for other in others)
 
 
 def _can_lift(world: WorldModel) -> bool:
@@ -670,10 +717,12 @@ def _can_lift(world: WorldModel) -> bool:
 
 
 def _standing_height(model: RobotModel) -> float | None:
-    """The height (m) of the root's origin on level ground; None for a robot that joints raise, or that has to balance."""
+    """The height (m) of the root's origin on level ground; None for a robot that joints raise, or that has to
+    balance."""
     contact_points, center = footprint.contact_points(model, _FOOT_HEIGHT_M), _center_of_mass(model)
     stands = contact_points and all(
-        min(foot[axis] for foot in contact_points) < center[axis] < max(foot[axis] for foot in contact_points) for axis in (0, 1)
+        min(foot[axis] for foot in contact_points) < center[axis] < max(foot[axis] for foot in contact_points)
+        for axis in (0, 1)
     )
     return footprint.resting_height(model) if stands and _end_is_motionless(model, _LOWEST) else None
 
@@ -682,37 +731,62 @@ def _center_of_mass(model: RobotModel) -> tuple[float, float]:
     """(x, y) in the frame of the root, m, with all joints at 0."""
     where = footprint.link_frames(model)
     inertials = [(link.name, link.inertial) for link in model.links if link.inertial]
-    known = [(inertial.mass, frames.compose(where[name], frames.frame(inertial.origin))[0]) for name, inertial in inertials]
-    mass = sum(weight for weight, _ in known)
+    masses = [
+        (inertial.mass, frames.compose(where[name], frames.frame(inertial.origin))[0])
+        for name, inertial in inertials
+    ]
+    mass = sum(weight for weight, _ in masses)
     if mass <= 0.0:
         return 0.0, 0.0
-    return sum(weight * at[0] for weight, at in known) / mass, sum(weight * at[1] for weight, at in known) / mass
+    return sum(weight * at[0] for weight, at in masses) / mass, sum(
+        weight * at[1] for weight, at in masses
+    ) / mass
 
 
-def _passing_over(values: ValueReader, robot: str, sensor: str, clearance: Clearance, notes: tuple[str, ...] = ()) -> Finding:
+def _passing_over(
+    values: ValueReader, robot: str, sensor: str, clearance: Clearance, notes: tuple[str, ...] = ()
+) -> Finding:
     base = clearance.tallest.partition("#")[0]
-    height, top, lower = (with_unit(length, LENGTH) for length in (clearance.lowest, clearance.top, clearance.lowest - clearance.top))
+    height, top, lower = (
+        with_unit(length, LENGTH)
+        for length in (clearance.lowest, clearance.top, clearance.lowest - clearance.top)
+    )
     help = f"lower the `pose` of the sensor by more than {lower}"
     if clearance.tallest == ARENA:
         named, span = "the walls of the arena", values.span_of_first(("world", "arena"), "wall_height")
-        help = f"write `wall_height: {with_unit(float(f'{_RANGE_FACTOR * clearance.lowest:.2g}'), LENGTH)}` for the arena, or {help}"
+        help = (
+            f"write `wall_height: {with_unit(float(f'{_RANGE_FACTOR * clearance.lowest:.2g}'), LENGTH)}`"
+            f" for the arena, or {help}"
+        )
     else:
         wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`
         places = ("objects", base), ("robots", base), ("world", "walls", wall), ("reset", "layouts", wall)
-        named, span = f"`{wall or base}`", values.key_span(next((place for place in places if values.is_present(place)), ("world",)))
+        named = f"`{wall or base}`"
+        span = values.key_span(next((place for place in places if values.is_present(place)), ("world",)))
     also = (Label(span, f"{top} high"),)
     headline = (
         f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, "
         f"but the tallest body, {named}, is only {top} high"
     )
-    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes, labels=also)
+    return Finding(
+        "DB615",
+        values.key_span(("robots", robot, "sensors", sensor)),
+        headline,
+        help,
+        notes=notes,
+        labels=also,
+    )
 
 
-def _buried(values: ValueReader, robot: str, sensor: str, depth: float, notes: tuple[str, ...] = ()) -> Finding:
+def _buried(
+    values: ValueReader, robot: str, sensor: str, depth: float, notes: tuple[str, ...] = ()
+) -> Finding:
     lower = with_unit(float(f"{depth:.3g}"), LENGTH)
     headline = f"the rays of `{sensor}` meet nothing: they begin {lower} below the ground"
     help = f"raise the `pose` of the sensor by more than {lower}"
-    return Finding("DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes)
+    return Finding(
+        "DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes
+    )
 
 
 STATIC_RULES = (

@@ -1,4 +1,5 @@
-"""Resets and episodes of `lint --deep`, and what is measured in them. Runs in a process of its own (`simulation_process`).
+"""Resets and episodes of `lint --deep`, and what is measured in them. Runs in a process of its own
+(`simulation_process`).
 
 Every result is written at once: if an engine crashes, the last line tells how far the simulation had got.
 """
@@ -32,6 +33,7 @@ from deepbots_cli.lint.simulation import (
     MAX_SINK,
     RANDOM,
     Clearance,
+    End,
     Rolling,
     Rollout,
     UnreachedPose,
@@ -71,10 +73,15 @@ def compiled(folder: Path) -> Program:
 
 
 class Simulator:
-    """Carries out the plan of a scenario. `write` takes a result, `begin_step` the number of the next step."""
+    """Carries out the plan of a scenario. `write` takes a result, `begin_step` the number of the next
+    step."""
 
     def __init__(
-        self, program: Program, write: Callable[[dict[str, Any]], None], begin_step: Callable[[int], None], permissions: Permissions
+        self,
+        program: Program,
+        write: Callable[[dict[str, Any]], None],
+        begin_step: Callable[[int], None],
+        permissions: Permissions,
     ) -> None:
         self._program = program
         self._write = write
@@ -99,10 +106,23 @@ class Simulator:
             self._run_variants()
         except StoppedError:
             return
-        self._write({"measured": {by: counter.rows_by_part() for by, counter in self._counters.items() if by != _VARIANTS_LABEL}})
+        self._write(
+            {
+                "measured": {
+                    by: counter.rows_by_part()
+                    for by, counter in self._counters.items()
+                    if by != _VARIANTS_LABEL
+                }
+            }
+        )
         self._write({"still": self._constant_numbers(), "silent": self._silent()})
         depths = [[*both, depth] for both, depth in self._rays.depths.items() if 0.0 < depth < inf]
-        self._write({"clearances": [[*both, *clearance] for both, clearance in self._rays.clearances.items()], "depths": depths})
+        self._write(
+            {
+                "clearances": [[*both, *clearance] for both, clearance in self._rays.clearances.items()],
+                "depths": depths,
+            }
+        )
         self._write({"rolling": self._wheels.robots})
 
     def _build(self, program: Program) -> Supervisor:
@@ -122,10 +142,15 @@ class Simulator:
         with closing(self._build(program)) as environment:
             for seed in range(self._plan.resets):
                 self._reset(environment, seed, report=not self._program.reset.settle)
-                for found in environment.engine.overlaps():
-                    known = deepest.setdefault((found.one[0], found.other[0]), {"depth": 0.0})
-                    if found.depth > known["depth"]:
-                        known |= {"one": list(found.one), "other": list(found.other), "depth": found.depth, "seed": seed}
+                for pair in environment.engine.overlaps():
+                    deepest_here = deepest.setdefault((pair.one[0], pair.other[0]), {"depth": 0.0})
+                    if pair.depth > deepest_here["depth"]:
+                        deepest_here |= {
+                            "one": list(pair.one),
+                            "other": list(pair.other),
+                            "depth": pair.depth,
+                            "seed": seed,
+                        }
         for overlap in deepest.values():
             self._write({"overlap": overlap})
 
@@ -141,7 +166,8 @@ class Simulator:
                 self._write({"early": [environment.ended_by, seed]})
 
     def _check_first_commands(self, environment: Supervisor, arms: ArmWatch) -> None:
-        """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a range need not."""
+        """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a
+        range need not."""
         by = IDLE if idle_action(self._program.agent.action) is not None else RANDOM
         if by == RANDOM and self._program.agent.ranges:
             return
@@ -164,11 +190,19 @@ class Simulator:
     # Episodes
 
     def _run_episodes(
-        self, environment: Supervisor, rollouts: tuple[Rollout, ...], arms: ArmWatch | None = None, counted_as: str | None = None
+        self,
+        environment: Supervisor,
+        rollouts: tuple[Rollout, ...],
+        arms: ArmWatch | None = None,
+        counted_as: str | None = None,
     ) -> None:
         for rollout in rollouts:
             done = sum(counter.steps for by, counter in self._counters.items() if by in (RANDOM, HELD_RANDOM))
-            if counted_as is None and rollout.policy in (RANDOM, HELD_RANDOM) and done >= self._plan.min_random_steps:
+            if (
+                counted_as is None
+                and rollout.policy in (RANDOM, HELD_RANDOM)
+                and done >= self._plan.min_random_steps
+            ):
                 continue
             counter = self._counters.setdefault(counted_as or rollout.policy, Counter(self._program))
             self._write({"at": [rollout.policy, rollout.seed]})
@@ -177,7 +211,11 @@ class Simulator:
             try:
                 self._episode(environment, rollout, counter, report=counted_as is None)
             except DeepbotsError as error:
-                if isinstance(error, EvaluationError) and environment.step_count == 0 and environment.terminated:
+                if (
+                    isinstance(error, EvaluationError)
+                    and environment.step_count == 0
+                    and environment.terminated
+                ):
                     continue  # reported by its reset
                 raise self._stopped(environment, error) from None
             finally:
@@ -188,7 +226,9 @@ class Simulator:
         taken = self._steps(environment, rollout)
         next(taken)
         speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
-        check_wheels = self._wheels.watch(environment.engine) if report else lambda: None  # a case may have another robot file
+        check_wheels = (
+            self._wheels.watch(environment.engine) if report else lambda: None
+        )  # a case may have another robot file
         rewards: list[float] = []
         for step in taken:
             rewards.append(step.reward)
@@ -205,11 +245,8 @@ class Simulator:
                 self._write({"stop": {"kind": "space", "entries": _outside(environment, step.observation)}})
                 raise StoppedError
         if report:
-            worth = float(np.dot(rewards, self._program.agent.discount ** np.arange(len(rewards))))
-            limit = "limit" if environment.truncated else "left"
-            end = "success" if environment.is_success else "failure" if environment.terminated else limit
-            episode = {"policy": rollout.policy, "seed": rollout.seed, "steps": len(rewards), "discounted_return": worth, "end": end}
-            self._write({"episode": episode})
+            result = episode_result(step, rewards, self._program.agent.discount)
+            self._write({"episode": {"policy": rollout.policy, "seed": rollout.seed, **result}})
 
     def _steps(self, environment: Supervisor, rollout: Rollout) -> Iterator[Step]:
         """The steps of an episode; the number of each is written before it begins."""
@@ -225,14 +262,21 @@ class Simulator:
     # What has been constant so far
 
     def _constant_numbers(self) -> list[int]:
-        """The places of the numbers of the observation that were the same in every step of every episode; pictures after them."""
+        """The places of the numbers of the observation that were the same in every step of every episode;
+        pictures after them."""
         whole = functools.reduce(Counter.joined, self._counters.values(), Counter(self._program))
-        return [place for place in range(len(self._program.agent.numbers) + len(self._program.agent.images)) if not whole.varies(place)]
+        return [
+            place
+            for place in range(len(self._program.agent.numbers) + len(self._program.agent.images))
+            if not whole.varies(place)
+        ]
 
     def _silent(self) -> list[int]:
         """The places of the terms of the reward that were always 0."""
         places = range(len(self._program.agent.reward))
-        return [place for place in places if not any(counter.fired[place] for counter in self._counters.values())]
+        return [
+            place for place in places if not any(counter.fired[place] for counter in self._counters.values())
+        ]
 
     def _run_variants(self) -> None:
         """Run cases and stages, which may vary what is constant in the scenario itself."""
@@ -240,7 +284,10 @@ class Simulator:
         for program in (*(case.program for case in own.cases), *(stage.program for stage in own.curriculum)):
             if not self._constant_numbers() and not self._silent():
                 return
-            sizes = [(len(each.numbers) + len(each.images), len(each.reward)) for each in (own.agent, program.agent)]
+            sizes = [
+                (len(each.numbers) + len(each.images), len(each.reward))
+                for each in (own.agent, program.agent)
+            ]
             if sizes[0] == sizes[1]:
                 with closing(self._build(program)) as environment:
                     self._run_episodes(environment, variant_plan(program), counted_as=_VARIANTS_LABEL)
@@ -260,7 +307,8 @@ class Simulator:
 
 
 class Counter:
-    """Statistics over the episodes of one policy, per number of the observation and per term of the reward."""
+    """Statistics over the episodes of one policy, per number of the observation and per term of the
+    reward."""
 
     def __init__(self, program: Program) -> None:
         self._program = program
@@ -282,7 +330,10 @@ class Counter:
         self._add_terms(np.array(list(terms.values())))
         if isinstance(observation, dict):
             for key in self._pictures:
-                if key not in self._changed and (observation[key] != self._first.setdefault(key, observation[key])).any():
+                if (
+                    key not in self._changed
+                    and (observation[key] != self._first.setdefault(key, observation[key])).any()
+                ):
                     self._changed.add(key)
             observation = observation.get("observation", np.zeros((1, 0)))
         for row in np.atleast_2d(observation)[:, self._columns]:
@@ -300,7 +351,8 @@ class Counter:
         np.maximum(self.greatest, values, out=self.greatest)
 
     def joined(self, other: Counter) -> Counter:
-        """What the observation was over both: it moved, too, if it was not the same in one as in the other."""
+        """What the observation was over both: it moved, too, if it was not the same in one as in the
+        other."""
         both = Counter(self._program)
         both.low, both.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         both._changed = self._changed | other._changed
@@ -309,15 +361,35 @@ class Counter:
     def varies(self, place: int) -> bool:
         """Whether an entry was not the same throughout."""
         numbers = len(self._columns)
-        return bool(self.high[place] - self.low[place] > _ROUNDING) if place < numbers else self._pictures[place - numbers] in self._changed
+        return (
+            bool(self.high[place] - self.low[place] > _ROUNDING)
+            if place < numbers
+            else self._pictures[place - numbers] in self._changed
+        )
 
     def rows_by_part(self) -> list[Any]:
-        """Steps, rows, and the statistics of numbers and terms, as `simulation.PolicyStatistics` takes them."""
+        """Steps, rows, and the statistics of numbers and terms, as `simulation.PolicyStatistics` takes
+        them."""
         if not self.steps:
             return [0, 0, [], []]
-        numbers = zip(*(part.tolist() for part in (self.low, self.high, self.at_low, self.at_high)), strict=True)
-        terms = zip(*(part.tolist() for part in (self.sums, self.sizes, self.least, self.greatest)), strict=True)
+        numbers = zip(
+            *(part.tolist() for part in (self.low, self.high, self.at_low, self.at_high)), strict=True
+        )
+        terms = zip(
+            *(part.tolist() for part in (self.sums, self.sizes, self.least, self.greatest)), strict=True
+        )
         return [self.steps, self.rows, list(numbers), list(terms)]
+
+
+def episode_result(
+    last: Step, rewards: Sequence[float] | NDArray[np.float64], discount: float
+) -> dict[str, Any]:
+    """The result of an episode in a report, from its last step and the reward of each step."""
+    end: End = "limit" if last.truncated else "left"
+    if last.terminated or last.info["is_success"]:
+        end = "success" if last.info["is_success"] else "failure"
+    discounted = float(np.dot(rewards, discount ** np.arange(len(rewards))))
+    return {"steps": len(rewards), "discounted_return": discounted, "end": end}
 
 
 def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
@@ -333,10 +405,16 @@ def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
 
 def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
     agent = environment.scenario.agent
-    masked = agent.copies is None and any(option.forbidden for part in agent.action for option in getattr(part, "options", ()))
+    masked = agent.copies is None and any(
+        option.forbidden for part in agent.action for option in getattr(part, "options", ())
+    )
     for number in count():
         if number % hold == 0 or masked:
-            action = environment.action_space.sample(environment.action_mask()) if masked else environment.action_space.sample()
+            action = (
+                environment.action_space.sample(environment.action_mask())
+                if masked
+                else environment.action_space.sample()
+            )
         yield action
 
 
@@ -353,7 +431,9 @@ def _outside(environment: Supervisor, observation: Any) -> list[str]:
 def _infinite(environment: Supervisor) -> list[str]:
     if not environment.step_count:
         return []
-    return [name for name, value in environment.get_info()["reward_terms"].items() if not math.isfinite(value)]
+    return [
+        name for name, value in environment.get_info()["reward_terms"].items() if not math.isfinite(value)
+    ]
 
 
 def _lines(error: BaseException) -> list[str]:
@@ -383,7 +463,8 @@ class _WatchedBody(NamedTuple):
 
 
 class SpeedWatch:
-    """Checks the speeds of robots and of movable objects. `new_maximum` is the fastest body, when its speed has grown a lot."""
+    """Checks the speeds of robots and of movable objects. `new_maximum` is the fastest body, when its speed
+    has grown a lot."""
 
     def __init__(self, environment: Supervisor) -> None:
         world, engine = environment.world, environment.engine
@@ -396,7 +477,11 @@ class SpeedWatch:
             reader = engine.joint_states(robot.name, names) if names else None
             turns = tuple(joint.type != "prismatic" for joint in moving)
             self._watched.append(_WatchedBody(robot.name, engine.motion(robot.name), names, turns, reader))
-        self._watched += [_WatchedBody(thing.name, engine.motion(thing.name), (), (), None) for thing in world.objects if not thing.fixed]
+        self._watched += [
+            _WatchedBody(thing.name, engine.motion(thing.name), (), (), None)
+            for thing in world.objects
+            if not thing.fixed
+        ]
         self._fastest = 1.0
         self.new_maximum: list[Any] = []
 
@@ -413,9 +498,9 @@ class SpeedWatch:
                 return {"body": watched.body, "what": "velocity", "value": velocity}
             if spin > _MAX_SPIN and spin * self._substep > _HALF_TURN:
                 return {"body": watched.body, "what": "spin", "value": spin}
-            found = self._joint(watched)
-            if found:
-                return found
+            speed = self._joint(watched)
+            if speed:
+                return speed
         return {}
 
     def _joint(self, watched: _WatchedBody) -> dict[str, Any]:
@@ -430,18 +515,31 @@ class SpeedWatch:
 
     def lost(self) -> list[str]:
         """The bodies whose motion is no longer a number."""
-        return [watched.body for watched in self._watched if not math.isfinite(sum(map(sum, (*watched.motion()[0], *watched.motion()[1]))))]
+        return [
+            watched.body
+            for watched in self._watched
+            if not math.isfinite(sum(map(sum, (*watched.motion()[0], *watched.motion()[1]))))
+        ]
 
 
 # Wheels
 
 
 class WheelWatch:
-    """Watches robots that stand on driven wheels. `robots` maps each to its largest motion so far; it is empty for teams."""
+    """Watches robots that stand on driven wheels. `robots` maps each to its largest motion so far; it is
+    empty for teams."""
 
     def __init__(self, scenario: Program) -> None:
-        models = {body.name: body.model for body in scenario.world.robots if not body.fixed_base and scenario.agent.copies is None}
-        self._wheels = {robot.name: driven_wheels(robot, models[robot.name]) for robot in scenario.robots if robot.name in models}
+        models = {
+            body.name: body.model
+            for body in scenario.world.robots
+            if not body.fixed_base and scenario.agent.copies is None
+        }
+        self._wheels = {
+            robot.name: driven_wheels(robot, models[robot.name])
+            for robot in scenario.robots
+            if robot.name in models
+        }
         self.robots = {name: Rolling(0.0, 0.0, 0.0) for name, wheels in self._wheels.items() if wheels}
 
     def watch(self, engine: Engine) -> Callable[[], None]:
@@ -463,11 +561,11 @@ class WheelWatch:
             place, attitude = pose()
             turn = abs(remainder(frames.roll_pitch_yaw(attitude)[2] - heading, tau))
             wheel = max(abs(state[0] - before) for state, before in zip(states(), positions, strict=True))
-            known = self.robots[robot]
+            rolling = self.robots[robot]
             self.robots[robot] = Rolling(
-                max(known.distance, hypot(place[0] - x, place[1] - y)),
-                max(known.turn, turn),
-                max(known.wheel, wheel),
+                max(rolling.distance, hypot(place[0] - x, place[1] - y)),
+                max(rolling.turn, turn),
+                max(rolling.wheel, wheel),
             )
 
         return check
@@ -505,11 +603,15 @@ class ArmWatch:
                     yield actuator.name
 
     def take_misses(self, by: str, seed: int) -> list[UnreachedPose]:
-        """The first miss of each actuator since the last call; later misses start from where it brought the arm."""
-        found = [replace(miss, policy=by, seed=seed, commands=self.commands[key]) for key, miss in self._misses.items()]
+        """The first miss of each actuator since the last call; later misses start from where it brought the
+        arm."""
+        misses = [
+            replace(miss, policy=by, seed=seed, commands=self.commands[key])
+            for key, miss in self._misses.items()
+        ]
         self.commands.clear()
         self._misses.clear()
-        return found
+        return misses
 
     def _check(
         self,
@@ -525,23 +627,57 @@ class ArmWatch:
             return
         key = (robot, actuator.name)
         self.commands[key] = self.commands.get(key, 0) + 1
-        found = dict(zip(actuator.joints, solution, strict=True))
-        others = [joint.name for joint in model.moving_joints if joint.name not in found and joint.name not in model.followers]
-        now = {name: state[0] for name, state in zip(others, world.engine.joint_states(robot, others)(), strict=True)} if others else {}
-        place, turned = frames.compose(world.engine.pose(robot)(), footprint.link_frames(model, now | found)[actuator.link])
+        positions = dict(zip(actuator.joints, solution, strict=True))
+        others = [
+            joint.name
+            for joint in model.moving_joints
+            if joint.name not in positions and joint.name not in model.followers
+        ]
+        now = (
+            {
+                name: state[0]
+                for name, state in zip(others, world.engine.joint_states(robot, others)(), strict=True)
+            }
+            if others
+            else {}
+        )
+        place, turned = frames.compose(
+            world.engine.pose(robot)(), footprint.link_frames(model, now | positions)[actuator.link]
+        )
         distance = dist(place, target)
-        angle = 0.0 if drive.attitude is None else _angle(frames.multiply(drive.attitude, frames.inverse(turned)))
+        angle = (
+            0.0 if drive.attitude is None else _angle(frames.multiply(drive.attitude, frames.inverse(turned)))
+        )
         if distance <= _DISTANCE and angle <= _ANGLE:
             self._check_turn(world, key, actuator, drive, target)
             return
         if key not in self._misses:
-            limits = {name: model.joint(name).limit for name in found}
-            ends = {name: [end for end in (limit.lower, limit.upper) if end is not None] for name, limit in limits.items()}
-            at_limit = {name: end for name, known in ends.items() for end in known if abs(found[name] - end) < _LIMIT_TOLERANCE}
-            self._misses[key] = UnreachedPose(robot, actuator.name, distance, angle, at_limit, step=world.step_count)
-        self._misses[key] = replace(self._misses[key], unreached_commands=self._misses[key].unreached_commands + 1)
+            limits = {name: model.joint(name).limit for name in positions}
+            ends = {
+                name: [end for end in (limit.lower, limit.upper) if end is not None]
+                for name, limit in limits.items()
+            }
+            at_limit = {
+                name: end
+                for name, limit_ends in ends.items()
+                for end in limit_ends
+                if abs(positions[name] - end) < _LIMIT_TOLERANCE
+            }
+            self._misses[key] = UnreachedPose(
+                robot, actuator.name, distance, angle, at_limit, step=world.step_count
+            )
+        self._misses[key] = replace(
+            self._misses[key], unreached_commands=self._misses[key].unreached_commands + 1
+        )
 
-    def _check_turn(self, world: Supervisor, key: tuple[str, str], actuator: CartesianActuator, drive: Cartesian, target: Triple) -> None:
+    def _check_turn(
+        self,
+        world: Supervisor,
+        key: tuple[str, str],
+        actuator: CartesianActuator,
+        drive: Cartesian,
+        target: Triple,
+    ) -> None:
         """Check whether the first command of an episode turns a link in place."""
         if drive.attitude is None or self.commands[key] > 1 or key in self._misses:
             return
@@ -549,7 +685,9 @@ class ArmWatch:
         turn = _angle(frames.multiply(drive.attitude, frames.inverse(attitude)))
         if turn > _LARGE_TURN and dist(place, target) < _MAX_TURNING_DISTANCE_M:
             start = frames.roll_pitch_yaw(attitude)
-            self._misses[key] = UnreachedPose(*key, 0.0, 0.0, {}, turn=turn, start=start, step=world.step_count)
+            self._misses[key] = UnreachedPose(
+                *key, 0.0, 0.0, {}, turn=turn, start=start, step=world.step_count
+            )
 
 
 def _angle(q: frames.Quaternion) -> float:
@@ -561,39 +699,57 @@ def _angle(q: frames.Quaternion) -> float:
 
 
 class RayWatch:
-    """Watches sensors whose rays have met nothing in all steps so far, above everything solid or from below the ground.
+    """Watches sensors whose rays have met nothing in all steps so far, above everything solid or from below
+    the ground.
 
-    `clearances` maps robot and sensor to where their rays pass, `depths` to the smallest depth (m) at which they began; both are empty
-    for teams and above terrain.
+    `clearances` maps robot and sensor to where their rays pass, `depths` to the smallest depth (m) at which
+    they began; both are empty for teams and above terrain.
     """
 
     def __init__(self, scenario: Program) -> None:
         self._world = scenario.world
         is_asked = scenario.world.terrain is None and scenario.agent.copies is None
-        found = [(robot.name, sensor) for robot in scenario.robots for sensor in robot.sensors if is_asked and casts_rays(sensor)]
-        self._sensors = {(robot, sensor.name): sensor for robot, sensor in found}
-        self.clearances: dict[tuple[str, str], Clearance] = dict.fromkeys(self._sensors, Clearance(inf, -inf, ""))
-        self.depths: dict[tuple[str, str], float] = dict.fromkeys(self._sensors if scenario.world.ground is not None else (), inf)
+        asked = [
+            (robot.name, sensor)
+            for robot in scenario.robots
+            for sensor in robot.sensors
+            if is_asked and casts_rays(sensor)
+        ]
+        self._sensors = {(robot, sensor.name): sensor for robot, sensor in asked}
+        self.clearances: dict[tuple[str, str], Clearance] = dict.fromkeys(
+            self._sensors, Clearance(inf, -inf, "")
+        )
+        self.depths: dict[tuple[str, str], float] = dict.fromkeys(
+            self._sensors if scenario.world.ground is not None else (), inf
+        )
 
     def watch(self, engine: Engine) -> Callable[[], None]:
         """A function that checks the world of an engine, to be called in each step."""
         if not self.clearances and not self.depths:
             return lambda: None
         tops = {thing.name: _top_of(engine, thing) for thing in self._world.objects if thing.solid}
-        tops |= {body.name: _top_of_robot(engine, body.name, footprint.robot_bounds(body.model)) for body in self._world.robots}
+        tops |= {
+            body.name: _top_of_robot(engine, body.name, footprint.robot_bounds(body.model))
+            for body in self._world.robots
+        }
         if self._world.arena is not None:
             wall = self._world.arena.wall_height
             tops[ARENA] = lambda: wall
-        heights = {both: _ray_heights(engine, both[0], self._sensors[both]) for both in self.clearances.keys() | self.depths.keys()}
+        heights = {
+            both: _ray_heights(engine, both[0], self._sensors[both])
+            for both in self.clearances.keys() | self.depths.keys()
+        }
 
         def check() -> None:
-            known = [(top(), name) for name, top in tops.items()] if self.clearances else []
+            top_heights = [(top(), name) for name, top in tops.items()] if self.clearances else []
             for both in [both for both in self._sensors if both in self.clearances or both in self.depths]:
-                highest = max((top for top in known if top[1] != both[0]), default=(inf, ""))
+                highest = max((top for top in top_heights if top[1] != both[0]), default=(inf, ""))
                 low, begin = heights[both]()
                 if both in self.clearances and low > highest[0] + MAX_SINK:
                     before = self.clearances[both]
-                    self.clearances[both] = Clearance(min(low, before.lowest), *max(highest, (before.top, before.tallest)))
+                    self.clearances[both] = Clearance(
+                        min(low, before.lowest), *max(highest, (before.top, before.tallest))
+                    )
                 else:
                     self.clearances.pop(both, None)
                 if both in self.depths and begin < -MAX_SINK:
@@ -617,7 +773,8 @@ def _top_of_robot(engine: Engine, name: str, box: footprint.Bounds) -> Callable[
 
 
 def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tuple[float, float]]:
-    """The lowest point of any ray within its range, and the highest at which one begins, m; (-inf, inf) while a ray meets something."""
+    """The lowest point of any ray within its range, and the highest at which one begins, m; (-inf, inf) while
+    a ray meets something."""
     assert sensor.beams is not None  # it casts rays
     mount, reach, part = frames.frame(sensor.mount), sensor.beams.reach, (robot, sensor.subjects[0])
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
@@ -629,6 +786,8 @@ def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tup
         (_, _, height), turn = pose()
         if min(cast()) < reach:
             return -inf, inf
-        return height + min(frames.rotate(turn, end)[2] for end in ends), height + max(frames.rotate(turn, begin)[2] for begin in begins)
+        return height + min(frames.rotate(turn, end)[2] for end in ends), height + max(
+            frames.rotate(turn, begin)[2] for begin in begins
+        )
 
     return measured

@@ -1,4 +1,5 @@
-"""Values at the end of their range in the observation, before a failure (DB603) and in ordinary operation (DB611)."""
+"""Values at the end of their range in the observation, before a failure (DB603) and in ordinary operation
+(DB611)."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from deepbots_cli.expressions.dimensions import ACCELERATION
 from deepbots_cli.expressions.intervals import NEVER, SIGNED_UNIT, Interval
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import Typed, walk
-from deepbots_cli.lint.context import RuleContext
+from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
 from deepbots_cli.program.values import Expression
 
@@ -29,23 +30,9 @@ _MIN_VISIBLE_SHARE = 0.05
 _MAX_BISECTIONS = 40
 
 
+@rule("DB603")
 def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
-    """DB603: a value leaves its range in the observation before it ends the episode: the agent cannot see the failure coming.
-
-    Between the end of the range and the limit the policy sees a constant, exactly where it has to act. The rule also checks values that
-    are computed from the value in the condition, such as `clamp(x / track, -1 .. 1)`. It reports nothing if at least one entry of the
-    observation still changes up to the limit.
-
-    Example::
-
-        observation: {cart.pole_angle: -0.23 .. 0.23 rad}
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-
-    Instead::
-
-        observation: {cart.pole_angle: -20 .. 20 deg}
-        termination: {failure: {fallen: abs(cart.pole_angle) > 15 deg}}
-    """
+    """A value leaves its range in the observation before it ends the episode."""
     analysis = context.analysis.ideal
     ranges = analysis.ranges
     shown = [(number, _parts(analysis, number.node)) for number in ranged_numbers(analysis)]
@@ -54,7 +41,9 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
         if ending.name in context.program.agent.success or ending in context.analysis.shadowed:
             continue
         for comparison in comparisons(analysis, ending):
-            asked = [threshold for threshold in thresholds(comparison, ranges) if _can_be_met(threshold, ranges)]
+            asked = [
+                threshold for threshold in thresholds(comparison, ranges) if _can_be_met(threshold, ranges)
+            ]
             for view in _blind(shown, asked, ranges):
                 if (id(view.number.entry), ending.name) not in met:
                     met.add((id(view.number.entry), ending.name))
@@ -62,7 +51,8 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
 
 
 class BlindNumber(NamedTuple):
-    """A number of the observation, and the value of a threshold's quantity from which on the number is constant; NaN if it never is."""
+    """A number of the observation, and the value of a threshold's quantity from which on the number is
+    constant; NaN if it never is."""
 
     number: RangedNumber
     threshold: Threshold
@@ -75,35 +65,42 @@ def _parts(analysis: Analysis, node: Scalar) -> set[int]:
 
 
 def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:
-    known = ranges.of(threshold.quantity)
-    return known.high > threshold.limit if threshold.above else known.low < threshold.limit
+    interval = ranges.of(threshold.quantity)
+    return interval.high > threshold.limit if threshold.above else interval.low < threshold.limit
 
 
-def _blind(shown: list[tuple[RangedNumber, set[int]]], asked: list[Threshold], ranges: Ranges) -> Iterator[BlindNumber]:
+def _blind(
+    shown: list[tuple[RangedNumber, set[int]]], asked: list[Threshold], ranges: Ranges
+) -> Iterator[BlindNumber]:
     """For each threshold of a comparison that no number shows, the first number that should."""
     views = []
     for threshold in asked:
         quantity = ranges.analysis.identity(threshold.quantity)
-        seen = [BlindNumber(number, threshold, _edge(number, threshold, ranges)) for number, parts in shown if quantity in parts]
+        seen = [
+            BlindNumber(number, threshold, _edge(number, threshold, ranges))
+            for number, parts in shown
+            if quantity in parts
+        ]
         views.append((quantity, seen))
-    for quantity, found in views:
+    for quantity, blind in views:
         # `abs(x) > 1 m` has thresholds of both `abs(x)` and `x`; the policy needs to see only one of them.
         others = [view for other, there in views if other != quantity for view in there]
-        if found and not any(isnan(view.edge) for view in (*found, *others)):
-            yield found[0]
+        if blind and not any(isnan(view.edge) for view in (*blind, *others)):
+            yield blind[0]
 
 
 def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
-    """For the quantity itself the end of its range; for a value that depends on it, the point where it stops changing."""
+    """For the quantity itself the end of its range; for a value that depends on it, the point where it stops
+    changing."""
     analysis, bound, limit = ranges.analysis, threshold.bound, threshold.limit
-    known, quantity = ranges.of(threshold.quantity), analysis.identity(threshold.quantity)
+    interval, quantity = ranges.of(threshold.quantity), analysis.identity(threshold.quantity)
     if not number.entry.clip:
         return nan
     if quantity == analysis.identity(number.node):
         slack = _ROUNDING * max(abs(bound.low), abs(bound.high))
         edge = number.high if threshold.above else number.low
         is_short = edge < limit - slack if threshold.above else edge > limit + slack
-        return edge if is_short and not number.is_outside(known) else nan
+        return edge if is_short and not number.is_outside(interval) else nan
 
     def is_constant(start: float) -> bool:
         """Whether the number is constant from `start` to the limit."""
@@ -112,7 +109,7 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
 
     safe = -1.0 if threshold.above else 1.0
     far = 0.0 if safe * limit < 0.0 else limit + safe * (abs(limit) or 1.0)
-    far = min(max(far, known.low), known.high)
+    far = min(max(far, interval.low), interval.high)
     near = limit + _MIN_VISIBLE_SHARE * (far - limit)
     if not is_constant(near) or is_constant(far):
         return nan
@@ -122,13 +119,22 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
     return near
 
 
-def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending: Expression, comparison: ConditionComparison) -> Finding:
+def _unseen(
+    context: RuleContext,
+    analysis: Analysis,
+    view: BlindNumber,
+    ending: Expression,
+    comparison: ConditionComparison,
+) -> Finding:
     number, name, limit = view.number, view.number.name, view.threshold.limit
     help, fix = f"widen the range of `{name}`, or the bounds of a `clamp` in its value", None
     help += f", so that it still changes at the limit of `{ending.name}`"
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
         end = "high" if view.threshold.above else "low"
-        headline = f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, but the episode fails only"
+        headline = (
+            f"the {end} end of the range of `{name}` is {with_unit(view.edge, number.dimension)}, but"
+            " the episode fails only"
+        )
         headline += f" at {with_unit(limit, number.dimension)}"
         beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
         other = -beyond if number.low == -number.high else beyond
@@ -137,8 +143,15 @@ def _unseen(context: RuleContext, analysis: Analysis, view: BlindNumber, ending:
         fix = replace_range(context, number, wide, number.dimension)
     elif (dimension := view.threshold.dimension) is not None:
         part = _part_of(comparison, analysis, view.threshold.quantity)
-        shown = f"`{comparison.value.text[part.start : part.end]}`" if part else f"the value that `{ending.name}` compares"
-        headline = f"`{name}` does not change while {shown} goes from {with_unit(view.edge, dimension)} to {with_unit(limit, dimension)}"
+        shown = (
+            f"`{comparison.value.text[part.start : part.end]}`"
+            if part
+            else f"the value that `{ending.name}` compares"
+        )
+        headline = (
+            f"`{name}` does not change while {shown} goes from {with_unit(view.edge, dimension)} to"
+            f" {with_unit(limit, dimension)}"
+        )
         headline += f", the limit of `{ending.name}`"
     else:
         headline = f"`{name}` is already constant shortly before `{ending.name}` reaches its limit"
@@ -154,27 +167,16 @@ def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scal
     """The part of a comparison that is written for the quantity; None where nothing is."""
     wanted = analysis.identity(quantity)
     for part in walk(comparison.node):
-        if part is not comparison.node and wanted in map(analysis.identity, analysis.lowered(part, comparison.value.owner)):
+        if part is not comparison.node and wanted in map(
+            analysis.identity, analysis.lowered(part, comparison.value.owner)
+        ):
             return part
     return None
 
 
+@rule("DB611")
 def observation_saturates(context: RuleContext) -> Iterator[Finding]:
-    """DB611: a value is at the end of its range in normal operation: an accelerometer at rest, or a start beyond the range.
-
-    An accelerometer at rest reads the acceleration of gravity, upwards. If its range ends below this value, the axis is constant while
-    the robot stands. A value that begins outside its range is constant as well.
-
-    Example::
-
-        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}}}
-        observation: {cart.accel: -5 .. 5 m/s^2}
-
-    Instead::
-
-        robots: {cart: {sensors: {accel: {type: accelerometer, link: body}}}}
-        observation: {cart.accel: -15 .. 15 m/s^2}
-    """
+    """A value is at the end of its range in normal operation."""
     yield from _saturated_at_start(context)
     yield from _goal_out_of_range(context)
     yield from _saturated_by_gravity(context)
@@ -192,12 +194,21 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
             verb = "starts" if first.is_single else "can start"
-            headline = f"`{number.name}` {verb} outside its range: its initial value is {bounds_text(first, number.dimension)}"
-            yield Finding("DB611", context.range_span(number.entry), headline, "widen the range, or choose a start within it")
+            headline = (
+                f"`{number.name}` {verb} outside its range: its initial value is"
+                f" {bounds_text(first, number.dimension)}"
+            )
+            yield Finding(
+                "DB611",
+                context.range_span(number.entry),
+                headline,
+                "widen the range, or choose a start within it",
+            )
 
 
 def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
-    """A goal that is drawn from more than its range: policy, reward and endings know only the clipped value."""
+    """A goal that is drawn from more than its range: policy, reward and endings know only the clipped
+    value."""
     analysis, goal = context.analysis, context.program.agent.goal
     if goal is None:
         return
@@ -207,7 +218,10 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
         drawn = analysis.start.initial(meant) if isinstance(meant, EngineRead) else drawn
         slack = _ROUNDING * (high - low)
         if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
-            headline = f"`desired` can be outside its range: it is drawn {bounds_text(drawn, goal.desired.typed.type.dimension)}"
+            headline = (
+                "`desired` can be outside its range: it is drawn"
+                f" {bounds_text(drawn, goal.desired.typed.type.dimension)}"
+            )
             yield Finding(
                 "DB611",
                 context.values.span(("goal", "range")),
@@ -222,7 +236,12 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
     for number in ranged_numbers(context.analysis):
         leaf = context.analysis.resolve_aliases(number.node)
         reading = _at_rest(context.analysis, leaf)
-        if reading is None or not number.entry.clip or id(number.entry) in met or number.low <= reading <= number.high:
+        if (
+            reading is None
+            or not number.entry.clip
+            or id(number.entry) in met
+            or number.low <= reading <= number.high
+        ):
             continue
         met.add(id(number.entry))
         axis = leaf.component if isinstance(leaf, Name) else ""
@@ -230,21 +249,27 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
         wide = Interval(min(number.low, -size), max(number.high, size))
         edge = f"the {'high' if reading > 0 else 'low'} end of the range of `{number.name}`"
         headline = f"{edge} is {with_unit(number.high if reading > 0 else number.low, ACCELERATION)}"
-        headline += f", but at rest {f'`{number.name}.{axis}`' if axis else 'its value'} is {with_unit(reading, ACCELERATION)}"
+        headline += (
+            f", but at rest {f'`{number.name}.{axis}`' if axis else 'its value'} is"
+            f" {with_unit(reading, ACCELERATION)}"
+        )
         help = f"widen the range beyond gravity, for example to `{range_text(wide, ACCELERATION)}`"
         fix = replace_range(context, number, wide, ACCELERATION)
         yield Finding("DB611", context.range_span(number.entry), headline, help, fix=fix)
 
 
 def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
-    """The reading (m/s^2) of an axis of an accelerometer while its robot stands upright and still; None where that is unknown."""
-    found = analysis.sensor(leaf)
-    if found is None or found[1].kind != "accelerometer" or not isinstance(leaf, Name):
+    """The reading (m/s^2) of an axis of an accelerometer while its robot stands upright and still; None where
+    that is unknown."""
+    reading = analysis.sensor(leaf)
+    if reading is None or reading[1].kind != "accelerometer" or not isinstance(leaf, Name):
         return None
-    robot, sensor = found
+    robot, sensor = reading
     model = analysis.body(robot).model
     tilts = [analysis.start.of(EngineRead("orientation", (f"{robot}.{model.root}",), axis)) for axis in "xy"]
-    if rigid_root(model, sensor.subjects[0])[0] != model.root or any(tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts):
+    if rigid_root(model, sensor.subjects[0])[0] != model.root or any(
+        tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts
+    ):
         return None
     link = footprint.link_frames(model)[sensor.subjects[0]]
     turn = frames.compose(link, frames.frame(sensor.mount))[1]

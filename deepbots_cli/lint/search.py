@@ -1,7 +1,8 @@
-"""The episodes of `lint --exploits`: fixed drivers, scripts, and a search over sequences of actions. Runs in a process of its own.
+"""The episodes of `lint --exploits`: fixed drivers, scripts, and a search over sequences of actions. Runs in
+a process of its own.
 
-Every driver is a text that `--driver` takes, so that each episode can be repeated by hand. The search is the cross-entropy method: it draws
-sequences around a mean, and moves the mean to the best of them.
+Every driver is a text that `--driver` takes, so that each episode can be repeated by hand. The search is the
+cross-entropy method: it draws sequences around a mean, and moves the mean to the best of them.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.lint.exploits import is_better_than_success
-from deepbots_cli.lint.simulation import DrivenEpisode, DriverKind, End, work_per_step
+from deepbots_cli.lint.rollouts import episode_result
+from deepbots_cli.lint.simulation import DrivenEpisode, DriverKind, work_per_step
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionPart, Choices, idle_action
 from deepbots_cli.rollout import Driver, Start, Step, steps
@@ -37,7 +39,8 @@ _HOLDS = (2, 10)
 _CONFIRMED = 3
 """The best drivers of the first start that are tried on the others, of each kind of end."""
 _INTERRUPTIONS, _MAX_INTERRUPTIONS, _MIN_BETWEEN = (1, 3), 5, 2
-"""Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are none that lasts."""
+"""Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are
+none that lasts."""
 _SHARE_OF_INTERRUPTIONS = 0.05
 """Of the steps that are left, for the interruptions from each start."""
 _POPULATION, _ELITES, _GENERATIONS = 12, 3, 12
@@ -50,9 +53,16 @@ class ExploitSearch:
     """Plays the episodes of a scenario. `write` takes each, `begin_step` the number of the next step."""
 
     def __init__(
-        self, program: Program, write: Callable[[dict[str, Any]], None], begin_step: Callable[[int], None], permissions: Permissions
+        self,
+        program: Program,
+        write: Callable[[dict[str, Any]], None],
+        begin_step: Callable[[int], None],
+        permissions: Permissions,
     ) -> None:
-        self._program, self._write, self._begin_step, self._permissions = program, write, begin_step, permissions
+        self._program = program
+        self._write = write
+        self._begin_step = begin_step
+        self._permissions = permissions
         self._left = int(_MAX_WORK / work_per_step(program))
         self._longest = max(10, min(program.truncation.max_episode_steps(program.period), self._left // 4))
         self._played: dict[tuple[str, int], DrivenEpisode | None] = {}
@@ -68,7 +78,13 @@ class ExploitSearch:
             return
         last = self._program.truncation.max_episode_steps(self._program.period)
         if self._longest < last:
-            self._write({"stop": {"text": f"only the first {self._longest:,} of {last:,} steps of an episode are played"}})
+            self._write(
+                {
+                    "stop": {
+                        "text": f"only the first {self._longest:,} of {last:,} steps of an episode are played"
+                    }
+                }
+            )
         with closing(self._environment):
             fixed = list(fixed_drivers(self._program))
             for number in range(_STARTS):
@@ -79,7 +95,11 @@ class ExploitSearch:
             if self._program.defines_success and not is_better_than_success(self._episodes):
                 for number in range(_STARTS):
                     self._interrupt(number)
-            if self._program.defines_success and not is_better_than_success(self._episodes) and self._search(0):
+            if (
+                self._program.defines_success
+                and not is_better_than_success(self._episodes)
+                and self._search(0)
+            ):
                 self._confirm()
                 if not is_better_than_success(self._episodes):
                     self._search(1)
@@ -99,23 +119,40 @@ class ExploitSearch:
                 self._play(episode.driver, episode.kind, number)
 
     def _interrupt(self, number: int) -> None:
-        """Interrupt the best script in the step before its success, again and again: a success may have to last for a time."""
-        reached = [each for each in self._episodes if each.number == number and each.end == "success" and each.kind == "script"]
+        """Interrupt the best script in the step before its success, again and again: a success may have to
+        last for a time."""
+        reached = [
+            each
+            for each in self._episodes
+            if each.number == number and each.end == "success" and each.kind == "script"
+        ]
         if not reached:
             return
         best = max(reached, key=lambda each: each.total_return)
         before = best.steps - 1
-        actions = [driver_text(self._slots, [values]) for values in _constants(self._slots)[:_MAX_INTERRUPTIONS]]
+        actions = [
+            driver_text(self._slots, [values]) for values in _constants(self._slots)[:_MAX_INTERRUPTIONS]
+        ]
         enough = self._left * (1.0 - _SHARE_OF_INTERRUPTIONS)
         for action, lasting in product(actions, _INTERRUPTIONS):
             if self._left < enough:
                 return
-            again = self._play(f"{best.driver}*{max(1, before)},{action}*{lasting},{best.driver}*{self._longest}", "interrupted", number)
-            between = again.steps - before - lasting - 1 if again is not None and again.end == "success" else 0
+            again = self._play(
+                f"{best.driver}*{max(1, before)},{action}*{lasting},{best.driver}*{self._longest}",
+                "interrupted",
+                number,
+            )
+            between = (
+                again.steps - before - lasting - 1 if again is not None and again.end == "success" else 0
+            )
             if between < _MIN_BETWEEN:
                 continue
             turns = (self._longest - before) // (lasting + between) + 1
-            self._play(f"{best.driver}*{max(1, before)}" + f",{action}*{lasting},{best.driver}*{between}" * turns, "interrupted", number)
+            self._play(
+                f"{best.driver}*{max(1, before)}" + f",{action}*{lasting},{best.driver}*{between}" * turns,
+                "interrupted",
+                number,
+            )
 
     # Episodes
 
@@ -142,7 +179,9 @@ class ExploitSearch:
             return acting.act(observation)
 
         step: Step | None = None
-        for step in islice(steps(environment, Driver(act), Start.of_evaluation(0, number)), self._longest + 1):
+        for step in islice(
+            steps(environment, Driver(act), Start.of_evaluation(0, number)), self._longest + 1
+        ):
             if watch is None:
                 watch = MotionWatch(environment)
             else:
@@ -153,21 +192,17 @@ class ExploitSearch:
         values: NDArray[np.float64] = np.array(rows)
         quarters = [part.sum(axis=0) for part in np.array_split(values[:, :-1], 4)]
         rewards = values[:, -1]
-        end: End = "limit" if step.truncated else "left"
-        if step.info["is_success"]:
-            end = "success"
-        elif step.terminated:
-            end = "failure"
         episode = DrivenEpisode(
             driver=driver,
             kind=kind,
             number=number,
-            steps=len(rows),
             total_return=float(rewards.sum()),
-            discounted_return=float(rewards @ self._program.agent.discount ** np.arange(len(rows))),
-            end=end,
             ended_by=step.info["ended_by"],
-            terms={name: [float(part[at]) for part in quarters] for at, name in enumerate(step.info["reward_terms"])},
+            terms={
+                name: [float(part[at]) for part in quarters]
+                for at, name in enumerate(step.info["reward_terms"])
+            },
+            **episode_result(step, rewards, self._program.agent.discount),
             **watch.summary(),
         )
         self._write({"driven": asdict(episode)})
@@ -176,7 +211,8 @@ class ExploitSearch:
     # The search
 
     def _search(self, number: int) -> bool:
-        """Search from one start for a driver that earns most without success; first for a success, where none is known.
+        """Search from one start for a driver that earns most without success; first for a success, where none
+        is known.
 
         Returns:
             Whether a driver earns more than each success from this start.
@@ -193,12 +229,14 @@ class ExploitSearch:
             if not reached and self._program.defines_success:
                 self._cross_entropy(number, family, budget / 2, seed, with_success=True)
             self._cross_entropy(number, family, budget / (1 if reached else 2), seed, with_success=False)
-            found = [each for each in self._episodes if each.number == number]
-            if is_better_than_success(found):
+            episodes = [each for each in self._episodes if each.number == number]
+            if is_better_than_success(episodes):
                 return True
         return False
 
-    def _cross_entropy(self, number: int, family: Family, budget: float, seed: int, *, with_success: bool) -> None:
+    def _cross_entropy(
+        self, number: int, family: Family, budget: float, seed: int, *, with_success: bool
+    ) -> None:
         end, rng = self._left - budget, np.random.default_rng([number, seed, with_success])
         drawn = Distribution(family.slots)
         for _ in range(_GENERATIONS):
@@ -220,7 +258,8 @@ _MAX_SHOWN = 80
 
 
 class Slot(NamedTuple):
-    """A number of the action: the names of the options of a choice, or none for a value from -1 to 1; `idle` is what does nothing."""
+    """A number of the action: the names of the options of a choice, or none for a value from -1 to 1; `idle`
+    is what does nothing."""
 
     options: tuple[str, ...]
     idle: float
@@ -231,21 +270,21 @@ class Slot(NamedTuple):
     @property
     def extremes(self) -> list[float]:
         """The options, or both ends and the middle; the idle one first."""
-        found = list(range(len(self.options))) if self.options else [-1.0, 1.0]
-        return [self.idle, *(value for value in found if value != self.idle)]
+        extremes = list(range(len(self.options))) if self.options else [-1.0, 1.0]
+        return [self.idle, *(value for value in extremes if value != self.idle)]
 
 
 def action_slots(action: Sequence[ActionPart]) -> list[Slot]:
     """The numbers of an action, in their order in the text of a driver."""
     idle = idle_action(action)
     choices, values = (iter(idle[0]), iter(idle[1])) if idle is not None else (repeat(0), repeat(0.0))
-    found = []
+    slots = []
     for part in action:
         if isinstance(part, Choices):
-            found.append(Slot(tuple(option.name for option in part.options), float(next(choices))))
+            slots.append(Slot(tuple(option.name for option in part.options), float(next(choices))))
         else:
-            found += [Slot((), float(next(values))) for _ in part.names]
-    return found
+            slots += [Slot((), float(next(values))) for _ in part.names]
+    return slots
 
 
 def fixed_drivers(program: Program) -> Iterator[tuple[str, DriverKind]]:
@@ -257,19 +296,24 @@ def fixed_drivers(program: Program) -> Iterator[tuple[str, DriverKind]]:
     has_idle = idle_action(program.agent.action) is not None
     for number, values in enumerate(constants):
         yield driver_text(slots, [values]), "idle" if has_idle and not number else "constant"
-    opposites = [(one, other) for one, other in combinations(constants, 2) if _are_opposite(slots, one, other)]
+    opposites = [
+        (one, other) for one, other in combinations(constants, 2) if _are_opposite(slots, one, other)
+    ]
     for pair, hold in product(opposites[:_MAX_PAIRS], _HOLDS):
         yield driver_text(slots, pair, [hold, hold]), "alternating"
     yield RANDOM, "random"
 
 
 def _constants(slots: Sequence[Slot]) -> list[tuple[float, ...]]:
-    """Combinations of the extremes; where these are many, each extreme alone, and all at the same end. The first does nothing."""
+    """Combinations of the extremes; where these are many, each extreme alone, and all at the same end. The
+    first does nothing."""
     idle = tuple(slot.idle for slot in slots)
     if prod(len(slot.extremes) for slot in slots) <= _MAX_CONSTANTS:
         return list(product(*(slot.extremes for slot in slots)))
     ends = [tuple(value if not slot.options else slot.idle for slot in slots) for value in (-1.0, 1.0)]
-    alone = [(*idle[:at], value, *idle[at + 1 :]) for at, slot in enumerate(slots) for value in slot.extremes[1:]]
+    alone = [
+        (*idle[:at], value, *idle[at + 1 :]) for at, slot in enumerate(slots) for value in slot.extremes[1:]
+    ]
     return list(dict.fromkeys([idle, *ends, *alone]))[:_MAX_CONSTANTS]
 
 
@@ -279,10 +323,17 @@ def _are_opposite(slots: Sequence[Slot], one: Sequence[float], other: Sequence[f
     return one != other and all(slot.options or a == -b or (a == b == slot.idle) for slot, a, b in pairs)
 
 
-def driver_text(slots: Sequence[Slot], actions: Sequence[Sequence[float]], holds: Sequence[int] | None = None) -> str:
+def driver_text(
+    slots: Sequence[Slot], actions: Sequence[Sequence[float]], holds: Sequence[int] | None = None
+) -> str:
     """Actions as `--driver` takes them, each for so many steps."""
-    texts = [":".join(slot.text(value) for slot, value in zip(slots, action, strict=True)) for action in actions]
-    return ",".join(text if hold == 1 else f"{text}*{hold}" for text, hold in zip(texts, holds or [1] * len(texts), strict=True))
+    texts = [
+        ":".join(slot.text(value) for slot, value in zip(slots, action, strict=True)) for action in actions
+    ]
+    return ",".join(
+        text if hold == 1 else f"{text}*{hold}"
+        for text, hold in zip(texts, holds or [1] * len(texts), strict=True)
+    )
 
 
 # Families of drivers that are searched
@@ -297,22 +348,30 @@ class Cycle:
 
     def driver(self, numbers: Sequence[float]) -> str:
         width = len(self._of_one)
-        return driver_text(self._of_one, [numbers[at : at + width] for at in range(0, len(numbers), width)], self._holds)
+        return driver_text(
+            self._of_one, [numbers[at : at + width] for at in range(0, len(numbers), width)], self._holds
+        )
 
 
 def sequence_shapes(longest: int) -> list[tuple[int, ...]]:
-    """The steps for which the actions of a cycle are held: two short cycles, and one that lasts the episode and holds the last longest."""
+    """The steps for which the actions of a cycle are held: two short cycles, and one that lasts the episode
+    and holds the last longest."""
     part = ceil(longest / 16)
     return [(4, 4), (part, part), (part, part, 2 * part, 2 * part, 10 * part)]
 
 
 class Detour:
-    """A script that succeeds after `steps` is interrupted by an action: to the end of the episode, for `stay` steps, or again and again."""
+    """A script that succeeds after `steps` is interrupted by an action: to the end of the episode, for `stay`
+    steps, or again and again."""
 
     def __init__(self, slots: Sequence[Slot], script: str, steps: int, stay: int | None) -> None:
         self.kind: DriverKind = "detour"
         length = Slot((), 0.0)
-        self.slots, self._of_one, self._script, self._steps, self._stay = [length, length, *slots], slots, script, steps, stay
+        self.slots = [length, length, *slots]
+        self._of_one = slots
+        self._script = script
+        self._steps = steps
+        self._stay = stay
 
     def driver(self, numbers: Sequence[float]) -> str:
         before, after = (1 + round((self._steps - 2) * (number + 1.0) / 2.0) for number in numbers[:2])
@@ -344,7 +403,9 @@ class Distribution:
         self._mean, self._deviation = numbers.mean(axis=0), numbers.std(axis=0) + _MIN_DEVIATION
         for at, slot in enumerate(self._slots):
             if slot.options:
-                seen = np.bincount(numbers[:, at].astype(int), minlength=len(slot.options)) + 1.0 / len(slot.options)
+                seen = np.bincount(numbers[:, at].astype(int), minlength=len(slot.options)) + 1.0 / len(
+                    slot.options
+                )
                 self._odds[at] = seen / seen.sum()
 
 
@@ -357,10 +418,20 @@ class MotionWatch:
     def __init__(self, environment: Supervisor) -> None:
         name = environment.scenario.agent.robots[0]
         robot = next(robot for robot in environment.world.robots if robot.name.partition("#")[0] == name)
-        limited = [joint for joint in robot.model.moving_joints if joint.limit.lower is not None and joint.limit.upper is not None]
+        limited = [
+            joint
+            for joint in robot.model.moving_joints
+            if joint.limit.lower is not None and joint.limit.upper is not None
+        ]
         self._motion = environment.engine.motion(robot.name)
-        self._joints = environment.engine.joint_states(robot.name, [joint.name for joint in limited]) if limited else None
-        self._limits = [(float(joint.limit.lower or 0.0), float(joint.limit.upper or 0.0)) for joint in limited]
+        self._joints = (
+            environment.engine.joint_states(robot.name, [joint.name for joint in limited])
+            if limited
+            else None
+        )
+        self._limits = [
+            (float(joint.limit.lower or 0.0), float(joint.limit.upper or 0.0)) for joint in limited
+        ]
         self._period = environment.scenario.period
         self._start = self._place = self._motion()[0][0]
         self._path = self._turned = 0.0
@@ -375,9 +446,17 @@ class MotionWatch:
         self._steps += 1
         if self._joints is not None:
             states = zip(self._joints(), self._limits, strict=True)
-            self._stopped += all(min(state[0] - low, high - state[0]) < _AT_LIMIT * (high - low) for state, (low, high) in states)
+            self._stopped += all(
+                min(state[0] - low, high - state[0]) < _AT_LIMIT * (high - low)
+                for state, (low, high) in states
+            )
 
-    def summary(self) -> dict[str, float]:
+    def summary(self) -> dict[str, Any]:
         """The fields of a `DrivenEpisode` about motion."""
         turns, stopped = abs(self._turned) / (2 * pi), self._stopped / max(1, self._steps)
-        return {"path": self._path, "distance": dist(self._place, self._start), "turns": turns, "stopped": stopped}
+        return {
+            "path": self._path,
+            "distance": dist(self._place, self._start),
+            "turns": turns,
+            "stopped": stopped,
+        }

@@ -1,7 +1,7 @@
 """Which files of a project are scenarios, and how the project wants them linted.
 
-Settings are the table `lint` of `deepbots.toml`, or `tool.deepbots.lint` of `pyproject.toml`, at the root of the project. The first file
-that has the table counts.
+Settings are the table `lint` of `deepbots.toml`, or `tool.deepbots.lint` of `pyproject.toml`, at the root of
+the project. The first file that has the table counts.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _WORDS: dict[str, tuple[str, ...]] = {"format": get_args(Format), "fail-on": get
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings of a project; None where it has none. `exclude` holds patterns of paths from `root`, such as `drafts/*`."""
+    """The settings of a project; None where it has none. `exclude` holds patterns of paths from `root`, such
+    as `drafts/*`."""
 
     root: Path
     select: RuleSelectors | None = None
@@ -56,7 +57,8 @@ def settings(folder: Path | None = None) -> Settings:
     """The settings of the project that holds `folder`, by default the working directory.
 
     Raises:
-        UsageError: A file is no TOML, or has an unknown key or value; says which, and what was probably meant.
+        UsageError: A file is no TOML, or has an unknown key or value; says which, and what was probably
+            meant.
     """
     root = files.project_root(folder or Path.cwd())
     for name, keys in _TABLES:
@@ -73,7 +75,9 @@ def _read(path: Path) -> bytes:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise UsageError(f"{files.display_path(path)} cannot be read: {(error.strerror or 'no reason given').lower()}") from None
+        raise UsageError(
+            f"{files.display_path(path)} cannot be read: {(error.strerror or 'no reason given').lower()}"
+        ) from None
     if len(data) > _MAX_BYTES:
         raise UsageError(f"{files.display_path(path)} is larger than the limit of {_MAX_BYTES >> 10} KiB")
     return data
@@ -100,14 +104,20 @@ def _table(data: bytes, name: str, keys: Sequence[str]) -> dict[str, object] | N
 
 
 def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
-    _check_keys(table, [field.name.replace("_", "-") for field in fields(Settings) if field.name != "root"], source.name)
+    _check_keys(
+        table,
+        [field.name.replace("_", "-") for field in fields(Settings) if field.name != "root"],
+        source.name,
+    )
     preview = table.get("preview")
     if preview is not None and not isinstance(preview, bool):
         raise UsageError(f"{source.name}: 'preview' must be true or false")
-    given = {key.replace("-", "_"): _word(table[key], key, source.name) for key in _WORDS if key in table}
-    lists = {key: _list(table[key], key, source.name) for key in ("select", "ignore", "exclude") if key in table}
+    chosen = {key.replace("-", "_"): _word(table[key], key, source.name) for key in _WORDS if key in table}
+    lists = {
+        key: _list(table[key], key, source.name) for key in ("select", "ignore", "exclude") if key in table
+    }
     words = {key: RuleSelectors(lists[key], source) for key in ("select", "ignore") if key in lists}
-    return Settings(root, preview=preview, exclude=lists.get("exclude", ()), **words, **given)  # type: ignore[arg-type]
+    return Settings(root, preview=preview, exclude=lists.get("exclude", ()), **words, **chosen)  # type: ignore[arg-type]
 
 
 def _check_keys(table: dict[str, object], known: Sequence[str], name: str) -> None:
@@ -131,12 +141,16 @@ def _list(value: object, key: str, name: str) -> tuple[str, ...]:
         raise UsageError(f"{name}: '{key}' has {len(value):,} entries; the limit is {_MAX_WORDS:,}")
     if isinstance(value, list) and all(isinstance(item, str) for item in value):
         return tuple(value)
-    raise UsageError(f"{name}: '{key}' must be a list of {'patterns' if key == 'exclude' else 'codes'} in quotes")
+    raise UsageError(
+        f"{name}: '{key}' must be a list of {'patterns' if key == 'exclude' else 'codes'} in quotes"
+    )
 
 
 # Scenarios in folders
 
-_VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
+_VERSION = re.compile(
+    rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE
+)
 _MAX_SEARCHED_BYTES = 65_536
 """Bytes at the beginning of a file in which the key `deepbots` is searched."""
 _SUFFIXES = (".yaml", ".yml")
@@ -147,28 +161,31 @@ _MAX_LEVELS = 64
 
 
 def is_scenario(data: bytes) -> bool:
-    """Whether a text has the key `deepbots` at its top level; a file without it is a part that scenarios include."""
+    """Whether a text has the key `deepbots` at its top level; a file without it is a part that scenarios
+    include."""
     return _VERSION.search(data, 0, _MAX_SEARCHED_BYTES) is not None
 
 
 def scenarios_in(folder: Path, project: Settings) -> list[Path]:
     """All `.yaml` and `.yml` files with a `deepbots:` key in a folder and its subfolders.
 
-    Files that the project excludes are left out, as are hidden folders, `node_modules`, virtual environments and training directories.
-    Links to folders are not followed, nor links to files outside the project.
+    Files that the project excludes are left out, as are hidden folders, `node_modules`, virtual environments
+    and training directories. Links to folders are not followed, nor links to files outside the project.
 
     Raises:
         UsageError: There is none, and none was excluded.
     """
     excluded: set[Path] = set()
-    found = []
+    scenarios = []
     for path in _yaml_files(folder, project, excluded):
         with path.open("rb") as file:
             if is_scenario(file.read(_MAX_SEARCHED_BYTES)):
-                found.append(path)
-    if not found and not excluded:
-        raise UsageError(f"there is no scenario in {folder}: no .yaml or .yml file in it has a `deepbots:` key")
-    return sorted(found)
+                scenarios.append(path)
+    if not scenarios and not excluded:
+        raise UsageError(
+            f"there is no scenario in {folder}: no .yaml or .yml file in it has a `deepbots:` key"
+        )
+    return sorted(scenarios)
 
 
 def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterator[Path]:
@@ -179,12 +196,15 @@ def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterato
             folders.clear()
             continue
         inside = [here / name for name in folders if not name.startswith(".") and name != "node_modules"]
-        found = [here / name for name in names if name.endswith(_SUFFIXES) and _is_within(here / name, root)]
-        excluded.update(path for path in (*inside, *found) if project.excludes(path))
+        candidates = [
+            here / name for name in names if name.endswith(_SUFFIXES) and _is_within(here / name, root)
+        ]
+        excluded.update(path for path in (*inside, *candidates) if project.excludes(path))
         folders[:] = [path.name for path in inside if path not in excluded and place.count(os.sep) < deepest]
-        yield from (path for path in found if path not in excluded)
+        yield from (path for path in candidates if path not in excluded)
 
 
 def _is_within(path: Path, root: Path) -> bool:
-    """Whether this is a file of the project: a link may lead to a device that blocks its reader, or to a file that `--fix` would write."""
+    """Whether this is a file of the project: a link may lead to a device that blocks its reader, or to a file
+    that `--fix` would write."""
     return path.is_file() and (not path.is_symlink() or path.resolve().is_relative_to(root))

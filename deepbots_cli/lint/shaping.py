@@ -1,4 +1,5 @@
-"""The direction of the reward: its sign (DB703), hidden state (DB706), reward that leads into a failure (DB710)."""
+"""The direction of the reward: its sign (DB703), hidden state (DB706), reward that leads into a failure
+(DB710)."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from deepbots_cli.expressions.intervals import NEVER, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.expressions.unification import negated_text
-from deepbots_cli.lint.context import RuleContext
+from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
 
@@ -35,35 +36,19 @@ _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity"})
 """Facts that do not depend on where a body is."""
 
 
+@rule("DB703")
 def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
-    """DB703: a reward has the wrong sign: a failure pays, a success costs, or progress towards success costs.
-
-    The agent learns the reward as it is written. With the reward printed in the paper for PitEscape, which has the wrong sign, the agent
-    learns to stay at the bottom.
-
-    The rule reports a term that decreases while a quantity approaches the value that success requires, if no other term
-    increases. It treats all distance functions of the same two bodies as one quantity.
-
-    Example::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {nearer: 10 * delta(left) / m}
-        termination: {success: {arrived: left < 5 cm}}
-
-    Instead::
-
-        augment: {left: abs(x - 30 cm)}
-        observation: {left: 0 .. 0.8 m}
-        reward: {nearer: -10 * delta(left) / m}
-        termination: {success: {arrived: left < 5 cm}}
-    """
+    """A reward has the wrong sign: a failure pays, a success costs, or progress towards success costs."""
     reward, program = context.analysis.reward, context.program
     ordinary, final = reward.split_by_end()
     for term, node in final:
         for ending in program.endings:
             paid, failed = reward.ranges_at(ending).of(node), ending.name in program.failures
-            others = (other for other in reward.endings_and_truncation if other is None or (other.name in program.failures) != failed)
+            others = (
+                other
+                for other in reward.endings_and_truncation
+                if other is None or (other.name in program.failures) != failed
+            )
             if any(reward.ranges_at(other).of(node) != NEVER for other in others):
                 continue  # paid at ends of another kind as well: its sign says nothing about this one
             if paid.low > 0.0 if failed else paid.high < 0.0:
@@ -92,16 +77,17 @@ def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Expression)
             continue
         slope, wrong = Slope(running, threshold), -1.0 if threshold.above else 1.0
         slopes = [slope.of(node) for _, node in ordinary]
-        if all(known in (wrong, 0.0) for known in slopes) and wrong in slopes:
-            for (term, _), known in zip(ordinary, slopes, strict=True):
-                if known == wrong:
+        if all(sign in (wrong, 0.0) for sign in slopes) and wrong in slopes:
+            for (term, _), sign in zip(ordinary, slopes, strict=True):
+                if sign == wrong:
                     headline = f"`{term.name}` pays less as the episode approaches `{ending.name}`"
                     yield _wrong_sign(term, headline, (Label(ending.span, "success requires the opposite"),))
             return
 
 
 class Slope:
-    """The sign of the slope of a value over the quantity of a threshold: 1, -1, 0 if it does not depend on it, None if unknown.
+    """The sign of the slope of a value over the quantity of a threshold: 1, -1, 0 if it does not depend on
+    it, None if unknown.
 
     The slope of a condition is 0 or None; the slope of `where` is that of its branches.
     """
@@ -142,19 +128,26 @@ class Slope:
             case "sub":
                 return _sum([self.of(args[0]), _times(self.of(args[1]), -1.0)])
             case "where":
-                found = _sum([self.of(arg) for arg in args[1:]])
-                return found if found or self.of(args[0]) == 0.0 else None
+                slope = _sum([self.of(arg) for arg in args[1:]])
+                return slope if slope or self.of(args[0]) == 0.0 else None
             case "mul":
                 a, b = args
                 return _sum([_times(self.of(a), self._sign(b)), _times(self.of(b), self._sign(a))])
             case "div":
                 a, b = args
-                return _sum([_times(self.of(a), self._sign(b)), _times(_times(self.of(b), self._sign(a)), -1.0)])
+                return _sum(
+                    [_times(self.of(a), self._sign(b)), _times(_times(self.of(b), self._sign(a)), -1.0)]
+                )
             case "abs":
                 return _times(self.of(args[0]), self._sign(args[0]))
             case "pow":
                 base, exponent = self._ranges.of(args[0]), self._ranges.of(args[1])
-                sign = 1.0 if base.low >= 0.0 and exponent.low > 0.0 else -1.0 if base.low > 0.0 and exponent.high < 0.0 else None
+                if base.low >= 0.0 and exponent.low > 0.0:
+                    sign = 1.0
+                elif base.low > 0.0 and exponent.high < 0.0:
+                    sign = -1.0
+                else:
+                    sign = None
                 return _times(self.of(args[0]), sign)
             case _ if op in _RISING_FUNCTIONS:
                 return _sum([self.of(arg) for arg in args])
@@ -162,8 +155,12 @@ class Slope:
                 return self._independent(args)
 
     def _sign(self, node: Scalar) -> float | None:
-        known = self._ranges.of(node)
-        return 1.0 if known.low >= 0.0 else -1.0 if known.high <= 0.0 else None
+        interval = self._ranges.of(node)
+        if interval.low >= 0.0:
+            return 1.0
+        if interval.high <= 0.0:
+            return -1.0
+        return None
 
     def _independent(self, args: tuple[Scalar, ...]) -> float | None:
         return 0.0 if all(self.of(arg) == 0.0 for arg in args) else None
@@ -177,33 +174,28 @@ def _times(slope: float | None, sign: float | None) -> float | None:
 
 def _sum(slopes: list[float | None]) -> float | None:
     """The slope in which all parts agree that are not 0."""
-    found = {slope for slope in slopes if slope != 0.0}
-    return 0.0 if not found else found.pop() if len(found) == 1 else None
+    nonzero = {slope for slope in slopes if slope != 0.0}
+    if not nonzero:
+        return 0.0
+    if len(nonzero) == 1:
+        return nonzero.pop()
+    return None
 
 
+@rule("DB706")
 def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
-    """DB706: the reward depends on a value that differs between episodes and that the policy does not observe.
-
-    The value is a drawn parameter, such as a target or a command, or the position of a body that neither the
-    observation nor a sensor shows. The agent can only learn the action that is best on average. Shaping by values that
-    only the supervisor knows, such as a path around obstacles to a visible target, is not reported.
-
-    Example::
-
-        parameters: {aim: uniform(-0.2 .. 0.2 m)}
-        reward: {near: -abs(x - aim) / m}
-
-    Instead::
-
-        parameters: {aim: uniform(-0.2 .. 0.2 m)}
-        augment: {left: x - aim}
-        observation: {left: -0.6 .. 0.6 m}
-        reward: {near: -abs(left) / m}
-    """
+    """The reward depends on a value that differs between episodes and that the policy does not observe."""
     analysis, program = context.analysis.ideal, context.program
     shown = [entry.value for entry in program.agent.observation]
-    shown += [program.agent.goal.achieved, program.agent.goal.desired] if program.agent.goal is not None else []
-    seen = {found for value in shown for node in analysis.scalars(value) for found in analysis.drawn_dependencies(node)}
+    shown += (
+        [program.agent.goal.achieved, program.agent.goal.desired] if program.agent.goal is not None else []
+    )
+    seen = {
+        dependency
+        for value in shown
+        for node in analysis.scalars(value)
+        for dependency in analysis.drawn_dependencies(node)
+    }
     perceives = any(SENSORS[sensor.kind].perceives for robot in program.robots for sensor in robot.sensors)
     perceives = perceives or any(entry.value.typed.type.picture for entry in program.agent.observation)
     drawn = {value.name for value in program.parameters}
@@ -214,32 +206,24 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
         hidden = sorted((analysis.drawn_dependencies(node) - seen) & (drawn | bodies))
         if hidden:
             what = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
-            help = f"add an entry that uses `{hidden[0]}` under `augment`, and list this entry under `observation`"
+            help = (
+                f"add an entry that uses `{hidden[0]}` under `augment`, and list this entry under"
+                " `observation`"
+            )
             used = set(referenced_names(term.typed))
-            between = [value for value in program.signals if value.name in used and hidden[0] in referenced_names(value.typed)]
+            between = [
+                value
+                for value in program.signals
+                if value.name in used and hidden[0] in referenced_names(value.typed)
+            ]
             headline = f"`{term.name}` depends on {what}, which the policy does not observe"
             labels = [Label(value.span, f"depends on `{hidden[0]}`") for value in between]
             yield Finding("DB706", term.span, headline, help, labels=tuple(labels))
 
 
+@rule("DB710")
 def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
-    """DB710: a term pays more as the episode approaches a failure.
-
-    The agent learns to stay close to the failure, or to cause it. The usual cause is a missing sign. The rule checks lengths and angles
-    that are deviations from zero (`abs(x)`, `tilt(robot)`, a distance) and that cause a failure when they are large. It reports a term
-    that pays more just below the limit than at zero, whatever the other values are. It reports nothing if another term or a success uses
-    the same quantity: the approach may then be intended. Speeds are not checked.
-
-    Example::
-
-        reward: {near: abs(x) / m}
-        termination: {failure: {off_track: abs(x) > 39 cm}}
-
-    Instead::
-
-        reward: {near: exp(-abs(x) / 20 cm)}
-        termination: {failure: {off_track: abs(x) > 39 cm}}
-    """
+    """A term pays more as the episode approaches a failure."""
     analysis, reward = context.analysis, context.analysis.reward
     if context.program.agent.goal is not None or not reward.is_complete:
         return
@@ -257,18 +241,29 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
 
 def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:
     """Whether a quantity counts from a middle up to a limit, and depends on the present alone."""
-    known = reward.ranges_while_running().of(threshold.quantity)
-    is_place = threshold.dimension in (LENGTH, ANGLE) and threshold.above and known.low == 0.0 < threshold.bound.low
-    return is_place and not any(isinstance(part, State) for part in reward.analysis.walk_definitions(threshold.quantity))
+    interval = reward.ranges_while_running().of(threshold.quantity)
+    is_place = (
+        threshold.dimension in (LENGTH, ANGLE)
+        and threshold.above
+        and interval.low == 0.0 < threshold.bound.low
+    )
+    return is_place and not any(
+        isinstance(part, State) for part in reward.analysis.walk_definitions(threshold.quantity)
+    )
 
 
 def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Expression]:
-    """The terms that pay more just before the failure than in the middle; none where another term or a success concerns the same."""
-    analysis, running, slope = reward.analysis, reward.ranges_while_running(), Slope(reward.ranges_while_running(), threshold)
+    """The terms that pay more just before the failure than in the middle; none where another term or a
+    success concerns the same."""
+    analysis = reward.analysis
+    running = reward.ranges_while_running()
+    slope = Slope(reward.ranges_while_running(), threshold)
     limit, quantity = threshold.bound.low, analysis.identity(threshold.quantity)
     middle = running.where(quantity, Interval(0.0, _EDGE_SHARE * limit))
     edge = running.where(quantity, Interval((1.0 - _EDGE_SHARE) * limit, limit))
-    wrong = [term for term, node in terms if slope.of(node) == 1.0 and edge.of(node).low > middle.of(node).high]
+    wrong = [
+        term for term, node in terms if slope.of(node) == 1.0 and edge.of(node).low > middle.of(node).high
+    ]
     if any(ending.foreign for ending in reward.program.endings):
         return []
     others = [node for term, node in terms if term not in wrong]
@@ -279,21 +274,24 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
 
 def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
     """The names without definition that a value depends on, and the bodies on whose places it depends."""
-    found: set[str] = set()
+    bodies: set[str] = set()
     for part in analysis.walk_definitions(node):
         match part:
             case Name(name):
-                found.add(name)
+                bodies.add(name)
             case EngineRead(function, subjects) if function not in _RATE_FUNCTIONS:
-                found |= {subject.partition(".")[0] for subject in subjects}
-    return found
+                bodies |= {subject.partition(".")[0] for subject in subjects}
+    return bodies
 
 
 def _opposite_help(compared: ConditionComparison, threshold: Threshold) -> str:
     side = compared.node.args[0 if compared.node.operator.startswith("greater") else 1]
     quantity = compared.value.text[side.start : side.end]
     assert threshold.dimension is not None  # a length or an angle
-    return f"reward the opposite, as in `exp(-{quantity} / {with_unit(threshold.bound.low / 2, threshold.dimension)})`"
+    return (
+        f"reward the opposite, as in `exp(-{quantity} /"
+        f" {with_unit(threshold.bound.low / 2, threshold.dimension)})`"
+    )
 
 
 STATIC_RULES = (suspicious_sign, hidden_state_reward, pays_towards_failure)

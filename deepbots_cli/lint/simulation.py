@@ -1,8 +1,9 @@
-"""`lint --deep`: what is simulated, the process that simulates, and its report, from which rules make findings.
+"""`lint --deep`: what is simulated, the process that simulates, and its report, from which rules make
+findings.
 
-The scenario is simulated by `rollouts` in a process of its own, with limits on time and memory, so that a scenario that hangs or
-crashes the engine ends that process and no other. The plan counts steps and follows from the scenario alone: findings are the same on
-every machine.
+The scenario is simulated by `rollouts` in a process of its own, with limits on time and memory, so that a
+scenario that hangs or crashes the engine ends that process and no other. The plan counts steps and follows
+from the scenario alone: findings are the same on every machine.
 """
 
 from __future__ import annotations
@@ -31,8 +32,11 @@ from deepbots_cli.robots.model import RobotModel
 # What is simulated
 
 HOLD_STEPS = 8
-"""Steps for which a random action is held. Actions that are new in every step cancel each other, and move little."""
-RANDOM, HELD_RANDOM, IDLE = "random actions", f"random actions held for {HOLD_STEPS} steps each", "doing nothing"
+"""Steps for which a random action is held. Actions that are new in every step cancel each other, and move
+little."""
+RANDOM = "random actions"
+HELD_RANDOM = f"random actions held for {HOLD_STEPS} steps each"
+IDLE = "doing nothing"
 
 _RESETS = 24
 _RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH_STEPS = 24, 250, 1500
@@ -61,7 +65,8 @@ class Rollout:
 
 @dataclass(frozen=True)
 class Plan:
-    """Resets with the seeds from 0 on, then the episodes; those with random actions until they have `min_random_steps` steps together."""
+    """Resets with the seeds from 0 on, then the episodes; those with random actions until they have
+    `min_random_steps` steps together."""
 
     resets: int
     rollouts: tuple[Rollout, ...]
@@ -71,10 +76,22 @@ class Plan:
 def simulation_plan(program: Program) -> Plan:
     """The plan for the scenario itself."""
     last = program.truncation.max_episode_steps(program.period)
-    drawn = [Rollout(HELD_RANDOM if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS)) for seed in range(_RANDOM_EPISODES)]
-    others = [Rollout(by, seed, min(last, _OTHER_STEPS), script) for by, script in _others(program) for seed in range(_OTHER_EPISODES)]
-    share = min(1.0, _MAX_WORK / (work_per_step(program) * (_ENOUGH_STEPS + sum(rollout.steps for rollout in others))))
-    rollouts = tuple(Rollout(each.policy, each.seed, max(_MIN_STEPS, int(each.steps * share)), each.script) for each in (*drawn, *others))
+    drawn = [
+        Rollout(HELD_RANDOM if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS))
+        for seed in range(_RANDOM_EPISODES)
+    ]
+    others = [
+        Rollout(by, seed, min(last, _OTHER_STEPS), script)
+        for by, script in _others(program)
+        for seed in range(_OTHER_EPISODES)
+    ]
+    share = min(
+        1.0, _MAX_WORK / (work_per_step(program) * (_ENOUGH_STEPS + sum(rollout.steps for rollout in others)))
+    )
+    rollouts = tuple(
+        Rollout(each.policy, each.seed, max(_MIN_STEPS, int(each.steps * share)), each.script)
+        for each in (*drawn, *others)
+    )
     settling = program.reset.settle / program.world.timestep * program.world.substeps
     resets = max(2, min(_RESETS, int(_MAX_SETTLING / max(settling, 1.0))))
     return Plan(resets, rollouts, max(_MIN_STEPS, int(_ENOUGH_STEPS * share)))
@@ -83,7 +100,10 @@ def simulation_plan(program: Program) -> Plan:
 def variant_plan(program: Program) -> tuple[Rollout, ...]:
     """The episodes in a case or a stage, where something has been constant so far."""
     steps = max(_MIN_STEPS, min(_VARIANT_STEPS, int(_MAX_WORK / 20 / work_per_step(program))))
-    return (Rollout(HELD_RANDOM, 1, steps), *(Rollout(by, 0, steps, script) for by, script in _others(program) if script))
+    return (
+        Rollout(HELD_RANDOM, 1, steps),
+        *(Rollout(by, 0, steps, script) for by, script in _others(program) if script),
+    )
 
 
 def _others(program: Program) -> Iterator[tuple[str, str | None]]:
@@ -94,10 +114,13 @@ def _others(program: Program) -> Iterator[tuple[str, str | None]]:
 
 
 def work_per_step(program: Program) -> float:
-    """The cost of a step of the agent, in physics steps of one robot (about 15 us): ten of them are overhead."""
+    """The cost of a step of the agent, in physics steps of one robot (about 15 us): ten of them are
+    overhead."""
     copies = program.agent.copies.count if program.agent.copies else 1
     pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.agent.images)
-    return (len(program.robots) * (program.world.substeps * program.action_repeat + 10) + pixels / _PIXELS) * copies
+    return (
+        len(program.robots) * (program.world.substeps * program.action_repeat + 10) + pixels / _PIXELS
+    ) * copies
 
 
 # The report
@@ -120,7 +143,8 @@ class SimulationPosition(NamedTuple):
 
 @dataclass(frozen=True)
 class Halt:
-    """The process ended early: a crash of the engine, a step without end, lack of memory, or the end of the whole time."""
+    """The process ended early: a crash of the engine, a step without end, lack of memory, or the end of the
+    whole time."""
 
     kind: Literal["crash", "hang", "memory", "slow", "killed"]
     description: str
@@ -147,17 +171,21 @@ class SimulatedEpisode:
     end: End
 
 
-DriverKind = Literal["idle", "constant", "alternating", "random", "script", "interrupted", "detour", "sequence"]
-"""Who drives, the simplest first; a script is `interrupted` before its success; the search finds detours and sequences of actions."""
+DriverKind = Literal[
+    "idle", "constant", "alternating", "random", "script", "interrupted", "detour", "sequence"
+]
+"""Who drives, the simplest first; a script is `interrupted` before its success; the search finds detours and
+sequences of actions."""
 
 
 @dataclass(frozen=True)
 class DrivenEpisode:
     """An episode of the search for exploits (`lint --exploits`).
 
-    `driver` is what `--driver` takes, `number` that of the episode from seed 0. `terms` maps each term of the reward to its sums over the
-    four quarters of the episode. `path` (m) is the way of the robot's base, `distance` (m) how far from its start it ends, and `turns` how
-    often it has turned; `stopped` is the share of the steps in which all of its joints with limits are at a limit.
+    `driver` is what `--driver` takes, `number` that of the episode from seed 0. `terms` maps each term of the
+    reward to its sums over the four quarters of the episode. `path` (m) is the way of the robot's base,
+    `distance` (m) how far from its start it ends, and `turns` how often it has turned; `stopped` is the share
+    of the steps in which all of its joints with limits are at a limit.
     """
 
     driver: str
@@ -183,9 +211,10 @@ class DrivenEpisode:
 class UnreachedPose:
     """The first command of an episode to a `cartesian` actuator that the inverse kinematics does not reach.
 
-    `unreached_commands` counts such commands. `distance` (m) and `angle` (rad) are the errors; `at_limit` maps
-    joints that end at a limit to that limit (rad or m). With `turn` (rad) it is instead a first command that the arm reaches by turning
-    its link in place; `start` (roll, pitch, yaw in rad) is the attitude of the link before.
+    `unreached_commands` counts such commands. `distance` (m) and `angle` (rad) are the errors; `at_limit`
+    maps joints that end at a limit to that limit (rad or m). With `turn` (rad) it is instead a first command
+    that the arm reaches by turning its link in place; `start` (roll, pitch, yaw in rad) is the attitude of
+    the link before.
     """
 
     robot: str
@@ -203,7 +232,8 @@ class UnreachedPose:
 
 
 class Clearance(NamedTuple):
-    """The lowest point of any ray of a sensor within its range, m, and the top (m) and the name of the tallest solid body."""
+    """The lowest point of any ray of a sensor within its range, m, and the top (m) and the name of the
+    tallest solid body."""
 
     lowest: float
     top: float
@@ -211,7 +241,8 @@ class Clearance(NamedTuple):
 
 
 class Rolling(NamedTuple):
-    """Of a robot since the start of an episode: the largest distance (m), change of heading (rad), and turn of a driven wheel (rad)."""
+    """Of a robot since the start of an episode: the largest distance (m), change of heading (rad), and turn
+    of a driven wheel (rad)."""
 
     distance: float
     turn: float
@@ -233,12 +264,15 @@ def driven_wheels(robot: Robot, model: RobotModel) -> tuple[str, ...]:
     driven = dict.fromkeys(joint for motor in motors if isinstance(motor, Motor) for joint in motor.joints)
     where = link_frames(model)
     joints = [joint for joint in map(model.joint, driven) if joint.type == "continuous"]
-    wheels = tuple(joint.name for joint in joints if abs(rotate(where[joint.child][1], joint.axis)[2]) < _MAX_AXIS_RISE)
+    wheels = tuple(
+        joint.name for joint in joints if abs(rotate(where[joint.child][1], joint.axis)[2]) < _MAX_AXIS_RISE
+    )
     return wheels if len(wheels) > 1 else ()
 
 
 class NumberStatistics(NamedTuple):
-    """A number of the observation under one policy: its range, within -1 to 1, and the steps in which it was at either end."""
+    """A number of the observation under one policy: its range, within -1 to 1, and the steps in which it was
+    at either end."""
 
     low: float
     high: float
@@ -268,10 +302,11 @@ class PolicyStatistics(NamedTuple):
 class SimulationReport:
     """The lines that the simulating process has written. Names in it are only ever looked up in the scenario.
 
-    `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and `zero_terms` are the places
-    of the numbers that never changed and of the terms that were always 0. `clearances` and `depths` are about sensors whose rays met
-    nothing: how high they passed over all bodies, and how far below the ground (m) they began. `rolling` is about robots on driven
-    wheels. `done` says whether the plan was completed, `fault` which exception of deepbots ended it.
+    `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and
+    `zero_terms` are the places of the numbers that never changed and of the terms that were always 0.
+    `clearances` and `depths` are about sensors whose rays met nothing: how high they passed over all bodies,
+    and how far below the ground (m) they began. `rolling` is about robots on driven wheels. `done` says
+    whether the plan was completed, `fault` which exception of deepbots ended it.
     """
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)
@@ -299,7 +334,14 @@ class SimulationReport:
                 self.where, self.fastest = SimulationPosition(doing, seed, 0), None
             case {"fast": [str(body), int() | float() as speed]}:
                 self.fastest = (body, speed)
-            case {"overlap": {"one": [str(a), str(b)], "other": [str(c), str(d)], "depth": float(depth), "seed": int(seed)}}:
+            case {
+                "overlap": {
+                    "one": [str(a), str(b)],
+                    "other": [str(c), str(d)],
+                    "depth": float(depth),
+                    "seed": int(seed),
+                }
+            }:
                 self.overlaps.append(MeasuredOverlap((a, b), (c, d), depth, seed))
             case {"early": [str(ending), int(seed)]}:
                 self.endings_at_reset.setdefault(ending, []).append(seed)
@@ -311,15 +353,18 @@ class SimulationReport:
                 self.driven.append(DrivenEpisode(**row))
             case {"measured": Mapping() as policies}:
                 for by, (steps, rows, numbers, terms) in policies.items():
-                    numbers, terms = [NumberStatistics(*row) for row in numbers], [TermStatistics(*row) for row in terms]
+                    numbers = [NumberStatistics(*row) for row in numbers]
+                    terms = [TermStatistics(*row) for row in terms]
                     self.measured[by] = PolicyStatistics(steps, rows, numbers, terms)
             case {"still": still, "silent": silent}:
                 self.constant_numbers, self.zero_terms = still, silent
             case {"clearances": rows, "depths": depths}:
-                self.clearances = {(robot, sensor): Clearance(*clearance) for robot, sensor, *clearance in rows}
+                self.clearances = {
+                    (robot, sensor): Clearance(*clearance) for robot, sensor, *clearance in rows
+                }
                 self.depths = {(robot, sensor): depth for robot, sensor, depth in depths}
             case {"rolling": Mapping() as robots}:
-                self.rolling = {robot: Rolling(*found) for robot, found in robots.items()}
+                self.rolling = {robot: Rolling(*counts) for robot, counts in robots.items()}
             case {"stop": Mapping() as stop}:
                 self.stop = stop
             case {"fault": str(fault)}:
@@ -339,9 +384,9 @@ _CRASHES = {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT"}
 class Limits(NamedTuple):
     """Limits of the process.
 
-    Ordinary scenarios take 1 to 8 s of CPU time; reaching `cpu` or `wall` is no finding. A single step, reset or construction of the
-    world that takes longer than `step_seconds` is taken for an endless loop. A world of 500 bodies takes 0.6 GB of address space, most
-    of it for libraries.
+    Ordinary scenarios take 1 to 8 s of CPU time; reaching `cpu` or `wall` is no finding. A single step, reset
+    or construction of the world that takes longer than `step_seconds` is taken for an endless loop. A world
+    of 500 bodies takes 0.6 GB of address space, most of it for libraries.
     """
 
     cpu: int = 120
@@ -364,11 +409,15 @@ def require_simulator(option: str = "lint --deep") -> None:
     Raises:
         MissingExtraError: A package that simulating needs is not installed.
     """
-    if any(find_spec(name) is None for name in _REQUIRED) or not any(kind.is_installed for kind in ENGINES.own.values()):
+    if any(find_spec(name) is None for name in _REQUIRED) or not any(
+        kind.is_installed for kind in ENGINES.own.values()
+    ):
         raise MissingExtraError("sim", option)
 
 
-def measure(inputs: Inputs, limits: Limits, *, permissions: Permissions = Permissions(), search: bool = False) -> SimulationReport:
+def measure(
+    inputs: Inputs, limits: Limits, *, permissions: Permissions = Permissions(), search: bool = False
+) -> SimulationReport:
     """Simulate a scenario in a process of its own, which compiles it from copies of its files.
 
     With `search`, search for exploits of the reward instead of carrying out the plan of `lint --deep`.
@@ -381,7 +430,9 @@ def measure(inputs: Inputs, limits: Limits, *, permissions: Permissions = Permis
     import tempfile
 
     command = python_command("deepbots_cli.lint.simulation_process", *map(str, limits))
-    environment = python_environment({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"})
+    environment = python_environment(
+        {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    )
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         inputs.write(Path(folder))
         request = json.dumps({"folder": folder, "allow_code": permissions.code, "search": search}).encode()

@@ -1,9 +1,11 @@
 """The entry point of the process that simulates a scenario for `lint --deep` and `lint --exploits`.
 
-    echo '{"folder": ..., "allow_code": false, "search": false}' | python -m deepbots_cli.lint.simulation_process CPU STEP MEMORY WALL
+    echo '{"folder": ..., "allow_code": false, "search": false}' | python -m
+    deepbots_cli.lint.simulation_process CPU STEP MEMORY WALL
 
-It writes lines to stdout: `~17` before step 17, and JSON objects, which `simulation.SimulationReport` reads. It limits itself before it
-imports a simulator or reads the scenario. On Windows, which has no such limits, the clock of the parent remains.
+It writes lines to stdout: `~17` before step 17, and JSON objects, which `simulation.SimulationReport` reads.
+It limits itself before it imports a simulator or reads the scenario. On Windows, which has no such limits,
+the clock of the parent remains.
 """
 
 from __future__ import annotations
@@ -38,9 +40,14 @@ def main(limits: Limits) -> None:
     except Exception as error:  # noqa: BLE001  # a fault of deepbots, which the parent reports
         from deepbots_cli.diagnostics.findings import describe_exception
 
-        if isinstance(error, ImportError | OSError) and re.search("failed to map segment|allocate memory", str(error)):
+        if isinstance(error, ImportError | OSError) and re.search(
+            "failed to map segment|allocate memory", str(error)
+        ):
             os._exit(OUT_OF_MEMORY)  # no memory for a library
-        out.write(json.dumps({"fault": describe_exception(error), "traceback": traceback.format_exc()}).encode() + b"\n")
+        out.write(
+            json.dumps({"fault": describe_exception(error), "traceback": traceback.format_exc()}).encode()
+            + b"\n"
+        )
 
 
 def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
@@ -72,7 +79,11 @@ def _limit(limits: Limits) -> None:
         return
     import resource
 
-    for what, limit in ((resource.RLIMIT_CPU, limits.cpu), (resource.RLIMIT_AS, limits.memory * _MIB), (resource.RLIMIT_CORE, 0)):
+    for what, limit in (
+        (resource.RLIMIT_CPU, limits.cpu),
+        (resource.RLIMIT_AS, limits.memory * _MIB),
+        (resource.RLIMIT_CORE, 0),
+    ):
         hard = resource.getrlimit(what)[1]
         resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 

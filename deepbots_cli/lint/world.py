@@ -1,4 +1,5 @@
-"""The world: what is out of scale (DB507), engines (DB309, DB316), robots that fall (DB323), how episodes begin (DB310, DB809, DB812)."""
+"""The world: what is out of scale (DB507), engines (DB309, DB316), robots that fall (DB323), how episodes
+begin (DB310, DB809, DB812)."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import ALWAYS, single
 from deepbots_cli.expressions.scalar import EngineRead
 from deepbots_cli.expressions.types import Known, referenced_names
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.observations import may_be_noisy
 from deepbots_cli.lint.simulation import MeasuredOverlap
 from deepbots_cli.program import Program
@@ -45,72 +46,43 @@ _LENGTHS_IN_METERS = re.compile(r"([\d.]+(?: [\d.]+)*) *m")
 _Robots = list[tuple[RobotBody, float]]
 """With the size of each, m: the longest side of the box around its links, without meshes."""
 _MAX_DEPTH = 0.005
-"""m; engines let what rests sink in by less than a millimeter, and what is placed by hand is often a little off.
+"""m; engines let what rests sink in by less than a millimeter, and what is placed by hand is often a little
+off.
 
-A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at up to 0.22 m/s from 5 mm and up to 0.5 m/s from
-10 mm (physics steps of 8 and of 1 ms); a fall of 1 mm gives 0.14 m/s.
+A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at up to 0.22 m/s from 5 mm and
+up to 0.5 m/s from 10 mm (physics steps of 8 and of 1 ms); a fall of 1 mm gives 0.14 m/s.
 """
 
 
 # Objects, robots and engines
 
 
+@rule("DB323")
 def falls_without_end(context: RuleContext) -> Iterator[Finding]:
-    """DB323: a robot falls without end, because its base is free and nothing of it collides with the ground.
-
-    The rule applies to a robot without `base: fixed` whose robot file has no <collision>, and which has no thrusters. An arm is bolted
-    to the ground: write `base: fixed` under its name in `robots`. `deepbots new --urdf` writes it for an arm.
-
-    Example::
-
-        <robot name="lever">
-          <link name="foot">
-            <inertial><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
-          </link>
-          <link name="arm">
-            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
-          </link>
-          <joint name="shoulder" type="revolute">
-            <parent link="foot"/>
-            <child link="arm"/>
-            <limit lower="-1" upper="1" effort="20" velocity="2"/>
-          </joint>
-        </robot>
-
-    Instead::
-
-        <robot name="lever">
-          <link name="foot">
-            <inertial><mass value="2"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
-            <collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision>
-          </link>
-          <link name="arm">
-            <inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
-          </link>
-          <joint name="shoulder" type="revolute">
-            <parent link="foot"/>
-            <child link="arm"/>
-            <limit lower="-1" upper="1" effort="20" velocity="2"/>
-          </joint>
-        </robot>
-    """
+    """A robot falls without end, because its base is free and nothing of it collides with the ground."""
     program, values = context.program, context.values
-    lifted = {robot.name for robot in program.robots if any(isinstance(each, (Thrust, CustomActuator)) for each in robot.actuators)}
+    lifted = {
+        robot.name
+        for robot in program.robots
+        if any(isinstance(each, (Thrust, CustomActuator)) for each in robot.actuators)
+    }
     for body in program.world.robots:
         if body.fixed_base or body.name in lifted or any(link.collisions for link in body.model.links):
             continue
-        headline = f"`{body.name}` falls without end: its base is free, and no link of its robot file has a <collision>"
-        help = "write `base: fixed` to bolt it to the world, or give the links that touch the ground a <collision> in the robot file"
+        headline = (
+            f"`{body.name}` falls without end: its base is free, and no link of its robot file has a"
+            " <collision>"
+        )
+        help = (
+            "write `base: fixed` to bolt it to the world, or give the links that touch the ground a"
+            " <collision> in the robot file"
+        )
         yield Finding("DB323", values.span_of_first(("robots", body.name), "base", "urdf"), headline, help)
 
 
+@rule("DB316")
 def beyond_engine(context: RuleContext) -> Iterator[Finding]:
-    """DB316: the physics engine is not installed, or does not support a part of the world.
-
-    The rule applies if `world.engine` or `--engine` names the engine. PyBullet has no builds for Windows, and none beyond Python
-    3.11: MuJoCo is used there. MuJoCo uses the convex hull of a mesh, so a mesh cannot be the ground. MuJoCo does not accept an inertia
-    that no rigid body can have. Some engines of other packages do not simulate `<mimic>`.
-    """
+    """The physics engine is not installed, or does not support a part of the world."""
     world, kind = context.program.world, ENGINES.get(context.program.engine or "")
     terrain = world.terrain
     if kind is None:
@@ -119,11 +91,17 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
         headline = f"the engine `{context.program.engine}` cannot be used here: {kind.missing}"
         yield Finding("DB316", context.values.span(("world", "engine")), headline, kind.remedy)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
-        yield Finding("DB316", context.values.span(("world", "terrain", "file")), kind.mesh_terrain.reason, kind.mesh_terrain.help)
+        yield Finding(
+            "DB316",
+            context.values.span(("world", "terrain", "file")),
+            kind.mesh_terrain.reason,
+            kind.mesh_terrain.help,
+        )
     followers = [(robot.name, joint) for robot in world.robots for joint in robot.model.followers]
     if followers and not kind.moves_followers:
         headline = (
-            f"the engine `{context.program.engine}` does not simulate <mimic>, but the joint `{followers[0][1]}` follows another joint"
+            f"the engine `{context.program.engine}` does not simulate <mimic>, but the joint"
+            f" `{followers[0][1]}` follows another joint"
         )
         yield Finding("DB316", context.values.span(("world", "engine")), headline, OTHER_ENGINES)
     if kind.implausible_inertia is not None:
@@ -131,34 +109,33 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
         for robot in world.robots:
             for link in robot.model.links:
                 if link.inertial is not None and link.inertial.is_stated and not link.inertial.is_plausible:
-                    yield Finding("DB316", context.values.key_span(("robots", robot.name)), f"link `{link.name}` {reason}", help)
+                    yield Finding(
+                        "DB316",
+                        context.values.key_span(("robots", robot.name)),
+                        f"link `{link.name}` {reason}",
+                        help,
+                    )
 
 
+@rule("DB507")
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
-    """DB507: the size or the mass of an object or of a robot is implausible.
-
-    A puck with `radius: 4 m` is 8 m across; its radius is probably in centimeters. The rule reports an object in which a robot begins, and
-    which is at least four times as large as this robot; a movable object with a density below 0.1 or above 25 000 kg/m^3 (air: 1.2,
-    osmium: 22 600); and a movable object that is 100 000 times as heavy as all robots together. For an object that must not move, write
-    `fixed: true` instead of a large mass. It also reports a robot of at least 10 m whose mass is less than 10 mg for each cube of 1 m in
-    that of its length: lengths in a robot file are in meters, and these are probably in millimeters.
-
-    Example::
-
-        objects: {puck: {shape: cylinder, radius: 4 m, height: 3 cm, mass: 200 g, pose: {x: 50 cm, z: 10 cm}}}
-
-    Instead::
-
-        objects: {puck: {shape: cylinder, radius: 4 cm, height: 3 cm, mass: 200 g, pose: {x: 50 cm, z: 10 cm}}}
-    """
+    """The size or the mass of an object or of a robot is implausible."""
     world, values = context.program.world, context.values
-    sizes = [(robot, max(footprint.box_sides(footprint.robot_bounds(footprint.without_meshes(robot.model))))) for robot in world.robots]
+    sizes = [
+        (robot, max(footprint.box_sides(footprint.robot_bounds(footprint.without_meshes(robot.model)))))
+        for robot in world.robots
+    ]
     robots = [(robot, size) for robot, size in sizes if size > 0.0]
     for robot, size in robots:
         mass = sum(link.inertial.mass for link in robot.model.links if link.inertial is not None)
         if size >= _MIN_LARGE_ROBOT_M and 0.0 < mass < _MIN_ROBOT_DENSITY * size**3:
-            headline = f"`{robot.name}` is {with_unit(size, LENGTH)} long and has a mass of {with_unit(mass, MASS)}"
-            help = 'write the lengths of the robot file in meters, and `scale="0.001 0.001 0.001"` at a mesh in millimeters'
+            headline = (
+                f"`{robot.name}` is {with_unit(size, LENGTH)} long and has a mass of {with_unit(mass, MASS)}"
+            )
+            help = (
+                'write the lengths of the robot file in meters, and `scale="0.001 0.001 0.001"` at a mesh'
+                " in millimeters"
+            )
             yield Finding("DB507", values.span_of_first(("robots", robot.name), "urdf"), headline, help)
     met: set[NodePath] = set()
     for thing in world.objects:
@@ -166,11 +143,11 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
             if path in met or not values.is_present(path):
                 continue  # another copy of a group, or a wall
             met.add(path)
-            found = _object_around_robot(context.analysis.start, thing, kind, robots, path, values) or _odd_mass(
-                thing, kind, robots, path, values
-            )
-            if found is not None:
-                yield found
+            finding = _object_around_robot(
+                context.analysis.start, thing, kind, robots, path, values
+            ) or _odd_mass(thing, kind, robots, path, values)
+            if finding is not None:
+                yield finding
 
 
 def _forms(thing: ObjectBody) -> Iterator[tuple[NodePath, Variant]]:
@@ -191,13 +168,19 @@ def _object_around_robot(
     width = 2.0 * footprint.shape_footprint(kind.shape).inradius
     for robot, size in robots:
         if width >= _MAX_SIZE_RATIO * size and _is_within(start, robot, thing, kind.shape):
-            headline = f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}` ({with_unit(size, LENGTH)}) begins inside it"
-            return Finding("DB507", values.span_of_first(path, "radius", "size"), headline, _in_centimeters(path, values))
+            headline = (
+                f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}`"
+                f" ({with_unit(size, LENGTH)}) begins inside it"
+            )
+            return Finding(
+                "DB507", values.span_of_first(path, "radius", "size"), headline, _in_centimeters(path, values)
+            )
     return None
 
 
 def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: Shape) -> bool:
-    """Whether the origin of a robot lies within the outline of an object, seen from above, and part of the robot at the same height."""
+    """Whether the origin of a robot lies within the outline of an object, seen from above, and part of the
+    robot at the same height."""
     radius, half = _inner_cylinder(shape)
     high = footprint.robot_bounds(footprint.without_meshes(robot.model))[1][2]
     standing, lying = footprint.resting_height(robot.model), footprint.resting_height(shape)
@@ -225,7 +208,9 @@ def _inner_cylinder(shape: Shape) -> tuple[float, float]:
             return footprint.shape_footprint(shape).inradius, footprint.resting_height(shape)
 
 
-def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader) -> Finding | None:
+def _odd_mass(
+    thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
+) -> Finding | None:
     """A movable object with the density of no material, or one that outweighs all robots by far."""
     size = volume(kind.shape)
     if not thing.solid or kind.fixed or not size or kind.mass <= 0.0:
@@ -236,40 +221,55 @@ def _odd_mass(thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath,
         beyond = "more than any metal" if density > _MAX_DENSITY else "less than a tenth of air"
         shown = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"
         headline = f"`{path[-1]}` has a density of {shown} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
-        help = f"check the units of its mass and size ({water})" + (", or write `fixed: true`" if density > _MAX_DENSITY else "")
+        help = f"check the units of its mass and size ({water})" + (
+            ", or write `fixed: true`" if density > _MAX_DENSITY else ""
+        )
         return Finding("DB507", values.span_of_first(path, "mass"), headline, help)
-    carried = sum(link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None)
+    carried = sum(
+        link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None
+    )
     if carried <= 0.0 or kind.mass < _MAX_MASS_RATIO * carried:
         return None
     headline = f"`{path[-1]}` weighs {weight}, but all robots together weigh only {with_unit(carried, MASS)}"
-    return Finding("DB507", values.span_of_first(path, "mass", "radius", "size"), headline, _in_centimeters(path, values))
+    return Finding(
+        "DB507", values.span_of_first(path, "mass", "radius", "size"), headline, _in_centimeters(path, values)
+    )
 
 
 def _in_centimeters(path: NodePath, values: ValueReader) -> str:
     """A help with the same size in centimeters, where it is written in meters."""
     written = values.span_of_first(path, "radius", "size").text
-    found = _LENGTHS_IN_METERS.fullmatch(written)
-    if found is None:
+    match = _LENGTHS_IN_METERS.fullmatch(written)
+    if match is None:
         return "check the unit of its size"
-    return f"write `{found[1]} cm` if you mean centimeters"
+    return f"write `{match[1]} cm` if you mean centimeters"
 
 
 # Measured in a simulation
 
-_STABILITY_HELP = "shorten the physics step (`world.substeps`), weaken motors and springs, and check masses and inertias"
+_STABILITY_HELP = (
+    "shorten the physics step (`world.substeps`), weaken motors and springs, and check masses and inertias"
+)
 _KINDS = {
     "crash": ("the physics engine crashes ({})", _STABILITY_HELP),
     "hang": (
         "a step does not return within {}",
         "look for overlapping bodies and fine meshes, and use fewer substeps",
     ),
-    "memory": ("the simulation needs more memory than {}", "use fewer bodies, smaller meshes or smaller pictures"),
-    "killed": ("another process ended the simulation ({})", "the system probably ran out of memory; make the world smaller"),
+    "memory": (
+        "the simulation needs more memory than {}",
+        "use fewer bodies, smaller meshes or smaller pictures",
+    ),
+    "killed": (
+        "another process ended the simulation ({})",
+        "the system probably ran out of memory; make the world smaller",
+    ),
 }
 
 
+@rule("DB309")
 def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
-    """DB309: the engine crashes, hangs, or computes impossible motion."""
+    """The engine crashes, hangs, or computes impossible motion."""
     halt, stop = simulation.report.halt, simulation.report.stop
     if halt is not None and halt.kind in _KINDS:
         headline, help = _KINDS[halt.kind]
@@ -277,7 +277,9 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
         if simulation.report.fastest:
             body, speed = simulation.report.fastest
             notes.append(f"the fastest body before was `{body}`, at {speed:.3g} m/s")
-        yield Finding("DB309", simulation.body_span(body), headline.format(halt.description), help, notes=tuple(notes))
+        yield Finding(
+            "DB309", simulation.body_span(body), headline.format(halt.description), help, notes=tuple(notes)
+        )
     elif stop is not None:
         yield from _stopped(simulation, stop)
 
@@ -292,7 +294,11 @@ def _stopped(simulation: Simulation, stop: Mapping[str, Any]) -> Iterator[Findin
         case "engine":
             headline, body = f"the engine stops with an error: {text}", _body_in(simulation, text)
         case "build":
-            yield Finding("DB309", simulation.body_span(_body_in(simulation, text)), f"the engine cannot build this world: {text}")
+            yield Finding(
+                "DB309",
+                simulation.body_span(_body_in(simulation, text)),
+                f"the engine cannot build this world: {text}",
+            )
             return
         case _:
             return
@@ -316,43 +322,46 @@ def _implausible_motion(stop: Mapping[str, Any], body: str) -> str:
 def _body_in(simulation: Simulation, text: str) -> str:
     """The first body that a message of the engine names; empty if it names none."""
     world = simulation.program.world
-    known = {robot.name for robot in world.robots} | {thing.name for thing in world.objects}
-    return next((word for word in re.findall(r"'([^']+)'", text) if word in known), "")
+    bodies = {robot.name for robot in world.robots} | {thing.name for thing in world.objects}
+    return next((word for word in re.findall(r"'([^']+)'", text) if word in bodies), "")
 
 
 # Resets
 
 
+@rule("DB809")
 def identical_episodes(context: RuleContext) -> Iterator[Finding]:
-    """DB809: nothing is random, so all episodes are the same.
-
-    Physics is deterministic. A policy without noise behaves the same in all episodes of an evaluation: the standard deviation of their
-    returns is 0, and they test only one start. The rule treats draws, noise, lost messages, positions in a region, several layouts
-    and Python code as random. It does not report scenarios with several cases of the evaluation or stages of a curriculum. If one start is
-    intended, one episode is enough: `evaluation: {episodes: 1}`.
-
-    Example::
-
-        reset: {joints: {cart.pole_hinge: 1 deg}}
-
-    Instead::
-
-        reset: {joints: {cart.pole_hinge: uniform(-1 .. 1 deg)}}
-    """
+    """Nothing is random, so all episodes are the same."""
     program = context.program
-    if program.agent.training is None or program.evaluation.episodes < 2 or program.cases or program.curriculum:
+    if (
+        program.agent.training is None
+        or program.evaluation.episodes < 2
+        or program.cases
+        or program.curriculum
+    ):
         return
-    if _varies(context.analysis) or any(contains_draw(tree) for reading in context.values.readings for tree in reading.trees):
+    if _varies(context.analysis) or any(
+        contains_draw(tree) for reading in context.values.readings for tree in reading.trees
+    ):
         return
-    headline = f"nothing is random, so the {program.evaluation.episodes} episodes of an evaluation are identical"
+    headline = (
+        f"nothing is random, so the {program.evaluation.episodes} episodes of an evaluation are identical"
+    )
     if program.reset.joint_starts:
         start = program.reset.joint_starts[0]
         joint = context.analysis.body(start.robot).model.joint(start.joints[0])
         spread = "-1 .. 1 deg" if joint_dimension(joint) == ANGLE else "-1 .. 1 cm"
-        yield Finding("DB809", start.position.span, headline, f"draw the initial state, as in `uniform({spread})`")
+        yield Finding(
+            "DB809", start.position.span, headline, f"draw the initial state, as in `uniform({spread})`"
+        )
     else:
-        section = next((key for key in ("reset", "evaluation", "train") if context.values.is_present((key,))), "train")
-        help = f"draw the initial position, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5 cm)}}` under `reset.place`"
+        section = next(
+            (key for key in ("reset", "evaluation", "train") if context.values.is_present((key,))), "train"
+        )
+        help = (
+            f"draw the initial position, as in `{program.world.robots[0].name}: {{x: uniform(-5 .. 5"
+            f" cm)}}` under `reset.place`"
+        )
         yield Finding("DB809", context.values.key_span((section,)), headline, help)
 
 
@@ -367,7 +376,9 @@ def _varies(analysis: Analysis) -> bool:
         or any(thing.variants for thing in program.world.objects)
         or len(program.reset.layouts) > 1
         or any(place.spot is not None or _draws_coordinates(place) for place in analysis.placements)
-        or any(setting is not None for route in routes for setting in (route.loss, route.burst, route.latency))
+        or any(
+            setting is not None for route in routes for setting in (route.loss, route.burst, route.latency)
+        )
         or any(entry.noise for entry in program.agent.observation)
         or any(value.noise for value in may_be_noisy(program))
         or any(_has_noise(sensor) for robot in program.robots for sensor in robot.sensors)
@@ -378,33 +389,18 @@ def _varies(analysis: Analysis) -> bool:
 def _has_noise(sensor: Sensor) -> bool:
     faults = sensor.faults
     lookup = sensor.beams.lookup if sensor.beams is not None else None
-    return (faults is not None and any((faults.noise, faults.relative_noise, faults.drift))) or (lookup is not None and bool(lookup.noise))
+    return (faults is not None and any((faults.noise, faults.relative_noise, faults.drift))) or (
+        lookup is not None and bool(lookup.noise)
+    )
 
 
 def _draws_coordinates(place: Placement) -> bool:
     return any(contains_draw(coordinate.typed) for coordinate in place.coordinates.values())
 
 
+@rule("DB812")
 def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
-    """DB812: `reset.require` depends only on drawn parameters, which are not drawn again when the requirement does not hold.
-
-    If a start does not meet the requirement, deepbots draws the layout, all positions and the joints again, at most
-    `reset.attempts` times. Parameters keep their values for the episode, so the requirement stays false, and the reset
-    fails. Draw the parameter from values that meet the requirement, or draw a position under `reset.place` instead.
-
-    Example::
-
-        parameters: {mark: uniform(-0.3 .. 0.3 m)}
-        augment: {left: mark - x}
-        observation: {left: -0.8 .. 0.8 m}
-        reset: {require: abs(mark) > 10 cm}
-
-    Instead::
-
-        parameters: {side: choice(-1 | 1), mark: side * uniform(0.1 .. 0.3 m)}
-        augment: {left: mark - x}
-        observation: {left: -0.8 .. 0.8 m}
-    """
+    """`reset.require` depends only on parameters, which are not drawn again if it does not hold."""
     program, analysis, require = context.program, context.analysis, context.program.reset.require
     if require is None:
         return
@@ -413,52 +409,81 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     facts = [fact for fact in analysis.walk_definitions(node) if isinstance(fact, EngineRead)]
     bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
     places = [place for place in analysis.placements if place.body in bodies]
-    names = {name for place in places for coordinate in place.coordinates.values() for name in referenced_names(coordinate.typed)}
+    names = {
+        name
+        for place in places
+        for coordinate in place.coordinates.values()
+        for name in referenced_names(coordinate.typed)
+    }
     sources = sorted((analysis.drawn_dependencies(node) | names) & drawn)
-    bent = {subject.partition(".")[0] for fact in facts if not _is_of_root(program, fact) for subject in fact.subjects}
+    bent = {
+        subject.partition(".")[0]
+        for fact in facts
+        if not _is_of_root(program, fact)
+        for subject in fact.subjects
+    }
     if sources and not _is_drawn_again(program, places, bent) and analysis.start.of(node) != ALWAYS:
-        headline = f"`require` depends on `{sources[0]}`, which deepbots does not draw again if a start does not meet `require`"
-        help = f"draw `{sources[0]}` only from values that meet `require`, as in `choice(-1 | 1) * uniform(6 .. 20 cm)` (two intervals)"
+        headline = (
+            f"`require` depends on `{sources[0]}`, which deepbots does not draw again if a start does"
+            " not meet `require`"
+        )
+        help = (
+            f"draw `{sources[0]}` only from values that meet `require`, as in `choice(-1 | 1) * uniform(6"
+            " .. 20 cm)` (two intervals)"
+        )
         yield Finding(
-            "DB812", require.span, headline, f"{help}, or replace `{sources[0]}` with a position that is drawn under `reset.place`"
+            "DB812",
+            require.span,
+            headline,
+            f"{help}, or replace `{sources[0]}` with a position that is drawn under `reset.place`",
         )
 
 
 def _is_of_root(program: Program, fact: EngineRead) -> bool:
     """Whether a fact concerns the pose of an object or of a root link, which no joint moves."""
-    roots = {f"{robot.name}.{robot.model.root}" for robot in program.world.robots} | {thing.name for thing in program.world.objects}
+    roots = {f"{robot.name}.{robot.model.root}" for robot in program.world.robots} | {
+        thing.name for thing in program.world.objects
+    }
     return fact.function in ("position", "orientation") and roots.issuperset(fact.subjects)
 
 
 def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -> bool:
-    """Whether the next attempt differs: in the place of a body, in the layout, or in a joint of a robot in `bent`."""
-    joints = any(start.robot in bent and contains_draw(start.position.typed) for start in program.reset.joint_starts)
-    moved = any(_draws_coordinates(place) or place.spot is not None or place.at_most is not None for place in places)
+    """Whether the next attempt differs: in the place of a body, in the layout, or in a joint of a robot in
+    `bent`."""
+    joints = any(
+        start.robot in bent and contains_draw(start.position.typed) for start in program.reset.joint_starts
+    )
+    moved = any(
+        _draws_coordinates(place) or place.spot is not None or place.at_most is not None for place in places
+    )
     return joints or moved or (bool(places) and len(program.reset.layouts) > 1)
 
 
+@rule("DB310")
 def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
-    """DB310: bodies overlap at the start; one pair is reported for all copies of a group."""
+    """Bodies overlap at the start; one pair is reported for all copies of a group."""
     deepest: dict[frozenset[str], MeasuredOverlap] = {}
-    for found in simulation.report.overlaps:
-        pair = frozenset(name.partition("#")[0] for name, _ in (found.one, found.other))
-        if found.depth > _MAX_DEPTH and (pair not in deepest or deepest[pair].depth < found.depth):
-            deepest[pair] = found
-    yield from (_overlapping(simulation, found) for found in deepest.values())
+    for overlap in simulation.report.overlaps:
+        pair = frozenset(name.partition("#")[0] for name, _ in (overlap.one, overlap.other))
+        if overlap.depth > _MAX_DEPTH and (pair not in deepest or deepest[pair].depth < overlap.depth):
+            deepest[pair] = overlap
+    yield from (_overlapping(simulation, overlap) for overlap in deepest.values())
 
 
-def _overlapping(simulation: Simulation, found: MeasuredOverlap) -> Finding:
+def _overlapping(simulation: Simulation, overlap: MeasuredOverlap) -> Finding:
     """Reported at the body that the scenario places, a robot first."""
-    one, other = sorted((found.one, found.other), key=lambda part: _order(simulation, part[0]))
+    one, other = sorted((overlap.one, overlap.other), key=lambda part: _order(simulation, part[0]))
     first, second = simulation.called(one[0]), simulation.called(other[0])
-    depth = f"{found.depth * 1000:.3g} mm"
+    depth = f"{overlap.depth * 1000:.3g} mm"
     span = simulation.placement(one[0]) or simulation.body_span(one[0])
     met = f"link `{one[1]}` meets `{simulation.called(other[1])}`"
-    notes = (f"{met}, in the reset with seed {found.seed}; {simulation.plan.resets} seeds were simulated",)
+    notes = (f"{met}, in the reset with seed {overlap.seed}; {simulation.plan.resets} seeds were simulated",)
     if other[0] == GROUND:
         headline = f"`{first}` begins {depth} below the surface of the ground"
         help = f"place it {depth} higher, or remove `z` to place it on the ground"
-        also = (Label(simulation.body_span(other[0]), "the ground"),) if simulation.program.world.terrain else ()
+        also = (
+            (Label(simulation.body_span(other[0]), "the ground"),) if simulation.program.world.terrain else ()
+        )
     else:
         headline = f"`{first}` and `{second}` overlap by {depth} at the start"
         help = "place them farther apart, or use a `region`, where deepbots finds free positions"

@@ -1,7 +1,7 @@
 """Completion of keys, words, names, expressions and files, also in a document that is broken at the cursor.
 
-The schema gives keys and words by the path of the cursor. Names come from the last analysis that resolved them and from
-the current text.
+The schema gives keys and words by the path of the cursor. Names come from the last analysis that resolved
+them and from the current text.
 """
 
 from __future__ import annotations
@@ -10,7 +10,14 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
-from lsprotocol.types import CompletionItem, CompletionItemKind, CompletionList, MarkupContent, MarkupKind, TextEdit
+from lsprotocol.types import (
+    CompletionItem,
+    CompletionItemKind,
+    CompletionList,
+    MarkupContent,
+    MarkupKind,
+    TextEdit,
+)
 
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inventory import action_at, definition, names_at
@@ -34,7 +41,15 @@ from deepbots_cli.lsp.lookup import (
     summary,
 )
 from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
-from deepbots_cli.scenario.base import Kinds, MappingOf, Section, example_of, hover_text, section_description, section_fields
+from deepbots_cli.scenario.base import (
+    Kinds,
+    MappingOf,
+    Section,
+    example_of,
+    hover_text,
+    section_description,
+    section_fields,
+)
 from deepbots_cli.scenario.fields import (
     COLORS,
     MEASURES,
@@ -62,7 +77,11 @@ class Choice(NamedTuple):
     doc: str = ""
 
 
-_INCLUDE = Choice("include", CompletionItemKind.Keyword, "a file with the value of this mapping; its other keys are merged over it")
+_INCLUDE = Choice(
+    "include",
+    CompletionItemKind.Keyword,
+    "a file with the value of this mapping; its other keys are merged over it",
+)
 _FILE_KEYS = {
     "extends": "the scenario that this one changes: a path, or the name of a shipped one",
     "remove": "paths to remove from the extended scenario, such as `[observation.tip_speed]`",
@@ -75,11 +94,16 @@ _COLON = re.compile(r"[\w]*[ \t]*:")
 def completion(view: CursorView) -> CompletionList:
     """All completions at the place; the client filters them by the text before the cursor.
 
-    The list is marked as incomplete until the current text is analyzed, so that the client asks again at the next letter.
+    The list is marked as incomplete until the current text is analyzed, so that the client asks again at the
+    next letter.
     """
     place = view.place
     if view.document.is_blank:
-        items = [] if place.role == "aside" else [_item(view, _VERSION_LINE, place.start, f"{_VERSION_LINE.text}\n")]
+        items = (
+            []
+            if place.role == "aside"
+            else [_item(view, _VERSION_LINE, place.start, f"{_VERSION_LINE.text}\n")]
+        )
     elif place.role == "aside":
         items = _codes(view)
     elif place.role == "key":
@@ -96,10 +120,10 @@ def completion(view: CursorView) -> CompletionList:
 
 def _keys(view: CursorView) -> Iterator[CompletionItem]:
     place, data = view.place, view.data
-    given = view.keys
+    present = view.keys
     colon = "" if _COLON.match(view.document.plain, view.offset) else ": "
     for choice in _unique(_key_choices(view, data)):
-        if choice.text not in given:
+        if choice.text not in present:
             yield _item(view, choice, place.start, choice.text + colon)
 
 
@@ -125,9 +149,9 @@ def _section_keys(section: type[Section]) -> Iterator[Choice]:
 
 
 def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
-    found = shape.find(data)
-    if found is not None:
-        yield from _section_keys(found)
+    section = shape.find(data)
+    if section is not None:
+        yield from _section_keys(section)
         return
     yield Choice(shape.key, CompletionItemKind.Property, f"one of {', '.join(shape.names)}")
     for marker, model in shape.models_by_marker.items():
@@ -143,7 +167,8 @@ def _values(view: CursorView) -> Iterator[CompletionItem]:
     yield from (_item(view, choice, place.start) for choice in _unique(words))
     for shape in shapes_at(place.path, data):
         if isinstance(shape, FieldType) and _is_expression(shape):
-            start, is_called = view.offset - len(_word_before(place.text)), view.document.plain.startswith("(", view.offset)
+            start = view.offset - len(_word_before(place.text))
+            is_called = view.document.plain.startswith("(", view.offset)
             for choice in _unique(_expression_items(view, shape, data)):
                 yield _item(view, choice, start, choice.text.removesuffix("(") if is_called else None)
             return
@@ -153,20 +178,28 @@ def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator
     """What may come next in an expression, including names in the text that no analysis knows yet."""
     path, text = view.place.path, view.place.text
     if _expects_unit(text):
-        goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))  # then only single units follow, not `N*m`
+        goes_on = text[: len(text) - len(_word_before(text))].endswith(
+            ("*", "/")
+        )  # then only single units follow, not `N*m`
         wanted = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
         if not goes_on:
-            yield from (Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description) for unit in wanted if unit.text not in UNITS)
+            yield from (
+                Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
+                for unit in wanted
+                if unit.text not in UNITS
+            )
         dimensions = [unit.dimension for unit in wanted]
         for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
             yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
         if isinstance(field, Expression) and not goes_on:
-            yield from (Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or"))
+            yield from (
+                Choice(word, CompletionItemKind.Keyword, "", _GRAMMAR[word]) for word in ("when", "and", "or")
+            )
         return
     scope = _scope_of(view.analysis, field, path) if view.analysis else None
     if scope is not None and view.checked is not None:
-        known = _expression_choices(text, scope, view.checked)
-        yield from (choice for choice in known if not _defines(path, choice.text))
+        choices = _expression_choices(text, scope, view.checked)
+        yield from (choice for choice in choices if not _defines(path, choice.text))
     kind = _expected_kind(text, field)
     for name in _names_in_text(kind, path, data):
         if scope is None or (scope.lookup(name) is None and scope.subject(name) is None):
@@ -179,9 +212,9 @@ def _example(view: CursorView, data: Any) -> Iterator[Choice]:
     """The documented example of the key at the cursor, for values without a vocabulary."""
     path = view.place.path
     section = section_of(path, data) if not view.place.text.strip() else None
-    found = example_of(section, str(path[-1])) if section is not None else None
-    if found is not None and "\n" not in found.text:
-        yield Choice(found.text, CompletionItemKind.Value, "an example")
+    example = example_of(section, str(path[-1])) if section is not None else None
+    if example is not None and "\n" not in example.text:
+        yield Choice(example.text, CompletionItemKind.Value, "an example")
 
 
 def _word_choices(view: CursorView, data: Any) -> Iterator[Choice]:
@@ -189,7 +222,10 @@ def _word_choices(view: CursorView, data: Any) -> Iterator[Choice]:
     for shape in shapes_at(path[:-1], data) if path else ():
         if isinstance(shape, Kinds) and shape.key == path[-1]:
             yield from (
-                Choice(word, CompletionItemKind.EnumMember, shape.key, section_description(shape.models[word])) for word in shape.names
+                Choice(
+                    word, CompletionItemKind.EnumMember, shape.key, section_description(shape.models[word])
+                )
+                for word in shape.names
             )
     if path and path[-1] in ("include", "extends"):
         yield from _files(view, (".yaml", ".yml"), shipped.SCENARIOS if path[-1] == "extends" else None)
@@ -228,9 +264,12 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
 def _named(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choice]:
     """The names that a reference may take."""
     if isinstance(field, (Reference, Pattern)):
-        known = names_at(view.checked, field.kind, path) if view.checked is not None else ()
-        yield from (Choice(found.name, CompletionItemKind.Reference, found.description) for found in known)
-        yield from (Choice(name, CompletionItemKind.Reference, field.kind) for name in _names_in_text(field.kind, path, view.data))
+        entries = names_at(view.checked, field.kind, path) if view.checked is not None else ()
+        yield from (Choice(entry.name, CompletionItemKind.Reference, entry.description) for entry in entries)
+        yield from (
+            Choice(name, CompletionItemKind.Reference, field.kind)
+            for name in _names_in_text(field.kind, path, view.data)
+        )
 
 
 # Comments
@@ -238,27 +277,32 @@ def _named(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choic
 
 def _codes(view: CursorView) -> list[CompletionItem]:
     """The warnings that a comment may suppress."""
-    found = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
-    if found is None:
+    match = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
+    if match is None:
         return []
     warnings = (rule for rule in RULES.values() if rule.severity == "warning" and rule.family != "linting")
-    start = view.offset - len(found[1])
-    return [_item(view, Choice(rule.code, CompletionItemKind.Value, rule.name, rule.summary), start) for rule in warnings]
+    start = view.offset - len(match[1])
+    return [
+        _item(view, Choice(rule.code, CompletionItemKind.Value, rule.name, rule.summary), start)
+        for rule in warnings
+    ]
 
 
 # Items
 
 
-def _unique(found: Iterable[Choice]) -> Iterable[Choice]:
+def _unique(choices: Iterable[Choice]) -> Iterable[Choice]:
     first: dict[str, Choice] = {}
-    for choice in found:
+    for choice in choices:
         first.setdefault(choice.text, choice)
     return first.values()
 
 
 def _item(view: CursorView, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
     before = view.document.plain[: view.offset]
-    start = max(start, len(before) - len(before.rpartition("\n")[2].lstrip()))  # the protocol wants the edit on one line
+    start = max(
+        start, len(before) - len(before.rpartition("\n")[2].lstrip())
+    )  # the protocol wants the edit on one line
     span = view.document.lines.range(start, view.offset)
     return CompletionItem(
         label=choice.text,
@@ -273,7 +317,9 @@ def _item(view: CursorView, choice: Choice, start: int, text: str | None = None)
 # Expressions
 
 _WORD = re.compile(r"[A-Za-z_][\w.]*$")
-_AFTER_NUMBER = re.compile(r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$")
+_AFTER_NUMBER = re.compile(
+    r"(?<![A-Za-z_\d])(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\s+|\s*(?:[A-Za-z%]+(?:\^-?\d)?[*/])+)?$"
+)
 _GRAMMAR = {
     "when": "`a when c`: a if the condition is true, otherwise 0",
     "if": "`a if c else b`: a if the condition is true, otherwise b",
@@ -284,7 +330,10 @@ _GRAMMAR = {
     "true": "always true",
     "false": "never true",
 }
-_REPEATS = {"every": "draws again after this time: `uniform(0 .. 1) every 5 s`", "each step": "draws again in each step"}
+_REPEATS = {
+    "every": "draws again after this time: `uniform(0 .. 1) every 5 s`",
+    "each step": "draws again in each step",
+}
 _CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
 _ROBOT_CONTEXTS = ("emit", "apply")
 _BODY = "body or link"
@@ -311,14 +360,18 @@ def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> S
     if field.context not in _ROBOT_CONTEXTS:
         return SupervisorScope(checked.namespace, context)
     robot = str(path[1]) if len(path) > 1 else ""
-    known = [reading.scope for reading in analysis.readings if isinstance(reading.scope, RobotScope) and reading.scope.robot == robot]
-    same = next((scope for scope in known if scope.context is context), known[0] if known else None)
+    scopes = [
+        reading.scope
+        for reading in analysis.readings
+        if isinstance(reading.scope, RobotScope) and reading.scope.robot == robot
+    ]
+    same = next((scope for scope in scopes if scope.context is context), scopes[0] if scopes else None)
     return RobotScope(checked.namespace, context, robot, dict(same.own) if same else {})
 
 
 def _word_before(text: str) -> str:
-    found = _WORD.search(text)
-    return found.group() if found else ""
+    match = _WORD.search(text)
+    return match.group() if match else ""
 
 
 def _expects_unit(text: str) -> bool:
@@ -359,7 +412,11 @@ def _expression_choices(text: str, scope: Scope, checked: CheckedScenario) -> It
 def _measures(field: FieldType) -> list[str]:
     if not isinstance(field, (Quantity, Range, Column)):
         return []
-    return [measure for measure in (field.dimension, *field.dimension.split(" or ")) if measure in MEASURES and measure != "any"]
+    return [
+        measure
+        for measure in (field.dimension, *field.dimension.split(" or "))
+        if measure in MEASURES and measure != "any"
+    ]
 
 
 def _unit(measure: str) -> Unit | None:
@@ -371,7 +428,12 @@ def functions(families: frozenset[Family]) -> Iterator[Choice]:
     """The functions of these families."""
     for function in FUNCTIONS.values():
         if function.family in families:
-            yield Choice(f"{function.name}(", CompletionItemKind.Function, function.signature, describe_function(function))
+            yield Choice(
+                f"{function.name}(",
+                CompletionItemKind.Function,
+                function.signature,
+                describe_function(function),
+            )
 
 
 def _names(scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
@@ -379,8 +441,13 @@ def _names(scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
     for name in list(dict.fromkeys(scope.names()))[:_MAX_NAMES]:
         symbol = scope.lookup(name)
         if symbol is not None and symbol.refusal is None:
-            found = definition(checked, name, robot)
-            yield Choice(name, CompletionItemKind.Variable, describe_symbol(symbol), found.description if found else "built in")
+            entry = definition(checked, name, robot)
+            yield Choice(
+                name,
+                CompletionItemKind.Variable,
+                describe_symbol(symbol),
+                entry.description if entry else "built in",
+            )
 
 
 def _components(name: str, scope: Scope) -> Iterator[Choice]:
@@ -398,8 +465,8 @@ def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
             break
     begin = index - len(_word_before(text[:index]))
     tree = parser.parse(text[begin:], ignore_finding)
-    known = check(tree, scope, ignore_finding) if tree is not None else None
-    return _component_choices(known.type if known else None, "")
+    typed = check(tree, scope, ignore_finding) if tree is not None else None
+    return _component_choices(typed.type if typed else None, "")
 
 
 def _component_choices(vector: Type | None, before: str) -> Iterator[Choice]:
@@ -418,7 +485,8 @@ def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
 
 
 def _expected_parts(before: str) -> frozenset[Kind] | None:
-    """The kinds of parts that the argument at the end of the text may name; None for a value or outside of a call."""
+    """The kinds of parts that the argument at the end of the text may name; None for a value or outside of a
+    call."""
     called = _open_call(before)
     if called is None:
         return None
@@ -428,7 +496,11 @@ def _expected_parts(before: str) -> frozenset[Kind] | None:
     if not params or (function is not None and function.family is Family.DRAW):
         return None
     param = params[min(index, len(params) - 1)]
-    return param.kinds if param.form is Form.SUBJECT and not before.rstrip().endswith(("+", "-", "*", "/")) else None
+    return (
+        param.kinds
+        if param.form is Form.SUBJECT and not before.rstrip().endswith(("+", "-", "*", "/"))
+        else None
+    )
 
 
 def _open_call(before: str) -> tuple[str, int] | None:
@@ -443,8 +515,8 @@ def _open_call(before: str) -> tuple[str, int] | None:
         elif sign == "(" and depth:
             depth -= 1
         elif sign == "(":
-            found = _WORD.search(before[:index])
-            return (found.group(), commas) if found else None
+            match = _WORD.search(before[:index])
+            return (match.group(), commas) if match else None
     return None
 
 
@@ -467,18 +539,26 @@ _SECTIONS: dict[str, tuple[NodePath, ...]] = {
     "value": (("parameters",), ("augment",), ("signals",)),
 }
 """The mappings whose keys are the names of each kind."""
-_ROBOT_SECTIONS = {"sensor": ("sensors",), "actuator": ("actuators",), "value on board": ("sensors", "receive")}
+_ROBOT_SECTIONS = {
+    "sensor": ("sensors",),
+    "actuator": ("actuators",),
+    "value on board": ("sensors", "receive"),
+}
 
 
 def _names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
     """The names in `data` that a reference of this kind may name at `path`."""
     for section in _sections(kind, path):
-        found = value_at(data, section)
-        yield from (name for name in found if not _defines(path, name)) if isinstance(found, dict) else ()
+        value = value_at(data, section)
+        yield from (name for name in value if not _defines(path, name)) if isinstance(value, dict) else ()
     robots = value_at(data, ("robots",)) if kind == "value" else ""
     for robot in robots if isinstance(robots, dict) else ():
         sent = value_at(data, ("robots", robot, "emit")) or value_at(data, ("robots", robot, "sensors"))
-        yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name) if isinstance(sent, (dict, list)) else ()
+        yield from (
+            (f"{robot}.{name}" for name in sent if isinstance(name, str) and name)
+            if isinstance(sent, (dict, list))
+            else ()
+        )
 
 
 def _defines(path: NodePath, name: str) -> bool:
@@ -502,14 +582,23 @@ def _sections(kind: str, path: NodePath) -> tuple[NodePath, ...]:
 _MAX_FILES = 300
 
 
-def _files(view: CursorView, suffixes: tuple[str, ...], library: shipped.Library | None = None) -> Iterator[Choice]:
+def _files(
+    view: CursorView, suffixes: tuple[str, ...], library: shipped.Library | None = None
+) -> Iterator[Choice]:
     """The files and folders that may continue the path at the cursor."""
     folder, slash, _ = view.place.text.rpartition("/")
     if library and not slash:
-        yield from (Choice(name, CompletionItemKind.Module, f"a {library.noun} that comes with deepbots") for name in library.names())
+        yield from (
+            Choice(name, CompletionItemKind.Module, f"a {library.noun} that comes with deepbots")
+            for name in library.names()
+        )
     try:
         root = (view.document.path.parent / f"{folder}{slash}".replace("\0", "")).resolve()
-        paths = sorted(root.iterdir())[:_MAX_FILES] if any(root.is_relative_to(allowed) for allowed in view.roots) else []
+        paths = (
+            sorted(root.iterdir())[:_MAX_FILES]
+            if any(root.is_relative_to(allowed) for allowed in view.roots)
+            else []
+        )
     except (OSError, RuntimeError, ValueError):
         return
     for path in paths:

@@ -1,7 +1,7 @@
 """The place of the cursor in the text of a scenario, which may be broken YAML while somebody types.
 
-The reader scans the text before the cursor, followed by a mark, with PyYAML's scanner. Where the scanner fails, the
-reader replaces one character and scans again. Brackets and blocks need not be closed.
+The reader scans the text before the cursor, followed by a mark, with PyYAML's scanner. Where the scanner
+fails, the reader replaces one character and scans again. Brackets and blocks need not be closed.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _CLOSING = ("}", "]", "<block end>")
 class Place(NamedTuple):
     """The key or value at the cursor.
 
-    A `key` belongs to the mapping at `path`, or is a scalar on its own line at `path`; a `value` stands at `path`;
-    `aside` is a comment, or text after a complete value. The key or value begins at the offset `start`, `text` is its
-    part before the cursor, and `data` holds the values before it.
+    A `key` belongs to the mapping at `path`, or is a scalar on its own line at `path`; a `value` stands at
+    `path`; `aside` is a comment, or text after a complete value. The key or value begins at the offset
+    `start`, `text` is its part before the cursor, and `data` holds the values before it.
     """
 
     path: NodePath
@@ -84,13 +84,19 @@ def value_at(data: Any, path: NodePath) -> Any:
 
 
 def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, str, str]:
-    """The repair that lets the scanner continue: an offset, the character to put there (or none), and the text after the mark."""
+    """The repair that lets the scanner continue: an offset, the character to put there (or none), and the
+    text after the mark."""
     text, problem = reader.text, error.problem or ""
     stop = error.problem_mark.index if error.problem_mark else len(text)
     at = error.context_mark.index if error.context_mark else stop
     if "could not find expected ':'" in problem:  # a line without a key
         return (0, "", f"{behind}:") if "\n" not in text[at:] and ":" not in behind else (at, "#", behind)
-    if text.startswith(("'", '"'), at) and "end of stream" in problem and not behind and not _ends_before(text, at):
+    if (
+        text.startswith(("'", '"'), at)
+        and "end of stream" in problem
+        and not behind
+        and not _ends_before(text, at)
+    ):
         return 0, "", text[at]
     if text.startswith((":", "-", "?"), stop):
         if "\n" in text[reader.since : stop]:
@@ -100,7 +106,8 @@ def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, 
 
 
 def _ends_before(text: str, start: int) -> bool:
-    """Whether a later line is indented no further than the line of `start`, so that the value at `start` has ended."""
+    """Whether a later line is indented no further than the line of `start`, so that the value at `start` has
+    ended."""
     line = text[text.rfind("\n", 0, start) + 1 :]
     indentation = len(line) - len(line.lstrip(" "))
     return re.compile(rf"\n {{0,{indentation}}}[^\s}}\]]").search(text, start) is not None
@@ -109,8 +116,8 @@ def _ends_before(text: str, start: int) -> bool:
 class _Reader:
     """Builds plain values from tokens up to the mark.
 
-    `frames` are the open containers. `slot` is the place of the next value: a container, the key or index in it (None if
-    a key comes next), and its path.
+    `frames` are the open containers. `slot` is the place of the next value: a container, the key or index in
+    it (None if a key comes next), and its path.
     """
 
     def __init__(self, text: str, offset: int) -> None:
@@ -120,7 +127,9 @@ class _Reader:
         self.slot: tuple[Any, Any, NodePath] = (self.root, "", ())
         self.frames: list[tuple[Any, Any, NodePath]] = []
         self.flows: list[int] = []  # the offsets of the open brackets
-        self.flush: list[Any] = []  # lists in the column of their key, which have no tokens for beginning and end
+        self.flush: list[
+            Any
+        ] = []  # lists in the column of their key, which have no tokens for beginning and end
         self.word = ""
         self.since, self.end = 0, 0  # of the last value
         self.path: NodePath = ()
@@ -151,7 +160,11 @@ class _Reader:
     def _check_line(self, start: int) -> None:
         """Brackets end at a line that is indented no further than the line of the opening one."""
         line = self.text.rfind("\n", 0, start) + 1
-        if line > self.flows[0] and not self.text[line:start].strip(" ") and len(self.frames) > len(self.flows):
+        if (
+            line > self.flows[0]
+            and not self.text[line:start].strip(" ")
+            and len(self.frames) > len(self.flows)
+        ):
             above = self.text[self.text.rfind("\n", 0, self.flows[0]) + 1 :]
             if start - line <= len(above) - len(above.lstrip(" ")):
                 raise _EndedError(self.flows[0])
@@ -218,7 +231,10 @@ class _Reader:
         line = self.text[self.text.rfind("\n", 0, start) + 1 :]
         is_block = style in ("|", ">")
         on_own_line = (
-            not self.flows and not is_block and "\n" not in line and not _DASHES.sub("", line[: len(line) - len(self.text) + start], 1)
+            not self.flows
+            and not is_block
+            and "\n" not in line
+            and not _DASHES.sub("", line[: len(line) - len(self.text) + start], 1)
         )
         self.path, self.start = path, start
         if key is not None and holder[key] != "":  # a complete value, and more

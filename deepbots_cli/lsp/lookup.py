@@ -1,4 +1,5 @@
-"""What the schema allows at a path; the expression, key or value under the cursor, its definition and hover text; document symbols."""
+"""What the schema allows at a path; the expression, key or value under the cursor, its definition and hover
+text; document symbols."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS, Form, Function
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import Kind, Symbol, Type, shortened_list, walk
-from deepbots_cli.lint import pages_of
+from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.lsp.cursor import value_at
 from deepbots_cli.lsp.workspace import CursorView, Document, Locator, uri_of
 from deepbots_cli.robots import meshes
@@ -47,11 +48,13 @@ _OPTION = Reference("option")
 
 
 def shapes_at(path: NodePath, data: Any) -> list[Shape]:
-    """Every shape that the schema allows at `path`; several while the data does not decide between the forms of a value."""
-    found = list(dict.fromkeys(_shapes(Scenario, data, path)))
-    # A rule of a script, or an action of a test, gives an expression or an option of the action; the schema cannot tell the two apart.
+    """Every shape that the schema allows at `path`; several while the data does not decide between the forms
+    of a value."""
+    shapes = list(dict.fromkeys(_shapes(Scenario, data, path)))
+    # A rule of a script, or an action of a test, gives an expression or an option of the action; the schema
+    # cannot tell the two apart.
     of_test = path[:1] == ("tests",) and path[2:3] == ("actions",) and len(path) in (4, 5)
-    return [_OPTION, *found] if of_test or (path[:1] == ("scripts",) and len(path) == 3) else found
+    return [_OPTION, *shapes] if of_test or (path[:1] == ("scripts",) and len(path) == 3) else shapes
 
 
 def field_types_at(path: NodePath, data: Any) -> list[FieldType]:
@@ -109,8 +112,8 @@ def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
 def _sections(shape: Shape, data: Any) -> tuple[type[Section], ...]:
     """The sections whose keys data of this shape may hold."""
     if isinstance(shape, Kinds):
-        found = shape.find(data)
-        return (found,) if found else shape.distinct_models
+        section = shape.find(data)
+        return (section,) if section else shape.distinct_models
     return (shape,) if isinstance(shape, type) else ()
 
 
@@ -122,7 +125,8 @@ _VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
 class ExpressionNode(NamedTuple):
     """A node of an expression's syntax tree.
 
-    `cursor` is the cursor's offset in the text of the expression. `kinds` is given if the node names a part of the world.
+    `cursor` is the cursor's offset in the text of the expression. `kinds` is given if the node names a part
+    of the world.
     """
 
     reading: ScopedExpression
@@ -175,14 +179,22 @@ def expression_at(view: CursorView) -> ExpressionNode | None:
     """The innermost node of the expression under the cursor."""
     if view.analysis is None or view.source is None or view.known_offset is None:
         return None
-    found = [(size, reading) for reading in view.analysis.readings if (size := _size_around(view, reading)) is not None]
-    if not found:
+    readings = [
+        (size, reading)
+        for reading in view.analysis.readings
+        if (size := _size_around(view, reading)) is not None
+    ]
+    if not readings:
         return None
-    reading = min(found, key=lambda one: one[0])[1]
+    reading = min(readings, key=lambda one: one[0])[1]
     index = _index(reading.text, view.known_offset)
     text = reading.text.text
     tree = parser.parse(text, ignore_finding)
-    if tree is None or not tree.start <= index <= tree.end or "#" in text[text.rfind("\n", 0, index) + 1 : index]:  # a comment
+    if (
+        tree is None
+        or not tree.start <= index <= tree.end
+        or "#" in text[text.rfind("\n", 0, index) + 1 : index]
+    ):  # a comment
         return None
     return _innermost(ExpressionNode(reading, index, tree))
 
@@ -203,12 +215,13 @@ def key_or_value_at(view: CursorView) -> KeyOrValue | None:
 
 
 def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
-    found = pattern.match(text, start)
-    return found.end() if found else start
+    match = pattern.match(text, start)
+    return match.end() if match else start
 
 
 def _size_around(view: CursorView, reading: ScopedExpression) -> int | None:
-    """The length of the expression's text if it holds the cursor, otherwise None; a default has no text in the file."""
+    """The length of the expression's text if it holds the cursor, otherwise None; a default has no text in
+    the file."""
     text, then = reading.text, view.known_offset
     first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
     if first.source is not view.source or then is None or not first.start <= then <= last.end:
@@ -218,7 +231,9 @@ def _size_around(view: CursorView, reading: ScopedExpression) -> int | None:
 
 
 def _index(text: SourceText, offset: int) -> int:
-    return next((index for index in range(len(text.text)) if text.part(index, index + 1).end > offset), len(text.text))
+    return next(
+        (index for index in range(len(text.text)) if text.part(index, index + 1).end > offset), len(text.text)
+    )
 
 
 def _innermost(outer: ExpressionNode) -> ExpressionNode:
@@ -227,7 +242,9 @@ def _innermost(outer: ExpressionNode) -> ExpressionNode:
     if isinstance(node, syntax.Call) and index <= node.name_end:
         return outer
     for child, kinds in _inside(node):
-        if child.start <= index <= child.end and not (child.start == index and isinstance(child, syntax.Binary)):
+        if child.start <= index <= child.end and not (
+            child.start == index and isinstance(child, syntax.Binary)
+        ):
             return _innermost(outer._replace(node=child, kinds=kinds))
     return outer
 
@@ -236,7 +253,9 @@ def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | 
     """The child nodes, with the allowed kinds for arguments that name a part of the world."""
     function = FUNCTIONS.get(node.function) if isinstance(node, syntax.Call) else None
     for index, child in enumerate(syntax.children(node)):
-        param = function.params[min(index, len(function.params) - 1)] if function and function.params else None
+        param = (
+            function.params[min(index, len(function.params) - 1)] if function and function.params else None
+        )
         yield child, param.kinds if param is not None and param.form is Form.SUBJECT else None
 
 
@@ -249,18 +268,21 @@ _ALIAS = re.compile(r"\*([\w-]+)")
 
 
 def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
-    """The definitions of the name, alias or file under the cursor; several for a pattern that matches several names."""
+    """The definitions of the name, alias or file under the cursor; several for a pattern that matches several
+    names."""
     anchor = _anchor(view)
     if anchor is not None:
         return [anchor]
-    found = key_or_value_at(view)
-    file = _file(view, found, open_uris) if found is not None else None
+    target = key_or_value_at(view)
+    file = _file(view, target, open_uris) if target is not None else None
     if file is not None:
         return [file]
     if view.analysis is None:
         return []
     locator = Locator(view.analysis, open_uris)
-    return [locator.location(span) for span in _by_name(view) or (_by_reference(view, found) if found else [])]
+    return [
+        locator.location(span) for span in _by_name(view) or (_by_reference(view, target) if target else [])
+    ]
 
 
 def _anchor(view: CursorView) -> types.Location | None:
@@ -269,16 +291,25 @@ def _anchor(view: CursorView) -> types.Location | None:
     for alias in _ALIAS.finditer(text, begin, view.offset + 100):
         if alias.start() <= view.offset <= alias.end():
             anchors = list(re.finditer(rf"&{re.escape(alias[1])}(?![\w-])", text[: alias.start()]))
-            return types.Location(view.document.uri, view.document.lines.range(*anchors[-1].span())) if anchors else None
+            return (
+                types.Location(view.document.uri, view.document.lines.range(*anchors[-1].span()))
+                if anchors
+                else None
+            )
     return None
 
 
-def _file(view: CursorView, found: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:
-    kinds = [field.kind for field in field_types_at(found.path, view.data) if isinstance(field, FilePath)]
-    if found.is_key or not (kinds or found.path[-1:] in (("include",), ("extends",))):
+def _file(view: CursorView, target: KeyOrValue, open_uris: dict[Path, str]) -> types.Location | None:
+    kinds = [field.kind for field in field_types_at(target.path, view.data) if isinstance(field, FilePath)]
+    if target.is_key or not (kinds or target.path[-1:] in (("include",), ("extends",))):
         return None
-    library = shipped.SCENARIOS if found.path[-1:] == ("extends",) else shipped.ROBOTS if "robot file" in kinds else None
-    path = _located(view, found.text, library)
+    if target.path[-1:] == ("extends",):
+        library = shipped.SCENARIOS
+    elif "robot file" in kinds:
+        library = shipped.ROBOTS
+    else:
+        library = None
+    path = _located(view, target.text, library)
     return types.Location(open_uris.get(path) or uri_of(path), _START) if path is not None else None
 
 
@@ -286,36 +317,40 @@ def _located(view: CursorView, reference: str, library: shipped.Library | None) 
     """The file that a reference names; None if no such file exists or the scenario may not read it."""
     if reference.startswith("package://"):
         return meshes.package_file(reference)
-    found = resolve_reference(reference, view.document.path.parent, view.roots, library)
-    return found if isinstance(found, Path) else None
+    path = resolve_reference(reference, view.document.path.parent, view.roots, library)
+    return path if isinstance(path, Path) else None
 
 
 def _by_name(view: CursorView) -> list[Span]:
     """The definition of the name under the cursor in an expression."""
-    found = expression_at(view)
-    if found is None or found.name is None or view.checked is None:
+    node = expression_at(view)
+    if node is None or node.name is None or view.checked is None:
         return []
-    named = definition(view.checked, found.name, found.robot)
+    named = definition(view.checked, node.name, node.robot)
     return [named.span] if named and named.span else []
 
 
-def _by_reference(view: CursorView, found: KeyOrValue) -> list[Span]:
+def _by_reference(view: CursorView, target: KeyOrValue) -> list[Span]:
     """The definitions of a reference or pattern outside of expressions."""
     checked = view.checked
     if checked is None or checked.document.root is None:
         return []
-    kinds: list[FieldType] = field_types_at(found.path, view.data)
-    if found.is_key:
-        kinds = [shape.key for shape in shapes_at(found.path[:-1], view.data) if isinstance(shape, MappingOf)]
+    kinds: list[FieldType] = field_types_at(target.path, view.data)
+    if target.is_key:
+        kinds = [
+            shape.key for shape in shapes_at(target.path[:-1], view.data) if isinstance(shape, MappingOf)
+        ]
     for field in kinds:
         if isinstance(field, (Reference, Pattern)):
             fitting = [
-                known.span for known in names_at(checked, field.kind, found.path) if fnmatchcase(known.name, found.text) and known.span
+                entry.span
+                for entry in names_at(checked, field.kind, target.path)
+                if fnmatchcase(entry.name, target.text) and entry.span
             ]
             if fitting:
                 return fitting
             if field.kind == "setting":
-                return _setting(checked.document.root, found.text)
+                return _setting(checked.document.root, target.text)
     return []
 
 
@@ -351,20 +386,32 @@ def document_symbols(document: Document) -> list[types.DocumentSymbol]:
     return list(_symbols(document, root, "", _DEPTH)) if isinstance(root, MappingNode) else []
 
 
-def _symbols(document: Document, mapping: MappingNode, section: str, depth: int) -> Iterator[types.DocumentSymbol]:
+def _symbols(
+    document: Document, mapping: MappingNode, section: str, depth: int
+) -> Iterator[types.DocumentSymbol]:
     for name, entry in mapping.entries.items():
         inner = entry.value
-        is_here = isinstance(inner, MappingNode) and inner.span.start >= entry.key.span.start  # the value of an alias lies elsewhere
-        below = list(_symbols(document, inner, name, depth - 1)) if isinstance(inner, MappingNode) and is_here and depth > 1 else []
+        is_here = (
+            isinstance(inner, MappingNode) and inner.span.start >= entry.key.span.start
+        )  # the value of an alias lies elsewhere
+        below = (
+            list(_symbols(document, inner, name, depth - 1))
+            if isinstance(inner, MappingNode) and is_here and depth > 1
+            else []
+        )
         kind = types.SymbolKind.Namespace if below else types.SymbolKind.Property
         yield _document_symbol(document, entry, _SECTIONS.get(section, kind), below)
 
 
-def _document_symbol(document: Document, entry: Entry, kind: types.SymbolKind, below: list[types.DocumentSymbol]) -> types.DocumentSymbol:
+def _document_symbol(
+    document: Document, entry: Entry, kind: types.SymbolKind, below: list[types.DocumentSymbol]
+) -> types.DocumentSymbol:
     key = entry.key.span
     end = max(key.end, entry.value.span.end if entry.value.span.start >= key.start else key.end)
     whole = document.lines.range(key.start, end)
-    return types.DocumentSymbol(entry.key.text, kind, whole, document.lines.range(key.start, key.end), children=below or None)
+    return types.DocumentSymbol(
+        entry.key.text, kind, whole, document.lines.range(key.start, key.end), children=below or None
+    )
 
 
 # Hover texts
@@ -375,11 +422,13 @@ _MAX_CHARACTERS = 300
 
 def hover(view: CursorView) -> types.Hover | None:
     """The hover text of a place; None for white space and text without a meaning."""
-    found = _suppressed_code(view) or _expression(view) or _key_or_value(view)
-    if found is None:
+    contents = _suppressed_code(view) or _expression(view) or _key_or_value(view)
+    if contents is None:
         return None
-    text, start, end = found
-    return types.Hover(types.MarkupContent(types.MarkupKind.Markdown, text), view.document.lines.range(start, end))
+    text, start, end = contents
+    return types.Hover(
+        types.MarkupContent(types.MarkupKind.Markdown, text), view.document.lines.range(start, end)
+    )
 
 
 HoverText = tuple[str, int, int]
@@ -393,49 +442,53 @@ def _suppressed_code(view: CursorView) -> HoverText | None:
     end = text.find("\n", view.offset)
     line = text[begin : end if end >= 0 else len(text)]
     comment = line.find("deepbots:")
-    for found in _CODE.finditer(line, max(0, comment)) if comment >= 0 else ():
-        if begin + found.start() <= view.offset <= begin + found.end() and (page := describe_rule(found.group())):
-            return page, begin + found.start(), begin + found.end()
+    for match in _CODE.finditer(line, max(0, comment)) if comment >= 0 else ():
+        if begin + match.start() <= view.offset <= begin + match.end() and (
+            page := describe_rule(match.group())
+        ):
+            return page, begin + match.start(), begin + match.end()
     return None
 
 
 def _expression(view: CursorView) -> HoverText | None:
-    found = expression_at(view)
-    if found is None or view.known_offset is None:
+    node = expression_at(view)
+    if node is None or view.known_offset is None:
         return None
-    text = _node_text(view, found)
+    text = _node_text(view, node)
     if not text:
         return None
-    span = found.reading.text.part(found.node.start, found.node.end)
+    span = node.reading.text.part(node.node.start, node.node.end)
     moved = view.offset - view.known_offset
     return text, span.start + moved, span.end + moved
 
 
-def _node_text(view: CursorView, found: ExpressionNode) -> str | None:
-    node, name = found.node, found.name
-    if isinstance(node, syntax.Call) and found.cursor <= node.name_end and node.function in FUNCTIONS:
-        known = found.type
-        return describe_function(FUNCTIONS[node.function]) + (f"\n\nHere it is {describe_type(known)}." if known else "")
+def _node_text(view: CursorView, located: ExpressionNode) -> str | None:
+    node, name = located.node, located.name
+    if isinstance(node, syntax.Call) and located.cursor <= node.name_end and node.function in FUNCTIONS:
+        node_type = located.type
+        return describe_function(FUNCTIONS[node.function]) + (
+            f"\n\nHere it is {describe_type(node_type)}." if node_type else ""
+        )
     if name is not None:
-        return _name_text(view, found, name)
-    known = found.type
-    source = " ".join(found.reading.text.text[node.start : node.end].split())
-    return f"`{source[:_MAX_CHARACTERS]}`: {describe_type(known)}" if known else None
+        return _name_text(view, located, name)
+    node_type = located.type
+    source = " ".join(located.reading.text.text[node.start : node.end].split())
+    return f"`{source[:_MAX_CHARACTERS]}`: {describe_type(node_type)}" if node_type else None
 
 
-def _name_text(view: CursorView, found: ExpressionNode, name: str) -> str | None:
+def _name_text(view: CursorView, node: ExpressionNode, name: str) -> str | None:
     checked = view.checked
     if checked is None:
         return None
-    named = definition(checked, name, found.robot)
-    if found.kinds is not None:
-        subject = found.reading.scope.subject(name, found.kinds)
+    named = definition(checked, name, node.robot)
+    if node.kinds is not None:
+        subject = node.reading.scope.subject(name, node.kinds)
         return f"`{name}`: {subject.kind.description}{_definition_line(named)}" if subject else None
-    symbol = found.reading.scope.lookup(name)
+    symbol = node.reading.scope.lookup(name)
     if symbol is None:  # a component of a vector, or a unit
-        known = found.type
-        if known:
-            return f"`{name}`: {describe_type(known)}{_definition_line(named)}"
+        node_type = node.type
+        if node_type:
+            return f"`{name}`: {describe_type(node_type)}{_definition_line(named)}"
         return f"`{name}`: {UNITS[name].dimension.description}" if name in UNITS else None
     what = f"{named.description}, " if named else ""
     return f"`{name}`: {what}{describe_symbol(symbol)}{_definition_line(named)}"
@@ -451,72 +504,102 @@ def _definition_line(named: NameEntry | None) -> str:
 
 
 def _key_or_value(view: CursorView) -> HoverText | None:
-    found = key_or_value_at(view)
-    if found is None or not found.text or not found.start <= view.offset <= found.end:
+    target = key_or_value_at(view)
+    if target is None or not target.text or not target.start <= view.offset <= target.end:
         return None
-    text = _key_text(view, found) if found.is_key else _value_text(view, found)
-    return (text, found.start, found.end) if text else None
+    text = _key_text(view, target) if target.is_key else _value_text(view, target)
+    return (text, target.start, target.end) if text else None
 
 
-def _key_text(view: CursorView, found: KeyOrValue) -> str | None:
-    kinds = _kinds(view, found)
+def _key_text(view: CursorView, target: KeyOrValue) -> str | None:
+    kinds = _kinds(view, target)
     if kinds is not None:
-        return f"**{found.text}**: one of {', '.join(f'`{name}`' for name in kinds.names)}"
-    part = section_of(found.path, view.data)
+        return f"**{target.text}**: one of {', '.join(f'`{name}`' for name in kinds.names)}"
+    part = section_of(target.path, view.data)
     if part is not None:
-        return hover_text(part, str(found.path[-1]))
-    for shape in shapes_at(found.path[:-1], view.data):
+        return hover_text(part, str(target.path[-1]))
+    for shape in shapes_at(target.path[:-1], view.data):
         if isinstance(shape, MappingOf):
-            own = _reference_text(view, found, shape.key) or _defined_name_text(view, found)
-            return own or f"`{found.text}`: a name of your choice, for {describe_shape(shape.value)}"
+            own = _reference_text(view, target, shape.key) or _defined_name_text(view, target)
+            return own or f"`{target.text}`: a name of your choice, for {describe_shape(shape.value)}"
     return None
 
 
-def _kinds(view: CursorView, found: KeyOrValue) -> Kinds | None:
+def _kinds(view: CursorView, target: KeyOrValue) -> Kinds | None:
     """The kinds among which the value of this key chooses."""
-    above = shapes_at(found.path[:-1], view.data) if found.path else ()
-    return next((shape for shape in above if isinstance(shape, Kinds) and shape.key == found.path[-1]), None)
+    above = shapes_at(target.path[:-1], view.data) if target.path else ()
+    return next((shape for shape in above if isinstance(shape, Kinds) and shape.key == target.path[-1]), None)
 
 
-def _defined_name_text(view: CursorView, found: KeyOrValue) -> str | None:
+def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
     """The description of a name at its definition."""
     checked = view.checked
     if view.analysis is None or checked is None or checked.namespace is None or checked.document.root is None:
         return None
-    defined = next((one for one in checked.namespace.definitions.values() if one.path == found.path and one.symbol is not None), None)
-    is_sensor = found.path[:1] == ("robots",) and found.path[2:3] == ("sensors",)
+    defined = next(
+        (
+            one
+            for one in checked.namespace.definitions.values()
+            if one.path == target.path and one.symbol is not None
+        ),
+        None,
+    )
+    is_sensor = target.path[:1] == ("robots",) and target.path[2:3] == ("sensors",)
     if defined is not None and defined.symbol is not None:
-        return f"`{found.text}`: {'a sensor' if is_sensor else defined.origin.value}, {describe_symbol(defined.symbol)}"
+        return (
+            f"`{target.text}`: {'a sensor' if is_sensor else defined.origin.value},"
+            f" {describe_symbol(defined.symbol)}"
+        )
     if is_sensor:
-        boards = (reading.scope for reading in view.analysis.readings if isinstance(reading.scope, RobotScope))
-        own = next((board.own[found.text] for board in boards if board.robot == found.path[1] and found.text in board.own), None)
-        return f"`{found.text}`: a sensor, {describe_symbol(own)}" if own is not None else None
-    node, _, steps = descend(checked.document.root, found.path)
-    if steps < len(found.path) or not isinstance(node, ScalarNode):
+        boards = (
+            reading.scope for reading in view.analysis.readings if isinstance(reading.scope, RobotScope)
+        )
+        own = next(
+            (
+                board.own[target.text]
+                for board in boards
+                if board.robot == target.path[1] and target.text in board.own
+            ),
+            None,
+        )
+        return f"`{target.text}`: a sensor, {describe_symbol(own)}" if own is not None else None
+    node, _, steps = descend(checked.document.root, target.path)
+    if steps < len(target.path) or not isinstance(node, ScalarNode):
         return None
     span = node.part(0, len(node.text))
-    read = next((reading for reading in view.analysis.readings if reading.trees and reading.text.span == span), None)
-    return f"`{found.text}`: {describe_type(read.trees[0].type)}" if read is not None else None
+    read = next(
+        (reading for reading in view.analysis.readings if reading.trees and reading.text.span == span), None
+    )
+    return f"`{target.text}`: {describe_type(read.trees[0].type)}" if read is not None else None
 
 
-def _value_text(view: CursorView, found: KeyOrValue) -> str | None:
-    for field in field_types_at(found.path, view.data):
-        named = _reference_text(view, found, field)
+def _value_text(view: CursorView, target: KeyOrValue) -> str | None:
+    for field in field_types_at(target.path, view.data):
+        named = _reference_text(view, target, field)
         if named:
             return named
-    kinds = _kinds(view, found)
-    if kinds is not None and found.text in kinds.names:
-        return f"`{found.text}`: {section_description(kinds.models[found.text])}"
-    steps = next((found.path[:end] for end in range(len(found.path), 0, -1) if isinstance(found.path[end - 1], str)), ())
+    kinds = _kinds(view, target)
+    if kinds is not None and target.text in kinds.names:
+        return f"`{target.text}`: {section_description(kinds.models[target.text])}"
+    steps = next(
+        (
+            target.path[:end]
+            for end in range(len(target.path), 0, -1)
+            if isinstance(target.path[end - 1], str)
+        ),
+        (),
+    )
     part = section_of(steps, view.data)
     return hover_text(part, str(steps[-1])) if part is not None else None
 
 
-def _reference_text(view: CursorView, found: KeyOrValue, field: FieldType) -> str | None:
+def _reference_text(view: CursorView, target: KeyOrValue, field: FieldType) -> str | None:
     checked = view.checked
     if checked is None or not isinstance(field, (Reference, Pattern)):
         return None
-    match = next((known for known in names_at(checked, field.kind, found.path) if known.name == found.text), None)
+    match = next(
+        (entry for entry in names_at(checked, field.kind, target.path) if entry.name == target.text), None
+    )
     return f"`{match.name}`: {match.description}{_definition_line(match)}" if match else None
 
 
@@ -541,7 +624,8 @@ def describe_function(function: Function) -> str:
 
 
 def describe_type(known: Type) -> str:
-    """The dimension, components and interval of a type, and when it is known: `a length (m), from 0 to 2.7 m, fixed`."""
+    """The dimension, components and interval of a type, and when it is known: `a length (m), from 0 to 2.7 m,
+    fixed`."""
     if known.picture is not None:
         rows, columns, channels = known.picture
         return f"a picture of {columns} x {rows} pixels with {channels} channel{'s' if channels > 1 else ''}"
@@ -559,7 +643,11 @@ def _interval(interval: Interval, dimension: str) -> str:
         return f"{interval.low:.6g}{unit}"
     if not interval.is_finite:
         low, high = interval.low > -float("inf"), interval.high < float("inf")
-        return f"at least {interval.low:.6g}{unit}" if low else f"at most {interval.high:.6g}{unit}" if high else ""
+        if low:
+            return f"at least {interval.low:.6g}{unit}"
+        if high:
+            return f"at most {interval.high:.6g}{unit}"
+        return ""
     return f"from {interval.low:.6g} to {interval.high:.6g}{unit}"
 
 

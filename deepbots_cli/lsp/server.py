@@ -1,4 +1,5 @@
-"""The server: request handlers, findings as diagnostics, the background analysis that publishes them, and the text edits of code actions.
+"""The server: request handlers, findings as diagnostics, the background analysis that publishes them, and the
+text edits of code actions.
 
 A failing handler answers nothing and shows the client a message.
 """
@@ -34,7 +35,16 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
-from deepbots_cli.lsp.workspace import CursorView, Document, DocumentAnalysis, Locator, Workspace, analyze, common_prefix, path_of
+from deepbots_cli.lsp.workspace import (
+    CursorView,
+    Document,
+    DocumentAnalysis,
+    Locator,
+    Workspace,
+    analyze,
+    common_prefix,
+    path_of,
+)
 
 # Findings as diagnostics, and the text edits that fix or suppress them
 
@@ -46,9 +56,13 @@ _UNNECESSARY = frozenset({"DB205", "DB901"})
 
 def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
     """One finding with its related locations."""
-    also = [types.DiagnosticRelatedInformation(locator.location(label.span), shortened(label.text)) for label in finding.labels]
+    also = [
+        types.DiagnosticRelatedInformation(locator.location(label.span), shortened(label.text))
+        for label in finding.labels
+    ]
     also += [
-        types.DiagnosticRelatedInformation(locator.location(span), "included from here") for span in finding.span.source.inclusion_chain
+        types.DiagnosticRelatedInformation(locator.location(span), "included from here")
+        for span in finding.span.source.inclusion_chain
     ]
     return types.Diagnostic(
         range=locator.range(finding.span),
@@ -66,10 +80,10 @@ def diagnostics(analysis: DocumentAnalysis, open_uris: dict[Path, str]) -> dict[
     """All diagnostics by URI. The document and all open files that it reads always have an entry."""
     locator = Locator(analysis, open_uris)
     read = (open_uris[path] for path in analysis.paths.values() if path in open_uris)
-    found: dict[str, list[types.Diagnostic]] = {uri: [] for uri in (analysis.document.uri, *read)}
+    by_uri: dict[str, list[types.Diagnostic]] = {uri: [] for uri in (analysis.document.uri, *read)}
     for finding in analysis.findings:
-        found.setdefault(locator.uri(finding.span.source), []).append(diagnostic(finding, locator))
-    return found
+        by_uri.setdefault(locator.uri(finding.span.source), []).append(diagnostic(finding, locator))
+    return by_uri
 
 
 _DEBOUNCE = 0.05
@@ -87,15 +101,16 @@ class _Published(NamedTuple):
     found: dict[str, list[types.Diagnostic]]
 
     def is_about(self, document: Document | None) -> bool:
-        """Whether the analysis read the current text of a document; None stands for a file that is not open."""
+        """Whether the analysis read the current text of a document; None stands for a file that is not
+        open."""
         return document is None or self.analysis.drafts.get(document.path) == document.bytes
 
 
 class Checker:
     """Analyses scheduled documents one at a time in a thread, and publishes the diagnostics.
 
-    `publish` receives a URI, the version of the document (None if it is not open) and all its diagnostics. `warn` receives a
-    message for the user.
+    `publish` receives a URI, the version of the document (None if it is not open) and all its diagnostics.
+    `warn` receives a message for the user.
     """
 
     def __init__(self, workspace: Workspace, analyze: Analyze, publish: Publish, warn: Warn) -> None:
@@ -139,13 +154,19 @@ class Checker:
         try:
             analysis = await loop.run_in_executor(self._executor, self._run, document, self._workspace.drafts)
             self._workspace.record(analysis)
-            if self._workspace.documents.get(document.uri) is document:  # otherwise a newer version is scheduled
+            if (
+                self._workspace.documents.get(document.uri) is document
+            ):  # otherwise a newer version is scheduled
                 self._record(analysis)
         except Exception as error:  # an internal error must not end the server  # noqa: BLE001
-            self._warn(f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}: {error}")
+            self._warn(
+                f"deepbots could not check this file, which is a fault of its own: {type(error).__name__}:"
+                f" {error}"
+            )
 
     def _run(self, document: Document, drafts: Drafts) -> DocumentAnalysis:
-        """Analyze in the thread, and collect garbage there, because the server disables automatic collection."""
+        """Analyze in the thread, and collect garbage there, because the server disables automatic
+        collection."""
         try:
             return self._analyze(document, drafts)
         finally:
@@ -158,19 +179,28 @@ class Checker:
         before = self._published[uri].found if uri in self._published else {}
         now = self._published[uri] = _Published(analysis, diagnostics(analysis, self._workspace.open_uris))
         # A file that has changed meanwhile is published by the next analysis of the documents that read it.
-        self._publish_all(other for other in {*before, *now.found} if now.is_about(self._workspace.documents.get(other)))
+        self._publish_all(
+            other for other in {*before, *now.found} if now.is_about(self._workspace.documents.get(other))
+        )
 
     def _publish_all(self, uris: Iterable[str]) -> None:
         """Publish the current diagnostics of some URIs.
 
-        A diagnostic that several analyses report is published once: from the file's own analysis, or else from the last
-        document by name.
+        A diagnostic that several analyses report is published once: from the file's own analysis, or else
+        from the last document by name.
         """
         for uri in sorted(uris):
             document = self._workspace.documents.get(uri)
             order = sorted(self._published, key=lambda reader: (reader == uri, reader))
-            shown = [self._published[reader].found.get(uri, ()) for reader in order if self._published[reader].is_about(document)]
-            unique = {(str(found.range), found.code, found.message): found for found in chain.from_iterable(shown)}
+            shown = [
+                self._published[reader].found.get(uri, ())
+                for reader in order
+                if self._published[reader].is_about(document)
+            ]
+            unique = {
+                (str(diagnostic.range), diagnostic.code, diagnostic.message): diagnostic
+                for diagnostic in chain.from_iterable(shown)
+            }
             self._publish(uri, document.version if document else None, list(unique.values()))
 
 
@@ -191,29 +221,42 @@ class CodeActions:
 
     def at(self, range: types.Range, only: Iterable[str] | None = None) -> list[types.CodeAction]:
         """The code actions for a range of the document, limited to the kinds in `only`."""
-        found: list[types.CodeAction] = []
+        actions: list[types.CodeAction] = []
         if _is_wanted(types.CodeActionKind.QuickFix.value, only):
             for finding, analysis in self._findings(range):
-                found += self._actions_for(finding, analysis)
-        known = self._analysis.findings if self._analysis is not None and self._document.is_scenario else ()
-        if _is_wanted(FIX_ALL, only) and any(finding.fix is not None and finding.fix.safe for finding in known):
-            found.append(types.CodeAction("Make all safe fixes", kind=FIX_ALL, data={"uri": self._document.uri}))
-        return found
+                actions += self._actions_for(finding, analysis)
+        findings = (
+            self._analysis.findings if self._analysis is not None and self._document.is_scenario else ()
+        )
+        if _is_wanted(FIX_ALL, only) and any(
+            finding.fix is not None and finding.fix.safe for finding in findings
+        ):
+            actions.append(
+                types.CodeAction("Make all safe fixes", kind=FIX_ALL, data={"uri": self._document.uri})
+            )
+        return actions
 
     def fix_all(self) -> types.WorkspaceEdit | None:
         """The fixes that `deepbots lint --fix` makes in the scenario and the files it includes."""
         analysis = self._analysis
         if analysis is None or analysis.checked is None:
             return None
-        known = analysis.checked.document
+        document = analysis.checked.document
         try:
-            load = partial(api.load, permissions=known.permissions)
-            rewrites = Fixer([str(self._document.path)], load, wanted=analysis.selection.selects, drafts=self._workspace.drafts).fix()
+            load = partial(api.load, permissions=document.permissions)
+            rewrites = Fixer(
+                [str(self._document.path)],
+                load,
+                wanted=analysis.selection.selects,
+                drafts=self._workspace.drafts,
+            ).fix()
         except UsageError:  # a file does not exist yet or has changed
             return None
         by_path = self._workspace.by_path
         changes = {
-            by_path[rewrite.path]: minimal_edits(by_path[rewrite.path], rewrite.after.decode("utf-8").removeprefix("\ufeff"))
+            by_path[rewrite.path]: minimal_edits(
+                by_path[rewrite.path], rewrite.after.decode("utf-8").removeprefix("\ufeff")
+            )
             for rewrite in rewrites
             if rewrite.path in by_path
         }
@@ -221,8 +264,8 @@ class CodeActions:
 
     @property
     def _analysis(self) -> DocumentAnalysis | None:
-        known = self._workspace.latest.get(self._document.uri)
-        return known if known is not None and known.document is self._document else None
+        latest = self._workspace.latest.get(self._document.uri)
+        return latest if latest is not None and latest.document is self._document else None
 
     def _findings(self, range: types.Range) -> Iterator[tuple[Finding, DocumentAnalysis]]:
         """The findings in the document that touch the range, each once."""
@@ -231,7 +274,12 @@ class CodeActions:
         for analysis, source in self._workspace.analyses_of(self._document):
             for finding in analysis.findings:
                 span = finding.span
-                if span.source is source and span.start <= end and span.end >= start and finding.sort_key not in seen:
+                if (
+                    span.source is source
+                    and span.start <= end
+                    and span.end >= start
+                    and finding.sort_key not in seen
+                ):
                     seen.add(finding.sort_key)
                     yield finding, analysis
 
@@ -241,7 +289,9 @@ class CodeActions:
         if changes and finding.fix is not None:
             title = f"{_title(finding.fix.edits[0])}{'' if finding.fix.safe else ' (a guess)'}"
             edit = self._edit(changes)
-            yield types.CodeAction(title, types.CodeActionKind.QuickFix, about, is_preferred=finding.fix.safe or None, edit=edit)
+            yield types.CodeAction(
+                title, types.CodeActionKind.QuickFix, about, is_preferred=finding.fix.safe or None, edit=edit
+            )
         if finding.severity == "warning" and not finding.code.startswith("DB9"):
             suppression = self._suppression_edit(finding)
             if suppression is not None:
@@ -262,15 +312,16 @@ class CodeActions:
         return changes
 
     def _suppression_edit(self, finding: Finding) -> types.TextEdit | None:
-        """The edit that adds the code to the line's suppressing comment, or adds a comment; None if it changes the values of the file."""
+        """The edit that adds the code to the line's suppressing comment, or adds a comment; None if it
+        changes the values of the file."""
         text = self._document.plain
         begin = text.rfind("\n", 0, finding.span.start) + 1
         end = text.find("\n", begin)
         end = len(text) if end < 0 else end
         line = text[begin:end].rstrip()
-        known = _SUPPRESSION.search(line)
-        if known:
-            at, added = begin + known.end(1), f", {finding.code}"
+        match = _SUPPRESSION.search(line)
+        if match:
+            at, added = begin + match.end(1), f", {finding.code}"
         else:
             at, added = begin + len(line), f"  # deepbots: ignore[{finding.code}]"
         if not has_same_values(Source("", text), text[:at] + added + text[at:]):
@@ -283,14 +334,17 @@ class CodeActions:
             return types.WorkspaceEdit(changes={document.uri: edits for document, edits in changes.items()})
         return types.WorkspaceEdit(
             document_changes=[
-                types.TextDocumentEdit(types.OptionalVersionedTextDocumentIdentifier(document.uri, document.version), list(edits))
+                types.TextDocumentEdit(
+                    types.OptionalVersionedTextDocumentIdentifier(document.uri, document.version), list(edits)
+                )
                 for document, edits in changes.items()
             ]
         )
 
 
 def _is_wanted(kind: str, only: Iterable[str] | None) -> bool:
-    """Whether a client wants a kind: `source` includes `source.*`; source actions are given only on request."""
+    """Whether a client wants a kind: `source` includes `source.*`; source actions are given only on
+    request."""
     if only is None:
         return not kind.startswith("source")
     return any(kind == asked or kind.startswith(f"{asked}.") for asked in only)
@@ -312,7 +366,8 @@ def formatting(document: Document) -> list[types.TextEdit]:
 
 
 def minimal_edits(document: Document, after: str) -> list[types.TextEdit]:
-    """The edit that turns a document into `after`, without the common start and end, so that cursors and marks there stay."""
+    """The edit that turns a document into `after`, without the common start and end, so that cursors and
+    marks there stay."""
     before = document.plain
     if after == before:
         return []
@@ -331,20 +386,24 @@ _TRIGGERS = [".", " ", ":", "(", "[", "{", ",", "/", "*", "|"]
 
 
 class _Protocol(LanguageServerProtocol):
-    """Forgets the results of notifications, which pygls 2.1 keeps forever: 2 MB for every 1 000 letters typed."""
+    """Forgets the results of notifications, which pygls 2.1 keeps forever: 2 MB for every 1 000 letters
+    typed."""
 
     def _check_handler_result(self, future: Future[Any]) -> None:
         super()._check_handler_result(future)
-        for number in [number for number, known in self._request_futures.items() if known is future]:
+        for number in [number for number, pending in self._request_futures.items() if pending is future]:
             del self._request_futures[number]
 
 
 class Server(LanguageServer):
-    """Answers requests from the workspace, which the checker keeps up to date. The permissions are those of `deepbots lint`."""
+    """Answers requests from the workspace, which the checker keeps up to date. The permissions are those of
+    `deepbots lint`."""
 
     def __init__(self, permissions: Permissions = Permissions()) -> None:
         full = types.TextDocumentSyncKind.Full
-        super().__init__("deepbots", deepbots_cli.__version__, text_document_sync_kind=full, protocol_cls=_Protocol)
+        super().__init__(
+            "deepbots", deepbots_cli.__version__, text_document_sync_kind=full, protocol_cls=_Protocol
+        )
         self.exit_code = 0  # the protocol wants 1 if the client exits without a shutdown request
         self._is_shut_down = False
         self.scenarios = Workspace()
@@ -356,10 +415,20 @@ class Server(LanguageServer):
         self._register(types.TEXT_DOCUMENT_DID_SAVE, self._saved)
         self._register(types.TEXT_DOCUMENT_DID_CLOSE, self._closed)
         self._register(types.WORKSPACE_DID_CHANGE_WATCHED_FILES, self._saved)
-        self._register(types.TEXT_DOCUMENT_COMPLETION, self._at(completion), types.CompletionOptions(trigger_characters=_TRIGGERS))
+        self._register(
+            types.TEXT_DOCUMENT_COMPLETION,
+            self._at(completion),
+            types.CompletionOptions(trigger_characters=_TRIGGERS),
+        )
         self._register(types.TEXT_DOCUMENT_HOVER, self._at(hover))
-        self._register(types.TEXT_DOCUMENT_DEFINITION, self._at(lambda view: definitions(view, self.scenarios.open_uris)))
-        self._register(types.TEXT_DOCUMENT_CODE_ACTION, self._code_actions, types.CodeActionOptions(list(KINDS), resolve_provider=True))
+        self._register(
+            types.TEXT_DOCUMENT_DEFINITION, self._at(lambda view: definitions(view, self.scenarios.open_uris))
+        )
+        self._register(
+            types.TEXT_DOCUMENT_CODE_ACTION,
+            self._code_actions,
+            types.CodeActionOptions(list(KINDS), resolve_provider=True),
+        )
         self._register(types.CODE_ACTION_RESOLVE, self._resolve_code_action)
         self._register(types.TEXT_DOCUMENT_DOCUMENT_SYMBOL, self._of(document_symbols))
         self._register(types.TEXT_DOCUMENT_FORMATTING, self._of(formatting))
@@ -379,7 +448,9 @@ class Server(LanguageServer):
             except Exception as error:
                 if os.environ.get("DEEPBOTS_DEBUG") == "1":
                     raise
-                self._warn(f"{method} has failed, which is a fault of deepbots: {type(error).__name__}: {error}")
+                self._warn(
+                    f"{method} has failed, which is a fault of deepbots: {type(error).__name__}: {error}"
+                )
                 return None
 
         return guarded
@@ -389,7 +460,9 @@ class Server(LanguageServer):
         workspace = self.client_capabilities.workspace
         watching = workspace.did_change_watched_files if workspace else None
         if watching is not None and watching.dynamic_registration:
-            options = types.DidChangeWatchedFilesRegistrationOptions([types.FileSystemWatcher(pattern) for pattern in _WATCHED])
+            options = types.DidChangeWatchedFilesRegistrationOptions(
+                [types.FileSystemWatcher(pattern) for pattern in _WATCHED]
+            )
             wanted = types.Registration("watched", types.WORKSPACE_DID_CHANGE_WATCHED_FILES, options)
             self.client_register_capability(types.RegistrationParams([wanted]))
 
@@ -400,7 +473,9 @@ class Server(LanguageServer):
 
     def _changed(self, params: types.DidChangeTextDocumentParams) -> None:
         if params.content_changes:
-            self._update(params.text_document.uri, params.text_document.version, params.content_changes[-1].text)
+            self._update(
+                params.text_document.uri, params.text_document.version, params.content_changes[-1].text
+            )
 
     def _update(self, uri: str, version: int, text: str) -> None:
         document = Document(uri, version, text, path_of(uri), self.workspace.position_codec)
@@ -443,9 +518,13 @@ class Server(LanguageServer):
 
     def _code_actions(self, params: types.CodeActionParams) -> list[types.CodeAction]:
         actions = self._actions(params.text_document.uri)
-        only = None if params.context.only is None else [str(getattr(kind, "value", kind)) for kind in params.context.only]
-        found = actions.at(params.range, only) if actions else []
-        return found if self._resolves else [self._resolve_code_action(action) for action in found]
+        only = (
+            None
+            if params.context.only is None
+            else [str(getattr(kind, "value", kind)) for kind in params.context.only]
+        )
+        offered = actions.at(params.range, only) if actions else []
+        return offered if self._resolves else [self._resolve_code_action(action) for action in offered]
 
     def _resolve_code_action(self, action: types.CodeAction) -> types.CodeAction:
         """Compute the edit of an action, which takes time."""
@@ -467,13 +546,19 @@ class Server(LanguageServer):
     def _actions(self, uri: str) -> CodeActions | None:
         document = self.scenarios.documents.get(uri)
         edits = self.client_capabilities.workspace and self.client_capabilities.workspace.workspace_edit
-        return CodeActions(self.scenarios, document, versioned=bool(edits and edits.document_changes)) if document else None
+        return (
+            CodeActions(self.scenarios, document, versioned=bool(edits and edits.document_changes))
+            if document
+            else None
+        )
 
     @property
     def _resolves(self) -> bool:
         """Whether the client requests the edit of an action when the user chooses it."""
-        known = self.client_capabilities.text_document and self.client_capabilities.text_document.code_action
-        support = known.resolve_support if known else None
+        capability = (
+            self.client_capabilities.text_document and self.client_capabilities.text_document.code_action
+        )
+        support = capability.resolve_support if capability else None
         return support is not None and "edit" in support.properties
 
     def shutdown(self) -> None:
@@ -482,8 +567,8 @@ class Server(LanguageServer):
         if isinstance(self.protocol.writer, asyncio.StreamWriter):
             self.protocol.writer.close()
 
-    def _publish(self, uri: str, version: int | None, found: list[types.Diagnostic]) -> None:
-        self.text_document_publish_diagnostics(types.PublishDiagnosticsParams(uri, found, version))
+    def _publish(self, uri: str, version: int | None, shown: list[types.Diagnostic]) -> None:
+        self.text_document_publish_diagnostics(types.PublishDiagnosticsParams(uri, shown, version))
 
     def _warn(self, sentence: str) -> None:
         """Show the user a message once."""
@@ -500,8 +585,8 @@ def serve(port: int | None = None, *, permissions: Permissions = Permissions()) 
     """
     # pygls logs tracebacks to standard error; the client gets the messages as answers.
     logging.getLogger("pygls").setLevel(logging.CRITICAL + 1)
-    # Each analysis collects its own garbage. Automatic collections visited all 500 000 objects and stopped answers for 0.5 s.
-    # Imported modules stay forever, so they are frozen out of collections.
+    # Each analysis collects its own garbage. Automatic collections visited all 500 000 objects and stopped
+    # answers for 0.5 s. Imported modules stay forever, so they are frozen out of collections.
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -512,7 +597,9 @@ def serve(port: int | None = None, *, permissions: Permissions = Permissions()) 
         try:
             server.start_tcp("127.0.0.1", port)
         except OSError as error:
-            raise UsageError(f"cannot listen on port {port}: {os.strerror(error.errno or 0).lower()}") from None
+            raise UsageError(
+                f"cannot listen on port {port}: {os.strerror(error.errno or 0).lower()}"
+            ) from None
         return server.exit_code
     # Only the protocol writes to standard output; other prints go to standard error.
     stream = os.fdopen(os.dup(sys.__stdout__.fileno() if sys.__stdout__ else 1), "wb")

@@ -1,7 +1,8 @@
-"""The open documents, positions in them, their analyses, and the view of a place that requests are answered from.
+"""The open documents, positions in them, their analyses, and the view of a place that requests are answered
+from.
 
-The protocol counts lines and columns from 0. Columns count UTF-16 units unless client and server agree on another
-encoding; findings count code points. Lines end in `\\n`, `\\r\\n` or `\\r`.
+The protocol counts lines and columns from 0. Columns count UTF-16 units unless client and server agree on
+another encoding; findings count code points. Lines end in `\\n`, `\\r\\n` or `\\r`.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ _UTF_16 = PositionCodec()
 
 
 class Lines:
-    """Converts between offsets in a text and positions of the protocol, whose columns count units of the client's encoding.
+    """Converts between offsets in a text and positions of the protocol, whose columns count units of the
+    client's encoding.
 
     A byte order mark takes a column, but offsets start after it, as in a `Source`.
     """
@@ -66,7 +68,8 @@ class Lines:
     def offset(self, position: types.Position) -> int:
         """The offset of a position.
 
-        A position beyond a line or the text gives its end, a position inside a character the start of that character.
+        A position beyond a line or the text gives its end, a position inside a character the start of that
+        character.
         """
         if position.line >= len(self._starts):
             return len(self._text) - self._mark
@@ -74,7 +77,9 @@ class Lines:
         start, text = self._starts[line], self._text[self._starts[line] : self._ends[line]]
         column = min(max(0, position.character), len(text))
         if not text.isascii():
-            column = bisect_right(list(accumulate(map(self._codec.client_num_units, text))), max(0, position.character))
+            column = bisect_right(
+                list(accumulate(map(self._codec.client_num_units, text))), max(0, position.character)
+            )
         return max(0, start + column - self._mark)
 
 
@@ -140,8 +145,9 @@ def uri_of(path: Path) -> str:
 class DocumentAnalysis:
     """The result of compiling and linting one version of a document.
 
-    `drafts` holds the open files at that time by path. `checked` is None for an included file and for unreadable files.
-    `selection` decides which findings the project wants; `settings_error` describes a fault in the project's settings.
+    `drafts` holds the open files at that time by path. `checked` is None for an included file and for
+    unreadable files. `selection` decides which findings the project wants; `settings_error` describes a fault
+    in the project's settings.
     """
 
     document: Document
@@ -154,8 +160,8 @@ class DocumentAnalysis:
     @property
     def is_complete(self) -> bool:
         """Whether all robots were read; a finding in a robot removes its names from the namespace."""
-        known = self.checked.namespace if self.checked else None
-        return known is not None and None not in known.robots.values()
+        namespace = self.checked.namespace if self.checked else None
+        return namespace is not None and None not in namespace.robots.values()
 
     @cached_property
     def data(self) -> Any:
@@ -168,7 +174,9 @@ class DocumentAnalysis:
         if self.checked is None:
             return {}
         robots = (self.checked.robots or {}).values()
-        return {source: path for path, source in self.checked.document.files.items()} | {robot.file.source: robot.path for robot in robots}
+        return {source: path for path, source in self.checked.document.files.items()} | {
+            robot.file.source: robot.path for robot in robots
+        }
 
     def path(self, source: Source) -> Path:
         """The file of a source. A file that could not be read is found by its name."""
@@ -184,11 +192,16 @@ class DocumentAnalysis:
         if self.checked is None:
             return ()
         each = (self.checked, *self.checked.variants)
-        return tuple(reading for one in each if one.namespace is not None for reading in one.namespace.values.readings)
+        return tuple(
+            reading for one in each if one.namespace is not None for reading in one.namespace.values.readings
+        )
 
 
-def analyze(document: Document, drafts: Drafts, *, permissions: Permissions = Permissions()) -> DocumentAnalysis:
-    """Load, check and lint a document. `drafts` replace files on the disk; the permissions are those of `deepbots lint`."""
+def analyze(
+    document: Document, drafts: Drafts, *, permissions: Permissions = Permissions()
+) -> DocumentAnalysis:
+    """Load, check and lint a document. `drafts` replace files on the disk; the permissions are those of
+    `deepbots lint`."""
     if not document.is_scenario:
         return DocumentAnalysis(document, drafts)  # scenarios that include the file report its findings
     settings_error = None
@@ -202,17 +215,23 @@ def analyze(document: Document, drafts: Drafts, *, permissions: Permissions = Pe
     except UsageError as error:
         selection, settings_error = Selection(preview=preview), str(error)
     try:
-        read = load(document.path, display=str(document.path), permissions=permissions, drafts={**drafts, document.path: document.bytes})
+        read = load(
+            document.path,
+            display=str(document.path),
+            permissions=permissions,
+            drafts={**drafts, document.path: document.bytes},
+        )
     except UsageError:  # a folder, or a name that no file can have
         return DocumentAnalysis(document, drafts)
     checked = check(read)
-    found = all_findings(checked, preview=preview)
-    wanted = (*selection.inactive_rules(), *filter(selection.selects, found))
+    findings = all_findings(checked, preview=preview)
+    wanted = (*selection.inactive_rules(), *filter(selection.selects, findings))
     return DocumentAnalysis(document, drafts, wanted, checked, settings_error, selection)
 
 
 class Locator:
-    """Converts spans of one analysis to locations; `open_uris` gives the client's URI of each open file, by path."""
+    """Converts spans of one analysis to locations; `open_uris` gives the client's URI of each open file, by
+    path."""
 
     def __init__(self, analysis: DocumentAnalysis, open_uris: dict[Path, str]) -> None:
         self._analysis = analysis
@@ -236,10 +255,12 @@ class Locator:
 
 @dataclass(frozen=True, eq=False)
 class CursorView:
-    """A place in the current text of a document, and the last analysis that resolved the names of its scenario, if any.
+    """A place in the current text of a document, and the last analysis that resolved the names of its
+    scenario, if any.
 
-    `source` is the text of the document in that analysis. `known_offset` is the offset of the place in `source`, None if
-    the place was typed later. `is_settled` says that an analysis of the current text exists.
+    `source` is the text of the document in that analysis. `known_offset` is the offset of the place in
+    `source`, None if the place was typed later. `is_settled` says that an analysis of the current text
+    exists.
     """
 
     document: Document
@@ -255,12 +276,13 @@ class CursorView:
 
     @cached_property
     def place(self) -> Place:
-        """The key or value under the cursor; its path starts at the root of the scenario, also in an included file."""
+        """The key or value under the cursor; its path starts at the root of the scenario, also in an included
+        file."""
         return self.place_at(self.offset)
 
     def place_at(self, offset: int) -> Place:
-        found = place_at(self.document.plain, offset)
-        return found._replace(path=(*self._prefix, *found.path), data=_nested(found.data, self._prefix))
+        place = place_at(self.document.plain, offset)
+        return place._replace(path=(*self._prefix, *place.path), data=_nested(place.data, self._prefix))
 
     @property
     def data(self) -> Any:
@@ -271,12 +293,12 @@ class CursorView:
     def keys(self) -> set[str]:
         """The other keys of the mapping at the place that this document holds."""
         before = value_at(self.place.data, self.place.path)
-        given = set(before) if isinstance(before, dict) else set()
+        keys = set(before) if isinstance(before, dict) else set()
         if self.checked is not None and self.checked.document.root is not None:
             node, _, steps = descend(self.checked.document.root, self.place.path)
             if steps == len(self.place.path) and isinstance(node, MappingNode):
-                given |= {name for name, entry in node.entries.items() if self._is_elsewhere(entry.key.span)}
-        return given
+                keys |= {name for name, entry in node.entries.items() if self._is_elsewhere(entry.key.span)}
+        return keys
 
     @property
     def roots(self) -> tuple[Path, ...]:
@@ -339,16 +361,25 @@ class Workspace:
         return {document.path: uri for uri, document in self.documents.items()}
 
     def document(self, uri: str) -> Document | None:
-        """The open document of a URI if it is a scenario, included by one, or blank; editors send every YAML file."""
+        """The open document of a URI if it is a scenario, included by one, or blank; editors send every YAML
+        file."""
         document = self.documents.get(uri)
         if document is None or document.is_scenario or document.is_blank:
             return document
-        known = (*self.latest.values(), *self._resolved.values())
-        return document if any(one.checked and document.path in one.checked.document.files for one in known) else None
+        analyses = (*self.latest.values(), *self._resolved.values())
+        return (
+            document
+            if any(one.checked and document.path in one.checked.document.files for one in analyses)
+            else None
+        )
 
     def dependents(self, document: Document) -> list[str]:
         """The URIs of the other open documents that read this one."""
-        return [uri for uri, known in self.latest.items() if uri != document.uri and document.path in known.paths.values()]
+        return [
+            uri
+            for uri, analysis in self.latest.items()
+            if uri != document.uri and document.path in analysis.paths.values()
+        ]
 
     def analyses_of(self, document: Document) -> Iterable[tuple[DocumentAnalysis, Source]]:
         """The analyses that read this version of the document."""
@@ -363,16 +394,22 @@ class Workspace:
         if document is None:
             return None
         offset = document.lines.offset(position)
-        analysis = self._resolved.get(uri) or next((known for known in self._resolved.values() if known.source(document.path)), None)
+        analysis = self._resolved.get(uri) or next(
+            (candidate for candidate in self._resolved.values() if candidate.source(document.path)), None
+        )
         source = analysis.source(document.path) if analysis else None
         known_offset = None if source is None else _map_offset(offset, document.plain, source.text)
-        return CursorView(document, offset, analysis, source, known_offset, any(True for _ in self.analyses_of(document)))
+        return CursorView(
+            document, offset, analysis, source, known_offset, any(True for _ in self.analyses_of(document))
+        )
 
 
 def _map_offset(offset: int, now: str, then: str) -> int | None:
-    """The offset in `then`, an earlier version of the text, for an offset in `now`; None for text that is new.
+    """The offset in `then`, an earlier version of the text, for an offset in `now`; None for text that is
+    new.
 
-    Offsets before and after the changed region map directly. Within it, a line maps if `then` holds it exactly once.
+    Offsets before and after the changed region map directly. Within it, a line maps if `then` holds it
+    exactly once.
     """
     if now == then:
         return offset
@@ -384,12 +421,18 @@ def _map_offset(offset: int, now: str, then: str) -> int | None:
         return offset - len(now) + len(then)
     begin, end = now.rfind("\n", 0, offset), now.find("\n", offset)
     line = now[begin:end]
-    return then.index(line) + offset - begin if 0 <= begin < end and line.strip() and then.count(line) == 1 else None
+    return (
+        then.index(line) + offset - begin
+        if 0 <= begin < end and line.strip() and then.count(line) == 1
+        else None
+    )
 
 
 def common_prefix(one: str, other: str) -> int:
     """The length of the common prefix; bisection compares slices, which is faster than single characters."""
-    return bisect_left(range(min(len(one), len(other))), True, key=lambda index: one[: index + 1] != other[: index + 1])
+    return bisect_left(
+        range(min(len(one), len(other))), True, key=lambda index: one[: index + 1] != other[: index + 1]
+    )
 
 
 def _include_path(node: Node | None, source: Source, path: NodePath = ()) -> NodePath:
@@ -400,8 +443,8 @@ def _include_path(node: Node | None, source: Source, path: NodePath = ()) -> Nod
                 within = place_at(source.text, entry.key.span.end).path
                 return path[: len(path) - len(within)]
         for name, entry in node.entries.items():
-            if found := _include_path(entry.value, source, (*path, name)):
-                return found
+            if included := _include_path(entry.value, source, (*path, name)):
+                return included
     return ()
 
 
@@ -412,7 +455,8 @@ def _nested(data: Any, path: NodePath) -> Any:
 
 
 def _merged(known: Any, newer: Any) -> Any:
-    """Merge `newer` into `known`: mappings key by key, other values replaced unless the newer one is empty."""
+    """Merge `newer` into `known`: mappings key by key, other values replaced unless the newer one is
+    empty."""
     if isinstance(known, dict) and isinstance(newer, dict):
         return {**known, **{key: _merged(known.get(key, ""), value) for key, value in newer.items()}}
     return known if newer == "" else newer

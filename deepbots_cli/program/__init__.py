@@ -3,14 +3,17 @@
     Program
     ├── world                 what an engine builds: timestep, ground, arena, robots as data, objects
     ├── robots                controllers: sensors, what they emit, what they apply, message layouts, routes
-    ├── parameters            values drawn per episode or more often (fixed ones are folded into the expressions)
+    ├── parameters            values drawn per episode or more often (fixed ones are folded into the
+    │                         expressions)
     ├── signals               augmentation and signals, in order of evaluation
-    ├── agents                by name: robots, action, observation, goal, reward, success, scripts, training, copies of a robot
+    ├── agents                by name: robots, action, observation, goal, reward, success, scripts, training,
+    │                         copies of a robot
     ├── action_repeat         control ticks in one step, for which each action is held
     ├── endings, truncation   when an episode ends
     ├── reset, disturbances   how an episode begins, what it varies, what disturbs it
     ├── evaluation
-    └── cases, curriculum     the whole once more for each case of the evaluation and each stage of the curriculum
+    └── cases, curriculum     the whole once more for each case of the evaluation and each stage of the
+    │                         curriculum
 
 values.py   Expression, the leaf of all of these      world.py    what an engine builds
 robots.py   sensors, actuators, messages, controllers task.py     agents, endings, training, evaluation
@@ -18,9 +21,9 @@ resets.py   placements, randomized parameters         identity.py canonical JSON
 draws.py    what a reset draws, by name                 topics.py   sensors and commands as fields of ROS 2 messages
 dependencies.py  what values are made of, through names
 
-Everything is frozen, in SI units, and free of YAML and of any engine. Rules read the typed tree and the place of an expression
-(`.typed`, `.span`), generated code its scalar trees (`.scalars`), which are made when first asked for. `identity` writes
-a program as canonical JSON, whose digest identifies the scenario.
+Everything is frozen, in SI units, and free of YAML and of any engine. Rules read the typed tree and the place
+of an expression (`.typed`, `.span`), generated code its scalar trees (`.scalars`), which are made when first
+asked for. `identity` writes a program as canonical JSON, whose digest identifies the scenario.
 """
 
 from __future__ import annotations
@@ -49,17 +52,20 @@ if TYPE_CHECKING:
 class Program:
     """One checked scenario, ready to be printed as Python and run.
 
-    A field belongs to an agent if a second agent would need its own. All other fields are shared by all agents:
+    A field belongs to an agent if a second agent would need its own. All other fields are shared by all
+    agents:
 
     - the world and the robots;
     - parameters and signals, which form one namespace;
-    - the episode: reset, endings, truncation, and the `action_repeat`. A world is reset and stepped as a whole.
+    - the episode: reset, endings, truncation, and the `action_repeat`. A world is reset and stepped as a
+      whole.
 
     There is one agent, `agent`. `engine` is the engine
-    that the scenario names, None for the default. `stored_signals` names the signals that the supervisor stores after each step, as
-    `last_NAME`; only programs of `insight`, which explains episodes, have some. The compiler returns no `tests`: `deepbots test` adds
-    those whose conditions the generated code computes. `supplied_by` says what supplies readings of the world to a real robot, by reading.
-    `ros` has the topics of sensors and commands that the scenario names.
+    that the scenario names, None for the default. `stored_signals` names the signals that the supervisor
+    stores after each step, as `last_NAME`; only programs of `insight`, which explains episodes, have some.
+    The compiler returns no `tests`: `deepbots test` adds those whose conditions the generated code computes.
+    `supplied_by` says what supplies readings of the world to a real robot, by reading. `ros` has the topics
+    of sensors and commands that the scenario names.
     """
 
     name: str
@@ -87,8 +93,14 @@ class Program:
     ros: Mapping[str, Topic] = field(default_factory=dict)
 
     def digest_fields(self) -> dict[str, object]:
-        left_out = {"ros", "stored_signals", "supplied_by", "tests"} | ({"engine"} if self.engine in (None, DEFAULT_ENGINE) else set())
-        return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__ and name not in left_out}
+        left_out = {"ros", "stored_signals", "supplied_by", "tests"} | (
+            {"engine"} if self.engine in (None, DEFAULT_ENGINE) else set()
+        )
+        return {
+            name: value
+            for name, value in vars(self).items()
+            if name in self.__dataclass_fields__ and name not in left_out
+        }
 
     @cached_property
     def agent(self) -> Agent:
@@ -101,7 +113,8 @@ class Program:
         return replace(self, agents={name: replace(agent, **changes) for name, agent in self.agents.items()})
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
-        """Whether each message arrives in the timestep in which it is sent: `delayed` timing makes either direction a timestep longer."""
+        """Whether each message arrives in the timestep in which it is sent: `delayed` timing makes either
+        direction a timestep longer."""
         route = robot.to_route if direction == "to_robot" else robot.from_route
         return self.format == "none" or (route.perfect and self.timing == "immediate")
 
@@ -113,7 +126,8 @@ class Program:
 
     @property
     def computed_expressions(self) -> Iterator[Expression]:
-        """The expressions of a step: conditions of choices, signals, observation, reward, endings, goal, scripts, messages."""
+        """The expressions of a step: conditions of choices, signals, observation, reward, endings, goal,
+        scripts, messages."""
         for part in self.agent.action:
             if isinstance(part, Choices):
                 yield from (option.forbidden for option in part.options if option.forbidden is not None)
@@ -133,7 +147,9 @@ class Program:
     def settable_draws(self) -> tuple[NamedScalars, ...]:
         """Draws with a name, which `options` of `reset` may set: parameters, places and joints."""
         drawn = (
-            NamedScalars(value.name, value.components, value.scalars) for value in self.parameters if any(map(is_drawn, value.scalars))
+            NamedScalars(value.name, value.components, value.scalars)
+            for value in self.parameters
+            if any(map(is_drawn, value.scalars))
         )
         return (*drawn, *self.reset.drawn)
 
@@ -172,7 +188,9 @@ class Program:
         """
         if case is not None:
             return self.case(case).episodes
-        return max(self.evaluation.episodes, self.agent.solved.episodes if self.agent.solved is not None else 0)
+        return max(
+            self.evaluation.episodes, self.agent.solved.episodes if self.agent.solved is not None else 0
+        )
 
     def case(self, name: str) -> EvaluationCase:
         """The case of the evaluation of that name.
@@ -194,27 +212,32 @@ class Program:
         """
         if case is not None and stage is not None:
             raise UsageError("a case and a stage cannot be combined")
-        return self.case(case).program if case is not None else self.stage(stage).program if stage is not None else self
+        if case is not None:
+            return self.case(case).program
+        if stage is not None:
+            return self.stage(stage).program
+        return self
 
     def script(self, name: str) -> Script:
         """The script with that name."""
         return self._named("script", name, self.agent.scripts)
 
-    def _named(self, what: str, name: str, known: Sequence[Entry]) -> Entry:
-        found = next((entry for entry in known if entry.name == name), None)
-        if found is None:
-            names = [entry.name for entry in known]
+    def _named(self, what: str, name: str, entries: Sequence[Entry]) -> Entry:
+        match = next((entry for entry in entries if entry.name == name), None)
+        if match is None:
+            names = [entry.name for entry in entries]
             near = nearest_word(name, names)
             hint = f" (did you mean {near}?)" if near else ""
             if not names:
                 raise UsageError(f"{self.name} has no {what}s, so there is no '{name}'")
             raise UsageError(f"{self.name} has no {what} '{name}'{hint}; there are: {', '.join(names)}")
-        return found
+        return match
 
 
 @dataclass(frozen=True, eq=False)
 class EvaluationCase:
-    """The scenario under other conditions, to evaluate a policy in; `program` has neither cases nor stages."""
+    """The scenario under other conditions, to evaluate a policy in; `program` has neither cases nor
+    stages."""
 
     name: str
     episodes: int
@@ -223,7 +246,8 @@ class EvaluationCase:
 
 @dataclass(frozen=True, eq=False)
 class CurriculumStage:
-    """The scenario as it is while a stage of the curriculum lasts: until its criterion is met, or to the end of the training."""
+    """The scenario as it is while a stage of the curriculum lasts: until its criterion is met, or to the end
+    of the training."""
 
     name: str
     until: Criterion | None

@@ -22,7 +22,11 @@ class Definitions:
     def __init__(self, program: Program) -> None:
         self.parameters = {value.name: value for value in program.parameters}
         self.signals = {signal.name: signal for signal in program.signals}
-        self.fields = {f"{robot.name}.{entry.name}": (robot, entry) for robot in program.robots for entry in robot.emitted}
+        self.fields = {
+            f"{robot.name}.{entry.name}": (robot, entry)
+            for robot in program.robots
+            for entry in robot.emitted
+        }
         self._followed: dict[str, tuple[Robot | None, Expression | NamedScalars]] = {
             **{value.name: (None, value) for value in (*program.signals, *program.endings)},
             **self.fields,
@@ -38,7 +42,12 @@ class Definitions:
     def _nodes(self, trees: Iterable[Scalar], robot: Robot | None, met: set[str]) -> Iterator[Node]:
         for node in (node for tree in trees for node in walk(tree)):
             yield robot, node
-            if robot is None and isinstance(node, Name) and node.name in self._followed and node.name not in met:
+            if (
+                robot is None
+                and isinstance(node, Name)
+                and node.name in self._followed
+                and node.name not in met
+            ):
                 met.add(node.name)
                 owner, value = self._followed[node.name]
                 yield from self._nodes(value.scalars, owner, met)

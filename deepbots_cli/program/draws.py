@@ -52,11 +52,12 @@ _FACTOR = Unit("(factor)", NUMBER)
 class EpisodeDraw(NamedTuple):
     """A number (SI units) or a word that a reset draws.
 
-    `key` is the name under which the runtime notes it. `tree` computes a number; a position that is looked for lies from `low` to `high`;
-    a word is one of `words`. With copies of a robot, the draw may be one for each copy. It may change within the episode.
+    `key` is the name under which the runtime notes it. `tree` computes a number; a position that is looked
+    for lies from `low` to `high`; a word is one of `words`. With copies of a robot, the draw may be one for
+    each copy. It may change within the episode.
 
-    `si` is the SI unit of a number, and `unit` the unit in which the scenario writes it, None where it writes none. `is_parameter` holds
-    for parameters of the scenario.
+    `si` is the SI unit of a number, and `unit` the unit in which the scenario writes it, None where it writes
+    none. `is_parameter` holds for parameters of the scenario.
     """
 
     name: str
@@ -73,7 +74,8 @@ class EpisodeDraw(NamedTuple):
 
 
 def key_of_member(member: str, name: str) -> str:
-    """The key of a draw that is made once for each member `crate#2` of a group; `name` is that of its stream."""
+    """The key of a draw that is made once for each member `crate#2` of a group; `name` is that of its
+    stream."""
     return f"{member}|{name}"
 
 
@@ -109,11 +111,13 @@ class EpisodeDraws:
         """Every draw: those of the scenario's expressions, then words and positions that are looked for."""
         copies = self.program.agent.copies
         robot = copies.robot if copies else ""
-        found: dict[str, EpisodeDraw] = {}
+        entries: dict[str, EpisodeDraw] = {}
         for body, entry in self._found():
             entry = entry._replace(is_of_copy=bool(robot) and body == robot)
-            found[entry.key if entry.name in found else entry.name] = entry  # a value may be given for several bodies in one place
-        return tuple(entry._replace(name=name) for name, entry in found.items())
+            entries[entry.key if entry.name in entries else entry.name] = (
+                entry  # a value may be given for several bodies in one place
+            )
+        return tuple(entry._replace(name=name) for name, entry in entries.items())
 
     @cached_property
     def by_name(self) -> Mapping[str, EpisodeDraw]:
@@ -133,40 +137,76 @@ class EpisodeDraws:
         """Each draw with the body that it belongs to, if it belongs to one."""
         reset, agent = self.program.reset, self.program.agent
         robot = agent.copies.robot if agent.copies else None
-        changing: set[str] = set()  # parameters with new values within an episode: their own, or those of what they depend on
+        changing: set[str] = (
+            set()
+        )  # parameters with new values within an episode: their own, or those of what they depend on
         for value in self.program.parameters:
             if value.redraw is not None or _reads(value, changing):
                 changing.add(value.name)
-            parameter = EpisodeDraw("", "", changes=value.name in changing, **_units(value.typed), is_parameter=True)
-            yield from ((None, parameter._replace(name=full, key=full, tree=tree)) for full, tree in value.numbers if is_drawn(tree))
+            parameter = EpisodeDraw(
+                "", "", changes=value.name in changing, **_units(value.typed), is_parameter=True
+            )
+            yield from (
+                (None, parameter._replace(name=full, key=full, tree=tree))
+                for full, tree in value.numbers
+                if is_drawn(tree)
+            )
         units = {name: _units(value.typed) for name, value in reset.expressions}
         for named in reset.drawn:
             body = None if named.name.startswith("reset.layouts.") else named.name.split(".")[2]
             unit = units.get(named.name, _SI)
-            yield from ((body, EpisodeDraw(full, full, tree, **unit)) for full, tree in named.numbers if is_drawn(tree))
+            yield from (
+                (body, EpisodeDraw(full, full, tree, **unit))
+                for full, tree in named.numbers
+                if is_drawn(tree)
+            )
         for spec in self.program.robots:
             for route in (spec.to_route, spec.from_route):
-                lasting = (value for _, value in route.settings if value.redraw is None and not _reads(value, changing))
+                lasting = (
+                    value
+                    for _, value in route.settings
+                    if value.redraw is None and not _reads(value, changing)
+                )
                 yield from ((spec.name, entry) for value in lasting for entry in _draws(value))
-        noises = [value.noise for value in (*(entry.value for entry in agent.observation), *self.program.signals)]
+        noises = [
+            value.noise for value in (*(entry.value for entry in agent.observation), *self.program.signals)
+        ]
         noises += [agent.goal.achieved.noise] if agent.goal else []
         yield from ((robot, entry) for noise in noises if noise is not None for entry in _draws(noise.std))
         for variation in reset.variations:
             body = None if isinstance(variation.of, OfWorld | OfWalls) else variation.of[0]
             yield from ((body, entry) for entry in _draws(variation.value, _name(variation)))
-        yield from ((push.body, entry) for push in self.program.disturbances if push.first is not None for entry in _draws(push.first))
+        yield from (
+            (push.body, entry)
+            for push in self.program.disturbances
+            if push.first is not None
+            for entry in _draws(push.first)
+        )
         if len(reset.layouts) > 1:
-            yield None, EpisodeDraw("reset.layout", "reset.layout", words=tuple(layout.name for layout in reset.layouts))
+            yield (
+                None,
+                EpisodeDraw(
+                    "reset.layout", "reset.layout", words=tuple(layout.name for layout in reset.layouts)
+                ),
+            )
         yield from ((None, entry) for group in reset.groups for entry in _draws(group.count))
         for thing in self.program.world.objects:
             if len(thing.variants) > 1:
                 name = kind_key(thing.name)
-                yield thing.name, EpisodeDraw(name, name, words=tuple(variant.name for variant in thing.variants))
+                yield (
+                    thing.name,
+                    EpisodeDraw(name, name, words=tuple(variant.name for variant in thing.variants)),
+                )
         groups = {group.name: group for group in reset.groups}
-        arranged = (("reset.place", reset.placements), *((f"reset.layouts.{layout.name}", layout.placements) for layout in reset.layouts))
+        arranged = (
+            ("reset.place", reset.placements),
+            *((f"reset.layouts.{layout.name}", layout.placements) for layout in reset.layouts),
+        )
         for path, places in arranged:
             for place in places:
-                yield from ((place.body, entry) for entry in _places(path, place, groups.get(place.body), units))
+                yield from (
+                    (place.body, entry) for entry in _places(path, place, groups.get(place.body), units)
+                )
 
 
 def _units(value: Typed) -> _Units:
@@ -193,14 +233,15 @@ def _draws(value: Expression, name: str | None = None) -> Iterator[EpisodeDraw]:
 def _named(trees: Iterator[tuple[str, Scalar]], member: str = "") -> Iterator[EpisodeDraw]:
     """The draws in the tree of each name; several in one tree have numbers."""
     for name, tree in trees:
-        found = [node for node in walk(tree) if isinstance(node, Draw)]
-        for number, draw in enumerate(found):
+        draws = [node for node in walk(tree) if isinstance(node, Draw)]
+        for number, draw in enumerate(draws):
             key = key_of_member(member, draw.stream) if member else draw.stream
-            yield EpisodeDraw(f"{name}#{number}" if len(found) > 1 else name, key, draw)
+            yield EpisodeDraw(f"{name}#{number}" if len(draws) > 1 else name, key, draw)
 
 
 def _name(variation: RandomizedParameter) -> str:
-    """The place of a randomized value, with the link, joint or member that it is for in place of a pattern or a group."""
+    """The place of a randomized value, with the link, joint or member that it is for in place of a pattern or
+    a group."""
     path = variation.value.owner.partition(":")[0].split(".")
     if isinstance(variation.of, OfLink | OfJoint) and path[0] in ("robots", "objects"):
         body, part = variation.of
@@ -210,21 +251,34 @@ def _name(variation: RandomizedParameter) -> str:
     return ".".join(path)
 
 
-def _places(path: str, place: Placement, group: ObjectGroup | None, units: Mapping[str, _Units]) -> Iterator[EpisodeDraw]:
-    """Positions that are looked for, and what is drawn for each member of a group; `units` are those of coordinates with a value."""
+def _places(
+    path: str, place: Placement, group: ObjectGroup | None, units: Mapping[str, _Units]
+) -> Iterator[EpisodeDraw]:
+    """Positions that are looked for, and what is drawn for each member of a group; `units` are those of
+    coordinates with a value."""
     bounds = _bounds(place, group)
     for body in group.copies if group else (place.body,):
         member, here = body if group else "", f"{path}.{body}"
         if group:
             coordinates = zip(("x", "y", "z", "roll", "pitch", "yaw"), (*place.xyz, *place.rpy), strict=True)
-            trees = [(f"{here}.{axis}", value) for axis, value in coordinates if place.spot is None or axis not in _PLANE]
-            trees += [pair for key, values in place.velocities for pair in numbers(f"{here}.{key}", ("x", "y", "z"), values)]
+            trees = [
+                (f"{here}.{axis}", value)
+                for axis, value in coordinates
+                if place.spot is None or axis not in _PLANE
+            ]
+            trees += [
+                pair
+                for key, values in place.velocities
+                for pair in numbers(f"{here}.{key}", ("x", "y", "z"), values)
+            ]
             if not bounds and not any(is_drawn(tree) for _, tree in trees):
                 return
             for entry in _named(iter(trees), member):
                 of_group = f"{path}.{place.body}{entry.name.removeprefix(here).partition('#')[0]}"
                 si = "m" if of_group.endswith((".x", ".y", ".z")) else "rad"
-                yield entry._replace(**units.get(of_group, units.get(of_group.rpartition(".")[0], _Units(si=si, unit=None))))
+                yield entry._replace(
+                    **units.get(of_group, units.get(of_group.rpartition(".")[0], _Units(si=si, unit=None)))
+                )
         for axis, (low, high) in zip(_PLANE, bounds, strict=False):
             stream = f"{place.stream}.{axis}"
             key = key_of_member(member, stream) if member else stream
@@ -237,7 +291,9 @@ def _bounds(place: Placement, group: ObjectGroup | None) -> Sequence[tuple[float
         case Region(low, high):
             return tuple(zip(low, high, strict=True))
         case Top(region=region):
-            return tuple(zip(region.low, region.high, strict=True)) if region else ((-math.inf, math.inf),) * 2
+            return (
+                tuple(zip(region.low, region.high, strict=True)) if region else ((-math.inf, math.inf),) * 2
+            )
         case Cells(spots):
             count = group.count.scalar if group else Const(1.0)
             is_drawn_from = not isinstance(count, Const) or count.value < len(spots)

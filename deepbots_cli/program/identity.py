@@ -1,12 +1,13 @@
 """Whether two programs are the same: canonical JSON with digests, and the interfaces of agents, item by item.
 
-Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every record is an object whose key `is` holds the
-class name. Texts and places in files are left out: an expression is written as its name and its scalar trees, a file as its suffix
-and the digest of its content. The JSON is written and never read back: what is loaded is a scenario, which is compiled.
+Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every record is an object whose
+key `is` holds the class name. Texts and places in files are left out: an expression is written as its name
+and its scalar trees, a file as its suffix and the digest of its content. The JSON is written and never read
+back: what is loaded is a scenario, which is compiled.
 
-The interface holds the observation, action and messages that a policy and a world have agreed on. A policy is only as good as the
-meaning of the numbers that it was trained on. Each agreed item has a name and a text. A run records them all; they tell whether, and
-where, a scenario no longer fits its policy.
+The interface holds the observation, action and messages that a policy and a world have agreed on. A policy is
+only as good as the meaning of the numbers that it was trained on. Each agreed item has a name and a text. A
+run records them all; they tell whether, and where, a scenario no longer fits its policy.
 """
 
 from __future__ import annotations
@@ -45,13 +46,15 @@ def digest(program: Program) -> str:
 
 
 def task_digest(program: Program) -> str:
-    """The digest of what makes an episode: the same for scenarios that differ in their names, training, evaluation or scripts alone."""
+    """The digest of what makes an episode: the same for scenarios that differ in their names, training,
+    evaluation or scripts alone."""
     nameless = replace(program.with_agents(scripts=(), training=None, solved=None), name="", summary="")
     return digest(replace(nameless, curriculum=(), evaluation=Evaluation(), cases=()))
 
 
 def record_members(part: object) -> dict[str, Any] | None:
-    """The members of a record by name, as they count for the digest; None for what is no record. Of a path, the suffix counts."""
+    """The members of a record by name, as they count for the digest; None for what is no record. Of a path,
+    the suffix counts."""
     if isinstance(part, Scalar):
         return part._asdict()
     if hasattr(part, "digest_fields"):
@@ -89,9 +92,13 @@ def _agreed(agent: Agent, program: Program) -> dict[str, str]:
     """What an agent observes and does, and the messages of its robots."""
     items = {f"observation.{observed.full_name}": _observed(observed) for observed in agent.numbers}
     for pictured in agent.images:
-        items[f"observation.{pictured.name}"] = f"picture of {' x '.join(map(str, pictured.shape))}, {pictured.history} in a row"
+        items[f"observation.{pictured.name}"] = (
+            f"picture of {' x '.join(map(str, pictured.shape))}, {pictured.history} in a row"
+        )
     if agent.goal is not None:
-        for component, low, high in zip(agent.goal.components or ("",), agent.goal.low, agent.goal.high, strict=True):
+        for component, low, high in zip(
+            agent.goal.components or ("",), agent.goal.low, agent.goal.high, strict=True
+        ):
             items[f"goal.{component}".rstrip(".")] = _range(low, high, agent.goal.unit)
     if agent.frame_stack > 1:
         items["agent.frame_stack"] = f"{agent.frame_stack} observations in a row"
@@ -103,15 +110,23 @@ def _agreed(agent: Agent, program: Program) -> dict[str, str]:
 
 
 def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
-    """One line for each item that the two, called by `words`, do not share; empty when the policies of one fit the other."""
+    """One line for each item that the two, called by `words`, do not share; empty when the policies of one
+    fit the other."""
     return compare_interfaces(interface(one), interface(other), words=words)
 
 
 def compare_interfaces(
-    old: Mapping[str, Mapping[str, str]], new: Mapping[str, Mapping[str, str]], *, words: tuple[str, str] = ("run", "scenario")
+    old: Mapping[str, Mapping[str, str]],
+    new: Mapping[str, Mapping[str, str]],
+    *,
+    words: tuple[str, str] = ("run", "scenario"),
 ) -> list[str]:
     """One line for each item in which two interfaces differ, as in `differences`."""
-    return [line for name in dict.fromkeys((*old, *new)) for line in _compared(old.get(name, {}), new.get(name, {}), words)]
+    return [
+        line
+        for name in dict.fromkeys((*old, *new))
+        for line in _compared(old.get(name, {}), new.get(name, {}), words)
+    ]
 
 
 def _compared(old: Mapping[str, str], new: Mapping[str, str], words: tuple[str, str]) -> list[str]:
@@ -127,13 +142,16 @@ def _compared(old: Mapping[str, str], new: Mapping[str, str], words: tuple[str, 
 
 
 def timing_differences(run: Program, scenario: Program) -> list[str]:
-    """One line per setting that differs from training but does not break the policy: timing, timestep, action repeat."""
+    """One line per setting that differs from training but does not break the policy: timing, timestep, action
+    repeat."""
     circumstances = (
         ("timing", run.timing, scenario.timing),
         ("timestep", f"{run.world.timestep:g} s", f"{scenario.world.timestep:g} s"),
         ("action_repeat", str(run.action_repeat), str(scenario.action_repeat)),
     )
-    return [f"trained with {name} {old}, evaluated with {new}" for name, old, new in circumstances if old != new]
+    return [
+        f"trained with {name} {old}, evaluated with {new}" for name, old, new in circumstances if old != new
+    ]
 
 
 def _range(low: float, high: float, unit: str) -> str:
@@ -150,13 +168,18 @@ def _action(part: Choices | ActionRange) -> str:
     if isinstance(part, ActionRange):
         size = f" for {', '.join(part.components)}" if part.components else ""
         return _range(part.low, part.high, part.unit) + size
-    options = (f"{option.name} ({', '.join(f'{value:g}' for value in option.values)})" for option in part.options)
+    options = (
+        f"{option.name} ({', '.join(f'{value:g}' for value in option.values)})" for option in part.options
+    )
     return f"{' | '.join(options)} sets {', '.join(part.variables)}"
 
 
 def _message(layout: MessageLayout) -> dict[str, str]:
     prefix = f"message {layout.direction.replace('_', ' ')} {layout.robot}"
-    return {f"{prefix}.{field.name}": " ".join(filter(None, (field.dtype, _inside(field), field.unit))) for field in layout.fields}
+    return {
+        f"{prefix}.{field.name}": " ".join(filter(None, (field.dtype, _inside(field), field.unit)))
+        for field in layout.fields
+    }
 
 
 def _inside(field: MessageField) -> str:

@@ -26,7 +26,8 @@ _NOTHING: Triple = (Const(0.0), Const(0.0), Const(0.0))
 class Region:
     """A rectangle in the ground plane, from `low` to `high` in m, where the origin of a body is drawn.
 
-    With a `mesh` (m) the spots are the middles of as many cells of that size as fit, about the middle of the rectangle.
+    With a `mesh` (m) the spots are the middles of as many cells of that size as fit, about the middle of the
+    rectangle.
     """
 
     low: tuple[float, float]
@@ -36,7 +37,13 @@ class Region:
     @property
     def spots(self) -> float:
         """How many cells it has; 1 without a mesh."""
-        return math.prod(max(1.0, (end - start) / self.mesh) for start, end in zip(self.low, self.high, strict=True)) if self.mesh else 1.0
+        return (
+            math.prod(
+                max(1.0, (end - start) / self.mesh) for start, end in zip(self.low, self.high, strict=True)
+            )
+            if self.mesh
+            else 1.0
+        )
 
 
 @dataclass(frozen=True)
@@ -48,9 +55,11 @@ class Cells:
 
 @dataclass(frozen=True)
 class Top:
-    """The level top of the object `of`, wherever that stands: the body is drawn so that it stands on it as a whole.
+    """The level top of the object `of`, wherever that stands: the body is drawn so that it stands on it as a
+    whole.
 
-    With a `region` (world frame) only what of it lies on the top; with a `mesh` (m) from the middles of cells of that size.
+    With a `region` (world frame) only what of it lies on the top; with a `mesh` (m) from the middles of cells
+    of that size.
     """
 
     of: str
@@ -60,14 +69,16 @@ class Top:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The initial state of a body, or of each present copy of a group: the pose of its root link's origin, and its velocities.
+    """The initial state of a body, or of each present copy of a group: the pose of its root link's origin,
+    and its velocities.
 
-    `coordinates` holds x, y, z in m and roll, pitch, yaw in rad; a coordinate that is not listed is 0, and `heading` (rad) is added to
-    the yaw. Velocities are in m/s and rad/s in the world frame; without, the body is at rest. Where the body `rests`, it has no height:
-    z counts from where it would lie on the ground, or on the top of an object where the `spot` is one. The height of `lying`, its shape
-    on flat ground, is known beforehand. With a `spot`, x and y are drawn from there, by a stream named after the `owner`: within the
-    arena's walls and clear of bodies that have a place already, `clearance` m at least. Of a group, `at_most` so many copies are placed,
-    and each stands `spacing` (m along x and y) from the one before.
+    `coordinates` holds x, y, z in m and roll, pitch, yaw in rad; a coordinate that is not listed is 0, and
+    `heading` (rad) is added to the yaw. Velocities are in m/s and rad/s in the world frame; without, the body
+    is at rest. Where the body `rests`, it has no height: z counts from where it would lie on the ground, or
+    on the top of an object where the `spot` is one. The height of `lying`, its shape on flat ground, is known
+    beforehand. With a `spot`, x and y are drawn from there, by a stream named after the `owner`: within the
+    arena's walls and clear of bodies that have a place already, `clearance` m at least. Of a group, `at_most`
+    so many copies are placed, and each stands `spacing` (m along x and y) from the one before.
     """
 
     body: str
@@ -88,7 +99,11 @@ class Placement:
 
     @cached_property
     def rpy(self) -> Triple:
-        return self._coordinate("roll"), self._coordinate("pitch"), fold_operation("add", Const(self.heading), self._coordinate("yaw"))
+        return (
+            self._coordinate("roll"),
+            self._coordinate("pitch"),
+            fold_operation("add", Const(self.heading), self._coordinate("yaw")),
+        )
 
     @cached_property
     def xyz(self) -> Triple:
@@ -99,7 +114,12 @@ class Placement:
     def _height(self) -> float | None:
         """The height (m) at which a lying body in a known attitude rests."""
         roll, pitch, _ = self.rpy
-        if not self.rests or self.lying is None or not isinstance(roll, Const) or not isinstance(pitch, Const):
+        if (
+            not self.rests
+            or self.lying is None
+            or not isinstance(roll, Const)
+            or not isinstance(pitch, Const)
+        ):
             return None
         return footprint.resting_height(self.lying, roll.value, pitch.value)
 
@@ -115,11 +135,23 @@ class Placement:
     @property
     def velocities(self) -> tuple[tuple[str, tuple[Scalar, ...]], ...]:
         """The velocities that are given, by name."""
-        given = (("velocity", self.velocity), ("angular_velocity", self.angular_velocity))
-        return tuple((name, value.scalars) for name, value in given if value is not None)
+        velocities = (("velocity", self.velocity), ("angular_velocity", self.angular_velocity))
+        return tuple((name, value.scalars) for name, value in velocities if value is not None)
 
     def digest_fields(self) -> dict[str, object]:
-        names = ("body", "xyz", "rpy", "velocity", "angular_velocity", "seeks_height", "spot", "clearance", "at_most", "spacing", "stream")
+        names = (
+            "body",
+            "xyz",
+            "rpy",
+            "velocity",
+            "angular_velocity",
+            "seeks_height",
+            "spot",
+            "clearance",
+            "at_most",
+            "spacing",
+            "stream",
+        )
         return {name: getattr(self, name) for name in names}
 
     def drawn(self, path: str) -> Iterator[NamedScalars]:
@@ -131,7 +163,8 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """One way to arrange bodies, and its share of the episodes; the bodies of `Reset.placements` stand in all of them."""
+    """One way to arrange bodies, and its share of the episodes; the bodies of `Reset.placements` stand in all
+    of them."""
 
     name: str
     share: float
@@ -153,7 +186,8 @@ class ObjectGroup:
 
 @dataclass(frozen=True, eq=False)
 class JointStart:
-    """Joints that start at a position (rad or m; one value per joint, or one for all), at a velocity (rad/s or m/s, 0 if None)."""
+    """Joints that start at a position (rad or m; one value per joint, or one for all), at a velocity (rad/s
+    or m/s, 0 if None)."""
 
     robot: str
     joints: tuple[str, ...]
@@ -206,7 +240,12 @@ class OfWalls(tuple[str, ...]):
 Owner = OfWorld | OfLink | OfJoint | OfActuator | OfSensor | OfWalls
 """Whose value it is."""
 ActuatorParameter = Literal[
-    "actuator_strength", "actuator_max_torque", "actuator_stiffness", "actuator_damping", "actuator_delay", "actuator_time_constant"
+    "actuator_strength",
+    "actuator_max_torque",
+    "actuator_stiffness",
+    "actuator_damping",
+    "actuator_delay",
+    "actuator_time_constant",
 ]
 Randomizable = EngineParameter | ActuatorParameter | Literal["walls_friction", "sensor"]
 
@@ -215,8 +254,9 @@ Randomizable = EngineParameter | ActuatorParameter | Literal["walls_friction", "
 class RandomizedParameter:
     """A value that is drawn anew in every episode, such as the `mass` of `OfLink("dog", "trunk")`.
 
-    The nominal value stands where the parameter belongs in the program. A single value stands for all of `size` values. `max` cuts
-    values off, one limit per value. The first value of a `color` is the number of one of the colors after it, three shares each.
+    The nominal value stands where the parameter belongs in the program. A single value stands for all of
+    `size` values. `max` cuts values off, one limit per value. The first value of a `color` is the number of
+    one of the colors after it, three shares each.
     """
 
     what: Randomizable
@@ -227,12 +267,15 @@ class RandomizedParameter:
 
     @cached_property
     def scalars(self) -> tuple[Scalar, ...]:
-        found = self.value.scalars
-        found = found * self.size if len(found) == 1 else found
+        scalars = self.value.scalars
+        scalars = scalars * self.size if len(scalars) == 1 else scalars
         if not self.max:
-            return found
-        pairs = zip(found, self.max, strict=True)
-        return tuple(scalar if limit is None else fold_operation("min", scalar, Const(limit)) for scalar, limit in pairs)
+            return scalars
+        pairs = zip(scalars, self.max, strict=True)
+        return tuple(
+            scalar if limit is None else fold_operation("min", scalar, Const(limit))
+            for scalar, limit in pairs
+        )
 
     def digest_fields(self) -> dict[str, object]:
         return {"what": self.what, "of": self.of, "scalars": self.scalars}
@@ -240,10 +283,12 @@ class RandomizedParameter:
 
 @dataclass(frozen=True, eq=False)
 class Reset:
-    """The steps of a reset, in order: randomized parameters, a layout, placements, joints, then physics for `settle` seconds.
+    """The steps of a reset, in order: randomized parameters, a layout, placements, joints, then physics for
+    `settle` seconds.
 
-    The actuators hold while the world settles. Bodies with coordinates are placed before bodies that look for a spot. If there is no
-    spot, or the requirement does not hold, everything from the layout on is drawn again, `attempts` times at most.
+    The actuators hold while the world settles. Bodies with coordinates are placed before bodies that look for
+    a spot. If there is no spot, or the requirement does not hold, everything from the layout on is drawn
+    again, `attempts` times at most.
     """
 
     placements: tuple[Placement, ...] = ()
@@ -259,15 +304,21 @@ class Reset:
     def drawn(self) -> Iterator[NamedScalars]:
         """Drawn places and joints, by their paths in the scenario; copies of a group have none.
 
-        Coordinates and joints are single numbers (m, rad), velocities of bodies have three components (m/s, rad/s).
+        Coordinates and joints are single numbers (m, rad), velocities of bodies have three components (m/s,
+        rad/s).
         """
         groups = {group.name for group in self.groups}
-        found = [entry for path, place in self._arranged if place.body not in groups for entry in place.drawn(path)]
+        drawn = [
+            entry for path, place in self._arranged if place.body not in groups for entry in place.drawn(path)
+        ]
         for start in self.joint_starts:
             for joint, position, velocity in start.states:
                 path = f"reset.joints.{start.robot}.{joint}"
-                found += [NamedScalars(path, (), (position,)), NamedScalars(f"{path}.velocity", (), (velocity,))]
-        yield from (entry for entry in found if any(map(is_drawn, entry.scalars)))
+                drawn += [
+                    NamedScalars(path, (), (position,)),
+                    NamedScalars(f"{path}.velocity", (), (velocity,)),
+                ]
+        yield from (entry for entry in drawn if any(map(is_drawn, entry.scalars)))
 
     @property
     def expressions(self) -> Iterator[tuple[str, Expression]]:
@@ -296,8 +347,9 @@ class Reset:
 class Disturbance:
     """Pushes of a link at its origin (`link` None is the root link, or an object), in the axes of the world.
 
-    The first push begins `first` s into the episode (by default after one interval), each further one `every` s after the one
-    before; without `every` there is one. Force (N), torque (N m), `duration` (s) and `every` are computed anew for each push.
+    The first push begins `first` s into the episode (by default after one interval), each further one `every`
+    s after the one before; without `every` there is one. Force (N), torque (N m), `duration` (s) and `every`
+    are computed anew for each push.
     """
 
     name: str
@@ -312,8 +364,8 @@ class Disturbance:
     @property
     def begins(self) -> Scalar:
         """When the first push begins, in s."""
-        given = self.first or self.every
-        return Const(0.0) if given is None else given.scalar
+        begins = self.first or self.every
+        return Const(0.0) if begins is None else begins.scalar
 
     @property
     def wrench(self) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:

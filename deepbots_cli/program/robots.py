@@ -31,9 +31,9 @@ Channels = Literal["rgb", "grayscale", "depth", "segmentation"]
 class NoiseModel:
     """The errors of a sensor: one entry per component, and none where there is no such error.
 
-    Noises are standard deviations. Values are in the sensor's unit, `drift` in that unit per second; relative ones are fractions of the
-    reading. `period` is in ticks, `latency` in s. Where a value is drawn in every episode, its nominal value stands here and a
-    `RandomizedParameter` beside it.
+    Noises are standard deviations. Values are in the sensor's unit, `drift` in that unit per second; relative
+    ones are fractions of the reading. `period` is in ticks, `latency` in s. Where a value is drawn in every
+    episode, its nominal value stands here and a `RandomizedParameter` beside it.
     """
 
     period: int = 1
@@ -50,7 +50,8 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class CalibrationTable:
-    """The reading at each distance (m, rising), straight in between and constant beyond; `noise` in fractions of the reading."""
+    """The reading at each distance (m, rising), straight in between and constant beyond; `noise` in fractions
+    of the reading."""
 
     distance: tuple[float, ...]
     value: tuple[float, ...]
@@ -59,7 +60,8 @@ class CalibrationTable:
 
 @dataclass(frozen=True)
 class RayConfig:
-    """Rays along x of frames in the sensor's frame, free up to `reach` m; `combined` says what becomes of several.
+    """Rays along x of frames in the sensor's frame, free up to `reach` m; `combined` says what becomes of
+    several.
 
     A reflectance sensor looks along -z of those frames.
     """
@@ -92,11 +94,13 @@ class CameraIntrinsics:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor of a robot. `subjects` are joints or links, as its kind says; `mount` is its frame in its link.
+    """A sensor of a robot. `subjects` are joints or links, as its kind says; `mount` is its frame in its
+    link.
 
     `components` is empty for a single value. `against` lists what a touch sensor feels (full names, or
-    `ground`), None for everything. `faults` None is a perfect sensor. `parameters` are those that the kind has of its own, in SI
-    units. `reader` and `world_function` are those of the kind (`scenario.sensors.Sensor`).
+    `ground`), None for everything. `faults` None is a perfect sensor. `parameters` are those that the kind
+    has of its own, in SI units. `reader` and `world_function` are those of the kind
+    (`scenario.sensors.Sensor`).
     """
 
     name: str
@@ -115,7 +119,8 @@ class Sensor:
 
     @property
     def is_direct(self) -> bool:
-        """Whether a reading is the value of a world function, which is read from the engine without a device."""
+        """Whether a reading is the value of a world function, which is read from the engine without a
+        device."""
         return self.world_function is not None and self.faults is None and self.mount == Pose()
 
     def world_value(self, robot: str, component: str | None) -> EngineRead:
@@ -125,7 +130,11 @@ class Sensor:
         return EngineRead(self.world_function or "", (f"{robot}.{self.subjects[0]}",), component)
 
     def digest_fields(self) -> dict[str, object]:
-        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in ("reader", "world_function")}
+        return {
+            entry.name: getattr(self, entry.name)
+            for entry in fields(self)
+            if entry.name not in ("reader", "world_function")
+        }
 
 
 # Actuators
@@ -137,8 +146,8 @@ MotorKind = Literal["velocity_motor", "position_motor", "torque_motor"]
 class Response:
     """How an actuator answers its commands; `delay` and `time_constant` in s.
 
-    Whatever torque, force or thrust it would exert is multiplied by `strength`. A command takes effect `delay` after
-    it was given, and is followed with the `time_constant`.
+    Whatever torque, force or thrust it would exert is multiplied by `strength`. A command takes effect
+    `delay` after it was given, and is followed with the `time_constant`.
     """
 
     strength: float = 1.0
@@ -193,10 +202,11 @@ class Thrust:
 
 @dataclass(frozen=True)
 class Cartesian:
-    """An actuator for Cartesian control: it moves the origin of a link to a commanded position (m, world frame).
+    """An actuator for Cartesian control: it moves the origin of a link to a commanded position (m, world
+    frame).
 
-    The link takes the attitude `rpy` (rad), or any. The engine solves the inverse kinematics and drives the joints, within their
-    ranges in the robot file.
+    The link takes the attitude `rpy` (rad), or any. The engine solves the inverse kinematics and drives the
+    joints, within their ranges in the robot file.
     """
 
     name: str
@@ -214,10 +224,11 @@ class Cartesian:
 
 @dataclass(frozen=True)
 class CustomActuator:
-    """An actuator of a kind of another package, whose control law drives the joints: `drive` is its `module:attribute`.
+    """An actuator of a kind of another package, whose control law drives the joints: `drive` is its
+    `module:attribute`.
 
-    `parameters` are those that the kind has of its own, in SI units. Commands are clamped to `low` to `high` where they are given.
-    Limits are as those of `Motor`.
+    `parameters` are those that the kind has of its own, in SI units. Commands are clamped to `low` to `high`
+    where they are given. Limits are as those of `Motor`.
     """
 
     name: str
@@ -252,7 +263,8 @@ LAYOUT_VERSION = 2
 
 @dataclass(frozen=True)
 class MessageField:
-    """One named entry of a message; a vector lists its components, an image (`uint8`) its rows, columns and channels."""
+    """One named entry of a message; a vector lists its components, an image (`uint8`) its rows, columns and
+    channels."""
 
     name: str
     unit: str
@@ -263,12 +275,12 @@ class MessageField:
     @staticmethod
     def from_expression(value: Expression) -> MessageField:
         """The field that carries a value."""
-        known = value.typed.type
-        if known.picture:
-            return MessageField(value.name, "", (), "uint8", known.picture)
-        if known.boolean:
+        value_type = value.typed.type
+        if value_type.picture:
+            return MessageField(value.name, "", (), "uint8", value_type.picture)
+        if value_type.boolean:
             return MessageField(value.name, "", value.components, "bool")
-        return MessageField(value.name, str(known.dimension), value.components)
+        return MessageField(value.name, str(value_type.dimension), value.components)
 
 
 @dataclass(frozen=True)
@@ -283,7 +295,12 @@ class MessageLayout:
     @staticmethod
     def from_fields(robot: str, direction: Direction, fields: tuple[MessageField, ...]) -> MessageLayout:
         parts = ((field, ",".join([*field.components, *map(str, field.shape)])) for field in fields)
-        words = [f"v{LAYOUT_VERSION}", robot, direction, *(f"{f.name}:{f.dtype}:{f.unit}:{inside}" for f, inside in parts)]
+        words = [
+            f"v{LAYOUT_VERSION}",
+            robot,
+            direction,
+            *(f"{f.name}:{f.dtype}:{f.unit}:{inside}" for f, inside in parts),
+        ]
         return MessageLayout(robot, direction, fields, zlib.crc32("|".join(words).encode()))
 
 
@@ -291,9 +308,10 @@ class MessageLayout:
 class Route:
     """The transmission of the messages of one robot in one direction.
 
-    Latency in s, from sending to arrival, None for 0; loss is a share of the messages, None for 0; `burst` the mean number of
-    messages that are lost in a row, None where losses are independent; range in m, from the origin of the world to the
-    robot's root link, None for unlimited. A value with a redraw holds between one draw and the next.
+    Latency in s, from sending to arrival, None for 0; loss is a share of the messages, None for 0; `burst`
+    the mean number of messages that are lost in a row, None where losses are independent; range in m, from
+    the origin of the world to the robot's root link, None for unlimited. A value with a redraw holds between
+    one draw and the next.
     """
 
     latency: Expression | None = None
@@ -320,8 +338,8 @@ class Route:
     @property
     def settings(self) -> tuple[tuple[str, Expression], ...]:
         """The settings that the scenario gives, by name."""
-        found = (("latency", self.latency), ("loss", self.loss), ("range", self.range))
-        return tuple((name, value) for name, value in found if value is not None)
+        settings = (("latency", self.latency), ("loss", self.loss), ("range", self.range))
+        return tuple((name, value) for name, value in settings if value is not None)
 
     def route_for(self, robot: str, direction: Direction) -> Route:
         """The route of one robot, whose draws have streams of their own."""
@@ -340,7 +358,8 @@ def _is_zero(value: Expression | None) -> bool:
 class Command:
     """The command of one actuator: a target per component, or one for all.
 
-    The target of a gripper is how far it is open, from 0 to 1; its joints move between the two positions of `opening`.
+    The target of a gripper is how far it is open, from 0 to 1; its joints move between the two positions of
+    `opening`.
     """
 
     actuator: Actuator
@@ -362,12 +381,17 @@ class Command:
         if self.opening:
             closed, open_ = self.opening
             share = _clamped(values[0], 0.0, 1.0, reach)
-            values = (fold_operation("add", Const(closed), fold_operation("mul", Const(open_ - closed), share)),)
+            values = (
+                fold_operation("add", Const(closed), fold_operation("mul", Const(open_ - closed), share)),
+            )
         values = values * len(self.components) if len(values) == 1 else values
         match self.actuator:
             case Motor(kind="velocity_motor", max_velocity=limits):
                 pairs = zip(values, limits, strict=True)
-                return tuple(value if limit is None else _clamped(value, -limit, limit, reach) for value, limit in pairs)
+                return tuple(
+                    value if limit is None else _clamped(value, -limit, limit, reach)
+                    for value, limit in pairs
+                )
             case Thrust(low=low, high=high) | CustomActuator(low=float() as low, high=float() as high):
                 return tuple(_clamped(value, low, high, reach) for value in values)
             case _:
@@ -379,15 +403,20 @@ class Command:
 
 def _clamped(value: Scalar, low: float, high: float, reach: Interval) -> Scalar:
     """The value kept within bounds, where it may leave them: it is known to stay within `reach`."""
-    return value if low <= reach.low and reach.high <= high else fold_operation("clamp", value, Const(low), Const(high))
+    return (
+        value
+        if low <= reach.low and reach.high <= high
+        else fold_operation("clamp", value, Const(low), Const(high))
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot controller. `receive` holds expressions of the supervisor; `emit` and `commands` see sensors and received fields.
+    """A robot controller. `receive` holds expressions of the supervisor; `emit` and `commands` see sensors
+    and received fields.
 
-    `variables` are the action variables that `commands` use: they are sent unasked. `ages` names the sensors whose readings the
-    supervisor asks the age of, each with the field that carries it.
+    `variables` are the action variables that `commands` use: they are sent unasked. `ages` names the sensors
+    whose readings the supervisor asks the age of, each with the field that carries it.
     """
 
     name: str
@@ -405,34 +434,57 @@ class Robot:
     def received(self) -> tuple[NamedScalars | Expression, ...]:
         """The values that the supervisor sends, in order."""
         names = ((entry, entry.components or (None,)) for entry in self.variables)
-        variables = (NamedScalars(entry.name, entry.components, tuple(Name(entry.name, part) for part in parts)) for entry, parts in names)
+        variables = (
+            NamedScalars(entry.name, entry.components, tuple(Name(entry.name, part) for part in parts))
+            for entry, parts in names
+        )
         return (*variables, *self.receive)
 
     @cached_property
     def emitted(self) -> tuple[NamedScalars | Expression, ...]:
         """The values that the robot sends, in order."""
-        ages = (NamedScalars(field, (), (EngineRead("age", (f"{self.name}.{sensor}",)),)) for sensor, field in self.ages)
+        ages = (
+            NamedScalars(field, (), (EngineRead("age", (f"{self.name}.{sensor}",)),))
+            for sensor, field in self.ages
+        )
         return (*self.emit, *ages)
 
     @cached_property
     def begun_by_message(self) -> frozenset[tuple[str, str]]:
-        """The calls in `commands` whose memories begin with a received value that is not known at a reset; actions are 0 there."""
+        """The calls in `commands` whose memories begin with a received value that is not known at a reset;
+        actions are 0 there."""
         variables = {entry.name for entry in self.variables}
         received = {entry.name for entry in self.received}
-        found: set[tuple[str, str]] = set()
-        for state in (node for command in self.commands for value in command.scalars for node in walk(value) if isinstance(node, State)):
-            given = dict(zip(FUNCTIONS[state.function].arguments, state.args, strict=False))
-            start, unknown = (given["start"], received) if "start" in given else (state.args[0], received - variables)
-            inner = {node.call for argument in state.args for node in walk(argument) if isinstance(node, State)}
-            if inner & found or any(leaf.name in unknown for leaf in names_in(start)):
-                found.add(state.call)
-        return frozenset(found)
+        begun: set[tuple[str, str]] = set()
+        for state in (
+            node
+            for command in self.commands
+            for value in command.scalars
+            for node in walk(value)
+            if isinstance(node, State)
+        ):
+            arguments = dict(zip(FUNCTIONS[state.function].arguments, state.args, strict=False))
+            start, unknown = (
+                (arguments["start"], received)
+                if "start" in arguments
+                else (state.args[0], received - variables)
+            )
+            inner = {
+                node.call for argument in state.args for node in walk(argument) if isinstance(node, State)
+            }
+            if inner & begun or any(leaf.name in unknown for leaf in names_in(start)):
+                begun.add(state.call)
+        return frozenset(begun)
 
     @cached_property
     def to_robot(self) -> MessageLayout:
-        return MessageLayout.from_fields(self.name, "to_robot", (*self.variables, *map(MessageField.from_expression, self.receive)))
+        return MessageLayout.from_fields(
+            self.name, "to_robot", (*self.variables, *map(MessageField.from_expression, self.receive))
+        )
 
     @cached_property
     def from_robot(self) -> MessageLayout:
         ages = (MessageField(field, "s") for _, field in self.ages)
-        return MessageLayout.from_fields(self.name, "from_robot", (*map(MessageField.from_expression, self.emit), *ages))
+        return MessageLayout.from_fields(
+            self.name, "from_robot", (*map(MessageField.from_expression, self.emit), *ages)
+        )

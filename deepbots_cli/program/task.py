@@ -1,4 +1,5 @@
-"""Agents (action, observation, goal, reward, scripts, training), and what they share: endings, time limits and evaluation."""
+"""Agents (action, observation, goal, reward, scripts, training), and what they share: endings, time limits
+and evaluation."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ MAX_CONDITIONS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """One option of a choice: its name, the value of each variable that it sets, and the condition that forbids it."""
+    """One option of a choice: its name, the value of each variable that it sets, and the condition that
+    forbids it."""
 
     name: str
     values: tuple[float, ...]
@@ -67,27 +69,41 @@ ActionPart = Choices | ActionRange
 
 
 def action_names(action: Sequence[ActionPart]) -> tuple[str, ...]:
-    """The names of the numbers that the agent itself gives: an option of each choice (one-hot), a component of each range.
+    """The names of the numbers that the agent itself gives: an option of each choice (one-hot), a component
+    of each range.
 
-    The numbers of several parts carry the name of their part; where that makes two alike, all are numbered from 1.
+    The numbers of several parts carry the name of their part; where that makes two alike, all are numbered
+    from 1.
     """
     names: list[str] = []
     for part in action:
-        inner = [option.name for option in part.options] if isinstance(part, Choices) else list(part.components)
+        inner = (
+            [option.name for option in part.options] if isinstance(part, Choices) else list(part.components)
+        )
         alone = len(action) == 1 or not inner
-        names += [part.name] if not inner else inner if alone else [f"{part.name}_{name}" for name in inner]
-    return tuple(names) if len(set(names)) == len(names) else tuple(str(number + 1) for number in range(len(names)))
+        if inner and not alone:
+            inner = [f"{part.name}_{name}" for name in inner]
+        names += inner or [part.name]
+    return (
+        tuple(names)
+        if len(set(names)) == len(names)
+        else tuple(str(number + 1) for number in range(len(names)))
+    )
 
 
 def idle_action(action: Sequence[ActionPart]) -> tuple[list[int], list[float]] | None:
-    """The action that does nothing: the number of an option for each choice, and a value from -1 to 1 for each component of a range.
+    """The action that does nothing: the number of an option for each choice, and a value from -1 to 1 for
+    each component of a range.
 
-    It is the option of zeros, and the value of a range that is nearest to 0. None where a choice has no option of zeros.
+    It is the option of zeros, and the value of a range that is nearest to 0. None where a choice has no
+    option of zeros.
     """
     choices, values = [], []
     for part in action:
         if isinstance(part, Choices):
-            still = next((number for number, option in enumerate(part.options) if not any(option.values)), None)
+            still = next(
+                (number for number, option in enumerate(part.options) if not any(option.values)), None
+            )
             if still is None:
                 return None
             choices.append(still)
@@ -99,7 +115,8 @@ def idle_action(action: Sequence[ActionPart]) -> tuple[list[int], list[float]] |
 
 @dataclass(frozen=True)
 class RobotCopies:
-    """Copies of a robot that share one world and one policy; everything else in the scenario describes one of them.
+    """Copies of a robot that share one world and one policy; everything else in the scenario describes one of
+    them.
 
     They stand in a row around the place of the robot, each `spacing` (m) from the one before.
     """
@@ -114,10 +131,11 @@ class RobotCopies:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """An entry of the observation: its value, and the bounds of each component in SI units, which map to [-1, 1].
+    """An entry of the observation: its value, and the bounds of each component in SI units, which map to [-1,
+    1].
 
-    `history` is how many values in a row the policy sees; noise is added before the mapping. Without `clip`, values
-    beyond the bounds lie beyond [-1, 1].
+    `history` is how many values in a row the policy sees; noise is added before the mapping. Without `clip`,
+    values beyond the bounds lie beyond [-1, 1].
     """
 
     value: Expression
@@ -134,20 +152,31 @@ class Observation:
     @cached_property
     def numbers(self) -> tuple[ObservedNumber, ...]:
         """One per component."""
-        known = self.value.typed.type
-        components = known.components or (None,)
+        value_type = self.value.typed.type
+        components = value_type.components or (None,)
         stds = self.noise.std.scalars if self.noise else (None,) * len(components)
         rows = zip(components, self.value.scalars, self.low, self.high, stds, strict=True)
         return tuple(
             ObservedNumber(
-                self.name, part, scalar, low, high, str(known.dimension), known.boolean, self.history, self.clip, std, self.noise
+                self.name,
+                part,
+                scalar,
+                low,
+                high,
+                str(value_type.dimension),
+                value_type.boolean,
+                self.history,
+                self.clip,
+                std,
+                self.noise,
             )
             for part, scalar, low, high, std in rows
         )
 
 
 class ImageObservation(Observation):
-    """An image that the policy sees: uint8 of `shape` (rows, columns, channels), with its history side by side as channels.
+    """An image that the policy sees: uint8 of `shape` (rows, columns, channels), with its history side by
+    side as channels.
 
     It has no bounds and no noise.
     """
@@ -171,7 +200,8 @@ class ImageObservation(Observation):
 
 
 class ObservedNumber(NamedTuple):
-    """One number of the observation; a truth value is 0 or 1. `std` is the tree of the standard deviation of `noise`."""
+    """One number of the observation; a truth value is 0 or 1. `std` is the tree of the standard deviation of
+    `noise`."""
 
     name: str
     component: str | None
@@ -192,10 +222,11 @@ class ObservedNumber(NamedTuple):
 
 @dataclass(frozen=True)
 class ObservedValue:
-    """A number that the policy sees: its name, its unit (SI), and the range in this unit that maps to [-1, 1].
+    """A number that the policy sees: its name, its unit (SI), and the range in this unit that maps to [-1,
+    1].
 
-    A truth value (`truth`) is 0 or 1 and has no range to map. `steps_ago` is 0 for the present value, more for an older one. Values beyond
-    the range are `clipped` to it, or lie beyond [-1, 1].
+    A truth value (`truth`) is 0 or 1 and has no range to map. `steps_ago` is 0 for the present value, more
+    for an older one. Values beyond the range are `clipped` to it, or lie beyond [-1, 1].
     """
 
     name: str
@@ -214,9 +245,10 @@ class ObservedValue:
 class Goal:
     """The achieved and the desired goal, apart from the observation, with the bounds of both per component.
 
-    The policy sees both mapped from [low, high] to [-1, 1] and clipped. In rewards, the names `achieved` and `desired`
-    mean the clipped values, so that a reward can be recomputed from an observation. The goal is reached when the two are
-    within `tolerance` of each other. The noise on what is achieved is added before the mapping.
+    The policy sees both mapped from [low, high] to [-1, 1] and clipped. In rewards, the names `achieved` and
+    `desired` mean the clipped values, so that a reward can be recomputed from an observation. The goal is
+    reached when the two are within `tolerance` of each other. The noise on what is achieved is added before
+    the mapping.
     """
 
     achieved: Expression
@@ -251,8 +283,12 @@ class Goal:
     @property
     def reached(self) -> Scalar:
         """Whether the two are within `tolerance` of each other."""
-        apart = tuple(Op("sub", pair) for pair in zip(self.names("achieved"), self.names("desired"), strict=True))
-        return Op("less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.tolerance)))
+        apart = tuple(
+            Op("sub", pair) for pair in zip(self.names("achieved"), self.names("desired"), strict=True)
+        )
+        return Op(
+            "less_equal", (Op("hypot", apart) if len(apart) > 1 else Op("abs", apart), Const(self.tolerance))
+        )
 
 
 @dataclass(frozen=True)
@@ -294,7 +330,8 @@ class ScriptedChoice:
 
 @dataclass(frozen=True, eq=False)
 class ScriptedRange:
-    """The decision of a script for a range of `size` numbers: one expression for all components, or one for each.
+    """The decision of a script for a range of `size` numbers: one expression for all components, or one for
+    each.
 
     Values are in the unit of the range, to whose ends they are clamped.
     """
@@ -305,8 +342,8 @@ class ScriptedRange:
     @property
     def scalars(self) -> tuple[Scalar, ...]:
         """One per number of the range."""
-        found = tuple(scalar for value in self.values for scalar in value.scalars)
-        return found * self.size if len(found) == 1 else found
+        scalars = tuple(scalar for value in self.values for scalar in value.scalars)
+        return scalars * self.size if len(scalars) == 1 else scalars
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,7 +363,8 @@ class Script:
 
 @dataclass(frozen=True)
 class FixedAction:
-    """A constant action: the index of an option of each choice, and a number in [-1, 1] for each component of the ranges.
+    """A constant action: the index of an option of each choice, and a number in [-1, 1] for each component of
+    the ranges.
 
     `text` is what `deepbots try --driver` takes.
     """
@@ -343,8 +381,8 @@ ExpectedKey = Literal["success_rate", "failure_rate", "mean_return", "ends_by", 
 class ExpectedResult:
     """One expected result, its place and its text in the file.
 
-    A rate or a return is expected from `low` to `high`; one of the `endings` is expected to end every episode; a `condition` has the
-    values that it compares, which a failed test shows.
+    A rate or a return is expected from `low` to `high`; one of the `endings` is expected to end every
+    episode; a `condition` has the values that it compares, which a failed test shows.
     """
 
     key: ExpectedKey
@@ -361,7 +399,8 @@ class ExpectedResult:
 class ScenarioTest:
     """Episodes without a trained policy, and the expected results.
 
-    The driver is the name of a script, `random`, `zero`, or a sequence of actions. `steps` is the largest number of steps of an episode.
+    The driver is the name of a script, `random`, `zero`, or a sequence of actions. `steps` is the largest
+    number of steps of an episode.
     """
 
     name: str
@@ -418,7 +457,8 @@ class Hyperparameter:
 
 @dataclass(frozen=True)
 class ActionNoise:
-    """Noise on the actions while training; `sigma` is its standard deviation in the agent's [-1, 1], `theta` is per step."""
+    """Noise on the actions while training; `sigma` is its standard deviation in the agent's [-1, 1], `theta`
+    is per step."""
 
     type: Literal["normal", "ornstein_uhlenbeck"]
     sigma: Schedule
@@ -427,7 +467,8 @@ class ActionNoise:
 
 @dataclass(frozen=True)
 class Hindsight:
-    """Hindsight experience replay: `goals` made-up goals per step, from later in the episode, its end, or anywhere in it."""
+    """Hindsight experience replay: `goals` made-up goals per step, from later in the episode, its end, or
+    anywhere in it."""
 
     goals: int = 4
     strategy: Literal["future", "final", "episode"] = "future"
@@ -463,7 +504,9 @@ class Training:
 
     def digest_fields(self) -> dict[str, object]:
         later = {"shards": 1, "teacher": None, "staleness": 0, "patience": None}
-        return {name: value for name, value in vars(self).items() if name not in later or value != later[name]}
+        return {
+            name: value for name, value in vars(self).items() if name not in later or value != later[name]
+        }
 
 
 # Agent
@@ -492,9 +535,10 @@ class Solved:
 class Agent:
     """The action, observation, goal and reward of one agent, and its training.
 
-    `robots` are those that the action commands. The agent sees `frame_stack` observations in a row, and the goal if there is one. `reward`
-    holds the terms, whose sum is the reward. `success` names the endings that are a success of the agent; all others are failures. With
-    `copies`, the agent acts for each copy of a robot. `scripts` are hand-written policies for the same action.
+    `robots` are those that the action commands. The agent sees `frame_stack` observations in a row, and the
+    goal if there is one. `reward` holds the terms, whose sum is the reward. `success` names the endings that
+    are a success of the agent; all others are failures. With `copies`, the agent acts for each copy of a
+    robot. `scripts` are hand-written policies for the same action.
     """
 
     name: str
@@ -517,12 +561,16 @@ class Agent:
 
     @cached_property
     def seen(self) -> tuple[tuple[int, int], ...]:
-        """For every number that the policy sees, in its order: the index of the number, and how many steps ago.
+        """For every number that the policy sees, in its order: the index of the number, and how many steps
+        ago.
 
         The frames of the stack come oldest first; in each, the named values in file order, each with its
         history, oldest first, and within that its components.
         """
-        named = [list(group) for _, group in groupby(range(len(self.numbers)), key=lambda index: self.numbers[index].name)]
+        named = [
+            list(group)
+            for _, group in groupby(range(len(self.numbers)), key=lambda index: self.numbers[index].name)
+        ]
         return tuple(
             (index, back + ago)
             for back in reversed(range(self.frame_stack))
@@ -540,13 +588,23 @@ class Agent:
     def inputs(self) -> tuple[ObservedValue, ...]:
         """The numbers that the policy sees, in their order in its observation."""
         seen = [(self.numbers[index], age) for index, age in self.seen]
-        return tuple(ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.is_truth, age, n.clip) for n, age in seen)
+        return tuple(
+            ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.is_truth, age, n.clip)
+            for n, age in seen
+        )
 
     @property
     def discount(self) -> float:
         """The discount factor of the training, per step; 0.99 is the default of every algorithm."""
-        known = self.training.hyperparameters if self.training else ()
-        return next((float(entry.value) for entry in known if entry.name == "gamma" and isinstance(entry.value, int | float)), 0.99)
+        hyperparameters = self.training.hyperparameters if self.training else ()
+        return next(
+            (
+                float(entry.value)
+                for entry in hyperparameters
+                if entry.name == "gamma" and isinstance(entry.value, int | float)
+            ),
+            0.99,
+        )
 
     @property
     def choices(self) -> tuple[Choices, ...]:
@@ -578,8 +636,8 @@ class Evaluation:
 class Criterion:
     """When a stage of the curriculum ends: a mean reaches `threshold`, or `threshold` steps are taken.
 
-    The mean is over the last `episodes` training episodes of the stage, rounded up to equally many of each world; with None, over one
-    evaluation.
+    The mean is over the last `episodes` training episodes of the stage, rounded up to equally many of each
+    world; with None, over one evaluation.
     """
 
     metric: Literal["success_rate", "mean_return", "steps"]

@@ -1,4 +1,5 @@
-"""The fields that cross between a robot and its policy, and where ROS 2 has them: sensors, readings of the world, commands."""
+"""The fields that cross between a robot and its policy, and where ROS 2 has them: sensors, readings of the
+world, commands."""
 
 from __future__ import annotations
 
@@ -23,27 +24,41 @@ def sensor_fields(program: Program) -> list[Field]:
 
 
 def command_fields(program: Program) -> list[Field]:
-    """The actuators of the robots that the agent moves, in the order of their commands; those without a command are left out."""
-    return [command_field(program, robot, entry.actuator) for robot in _robots(program) for entry in robot.commands]
+    """The actuators of the robots that the agent moves, in the order of their commands; those without a
+    command are left out."""
+    return [
+        command_field(program, robot, entry.actuator)
+        for robot in _robots(program)
+        for entry in robot.commands
+    ]
 
 
 def reading_fields(program: Program) -> list[Field]:
     """What expressions read of the world, by names such as `position(ball)`: no robot measures it."""
     roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
-    joints = {f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints}
-    found: dict[str, Field] = {}
+    joints = {
+        f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints
+    }
+    fields: dict[str, Field] = {}
     for value in program.computed_expressions:
         for leaf in (leaf for tree in value.scalars for leaf in walk(tree)):
             function = FUNCTIONS.get(leaf.function) if isinstance(leaf, EngineRead) else None
             if not isinstance(leaf, EngineRead) or function is None:
                 continue
             joint = joints.get(leaf.subjects[0])
-            shared = NUMBER if joint is None else LENGTH if joint.type == "prismatic" else ANGLE
+            if joint is None:
+                shared = NUMBER
+            elif joint.type == "prismatic":
+                shared = LENGTH
+            else:
+                shared = ANGLE
             components = _VECTORS.get(leaf.function, ())
             name = f"{leaf.function}({', '.join(roots.get(subject, subject) for subject in leaf.subjects)})"
             unit = "1" if function.boolean else str(function.result(shared))
-            found.setdefault(name, Field(name, "", leaf.function, unit, (len(components) or 1,), components=components))
-    return list(found.values())
+            fields.setdefault(
+                name, Field(name, "", leaf.function, unit, (len(components) or 1,), components=components)
+            )
+    return list(fields.values())
 
 
 def sensor_field(robot: Robot, sensor: Sensor) -> Field:
@@ -77,11 +92,20 @@ def command_field(program: Program, robot: Robot, actuator: Actuator) -> Field:
         unit = "N"
     elif isinstance(actuator, Cartesian):
         unit = "m"
-    return Field(f"{robot.name}.{actuator.name}", robot.name, kind, unit, (len(actuator.components),), joints, actuator.components)
+    return Field(
+        f"{robot.name}.{actuator.name}",
+        robot.name,
+        kind,
+        unit,
+        (len(actuator.components),),
+        joints,
+        actuator.components,
+    )
 
 
 def mapping(program: Program) -> dict[str, Topic]:
-    """The topic of each sensor, reading of the world and command: as the scenario says under `ros`, else a first one."""
+    """The topic of each sensor, reading of the world and command: as the scenario says under `ros`, else a
+    first one."""
     received = [*sensor_fields(program), *reading_fields(program)]
     return {**first_mapping(received), **first_mapping(command_fields(program), commands=True), **program.ros}
 

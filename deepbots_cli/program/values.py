@@ -43,12 +43,14 @@ class Foreign:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Expression:
-    """A named expression: its text and place in the file, its typed tree, and its scalar trees, which are made when first asked for.
+    """A named expression: its text and place in the file, its typed tree, and its scalar trees, which are
+    made when first asked for.
 
-    `owner` is the path in the scenario, such as `reward.alive`; streams of draws and memories are named after it. With `per_component`
-    there is one scalar tree for each of these components, and a draw that is written once is drawn anew for each. `redraw` says
-    how often draws are repeated within an episode, None for not at all. Of a `foreign` expression, a function of Python, the
-    tree tells the type only. With `noise`, the name has a noisy value, which is drawn once per tick.
+    `owner` is the path in the scenario, such as `reward.alive`; streams of draws and memories are named after
+    it. With `per_component` there is one scalar tree for each of these components, and a draw that is written
+    once is drawn anew for each. `redraw` says how often draws are repeated within an episode, None for not at
+    all. Of a `foreign` expression, a function of Python, the tree tells the type only. With `noise`, the name
+    has a noisy value, which is drawn once per tick.
     """
 
     name: str
@@ -86,21 +88,23 @@ class Expression:
 
     @cached_property
     def period(self) -> Scalar | None:
-        """Seconds until draws are repeated, computed anew each time; None for never, and for in each step or message."""
+        """Seconds until draws are repeated, computed anew each time; None for never, and for in each step or
+        message."""
         if self.redraw is None or self.redraw.period is None:
             return None
         return lower(self.redraw.period, f"{self.owner}.every")[0]
 
     def digest_fields(self) -> dict[str, object]:
         redraw = None if self.redraw is None else ("period", self.period)
-        found = {"name": self.name, "components": self.components, "scalars": self.scalars}
+        fields = {"name": self.name, "components": self.components, "scalars": self.scalars}
         extras = {"redraw": redraw, "foreign": self.foreign, "noise": self.noise}
-        return {**found, **{key: value for key, value in extras.items() if value is not None}}
+        return {**fields, **{key: value for key, value in extras.items() if value is not None}}
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Gaussian noise: its standard deviation per component, in the unit of the value or `relative` to the value."""
+    """Gaussian noise: its standard deviation per component, in the unit of the value or `relative` to the
+    value."""
 
     std: Expression
     relative: bool = False

@@ -23,7 +23,9 @@ Color = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
 
 WorldParameter = Literal["gravity", "light"]
-LinkParameter = Literal["mass", "lateral_friction", "spinning_friction", "rolling_friction", "restitution", "color"]
+LinkParameter = Literal[
+    "mass", "lateral_friction", "spinning_friction", "rolling_friction", "restitution", "color"
+]
 JointParameter = Literal["joint_damping", "joint_friction"]
 EngineParameter = WorldParameter | LinkParameter | JointParameter
 """What an engine sets anew for an episode; `port.Engine.set_parameter` gives the units."""
@@ -43,7 +45,8 @@ class Ground:
 
 @dataclass(frozen=True)
 class Pit:
-    """A bowl around the origin, 20 m wide; `deepbots_cli.geometry` has the formula. Height and radius in m, noise a share."""
+    """A bowl around the origin, 20 m wide; `deepbots_cli.geometry` has the formula. Height and radius in m,
+    noise a share."""
 
     height: float
     radius: float
@@ -85,7 +88,8 @@ class Terrain:
 
 @dataclass(frozen=True)
 class Line:
-    """A line painted on the ground: through points (m) in order, a stroke of `width` (m) that throws back so much light.
+    """A line painted on the ground: through points (m) in order, a stroke of `width` (m) that throws back so
+    much light.
 
     A closed one goes on from its last point to its first.
     """
@@ -136,8 +140,9 @@ class Variant:
 class ObjectBody:
     """A body that is no robot. Mass in kg; a fixed one never moves, one that is not solid is only seen.
 
-    A pooled one is absent after a reset, until it is placed. With `variants` it takes the form of one of them, of the
-    first unless another is chosen, and its own shape, mass, color, friction and `fixed` mean nothing.
+    A pooled one is absent after a reset, until it is placed. With `variants` it takes the form of one of
+    them, of the first unless another is chosen, and its own shape, mass, color, friction and `fixed` mean
+    nothing.
     """
 
     name: str

@@ -1,6 +1,7 @@
 """Robots as data: from a URDF file to a checked model, changed by pure functions, and back to text.
 
-model.py     links, joints, shapes; mass, volume and inertia in closed form; the normalized URDF that an engine
+model.py     links, joints, shapes; mass, volume and inertia in closed form; the normalized URDF that an
+             engine
              loads; a robot with one thing changed: with_scale, with_mass, with_friction, with_joint
 elements.py  XML to elements that know their place; their numbers and vectors
 reader.py    elements to a checked model, every finding with its place

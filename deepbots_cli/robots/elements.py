@@ -1,9 +1,10 @@
 """Strict XML: elements that know their place, and the texts, numbers and vectors in their attributes.
 
 No DOCTYPE, no entities, bounded in depth and number. A value that cannot be read is reported once and
-replaced by a harmless one; `ElementReport.errors` counts these. The loaders for simulation recover silently and
-know no lines, so expat reads the text: it is in the standard library and knows byte offsets. Blanks before
-the XML declaration and zero bytes after the document, which published files have and PyBullet skips, are warnings.
+replaced by a harmless one; `ElementReport.errors` counts these. The loaders for simulation recover silently
+and know no lines, so expat reads the text: it is in the standard library and knows byte offsets. Blanks
+before the XML declaration and zero bytes after the document, which published files have and PyBullet skips,
+are warnings.
 """
 
 from __future__ import annotations
@@ -70,28 +71,41 @@ class Element:
     def span(self) -> Span:
         """The start tag."""
         source = self.report.source
-        found = _START_TAG.match(source.text, self.start)
-        return Span(source, self.start, found.end() if found else self.start + 1)
+        match = _START_TAG.match(source.text, self.start)
+        return Span(source, self.start, match.end() if match else self.start + 1)
 
     def value_span(self, attribute: str | None) -> Span:
         """The value of `attribute` without its quotes; the start tag where it is absent or None."""
         tag = self.span
-        for found in _ATTRIBUTE.finditer(tag.source.text, tag.start + 1 + len(self.tag), tag.end):
-            if found[1] == attribute:
-                group = 2 if found[2] is not None else 3
-                return Span(tag.source, found.start(group), found.end(group))
+        for match in _ATTRIBUTE.finditer(tag.source.text, tag.start + 1 + len(self.tag), tag.end):
+            if match[1] == attribute:
+                group = 2 if match[2] is not None else 3
+                return Span(tag.source, match.start(group), match.end(group))
         return tag
 
     def error(
-        self, headline: str, *, attribute: str | None = None, help: str | None = None, labels: tuple[Label, ...] = (), code: str = "DB301"
+        self,
+        headline: str,
+        *,
+        attribute: str | None = None,
+        help: str | None = None,
+        labels: tuple[Label, ...] = (),
+        code: str = "DB301",
     ) -> None:
-        """Report an error at the value of `attribute`, or at the start tag; only the first hundred of a file are kept."""
+        """Report an error at the value of `attribute`, or at the start tag; only the first hundred of a file
+        are kept."""
         self.report.errors += 1
         if self.report.errors <= MAX_REPORTED:
             self.report.findings.add(code, self.value_span(attribute), headline, help, labels=labels)
 
     def warn(
-        self, headline: str, *, attribute: str | None = None, help: str | None = None, notes: tuple[str, ...] = (), code: str = "DB311"
+        self,
+        headline: str,
+        *,
+        attribute: str | None = None,
+        help: str | None = None,
+        notes: tuple[str, ...] = (),
+        code: str = "DB311",
     ) -> None:
         self.report.warnings += 1
         if self.report.warnings <= MAX_REPORTED:
@@ -102,10 +116,10 @@ class Element:
 
     def find_one(self, tag: str) -> Element | None:
         """The first child called `tag`; further ones are reported and not read."""
-        found = self.find_all(tag)
-        for extra in found[1:]:
+        first = self.find_all(tag)
+        for extra in first[1:]:
             extra.warn(f"deepbots ignores a second <{tag}> in the same <{self.tag}>", help="remove it")
-        return found[0] if found else None
+        return first[0] if first else None
 
     def require_one(self, tag: str) -> Element | None:
         """The first child called `tag`; reports an error if there is none."""
@@ -118,7 +132,9 @@ class Element:
         """A required attribute that is not empty."""
         value = self.attributes.get(name)
         if value is None:
-            self.error(f"<{self.tag}> without the attribute '{name}'", help=f'write <{self.tag} {name}="..."/>')
+            self.error(
+                f"<{self.tag}> without the attribute '{name}'", help=f'write <{self.tag} {name}="..."/>'
+            )
         elif not value.strip():
             self.error(f"the attribute '{name}' is empty", attribute=name)
             value = None
@@ -136,7 +152,9 @@ class Element:
             return default or 0.0
         return value
 
-    def vector(self, name: str, default: tuple[float, float, float] | None = None) -> tuple[float, float, float]:
+    def vector(
+        self, name: str, default: tuple[float, float, float] | None = None
+    ) -> tuple[float, float, float]:
         """Three numbers apart by blanks."""
         x, y, z = self._numbers(name, default, 3)
         return x, y, z
@@ -172,10 +190,11 @@ class Element:
         return values
 
     def _as_pybullet_reads(self, words: list[str], name: str, size: int) -> list[str]:
-        """The words as PyBullet reads them, with a warning for each difference; `words` where one is no number even so.
+        """The words as PyBullet reads them, with a warning for each difference; `words` where one is no
+        number even so.
 
-        PyBullet skips a comma or a point after a number, but splits at blanks only: `1,2,3` is one number to it. Of four
-        numbers for three it takes the first three.
+        PyBullet skips a comma or a point after a number, but splits at blanks only: `1,2,3` is one number to
+        it. Of four numbers for three it takes the first three.
         """
         plain = [word if _NUMBER.fullmatch(word) else word.rstrip(",.") for word in words]
         if not all(map(_NUMBER.fullmatch, plain)):
@@ -193,15 +212,15 @@ class Element:
     def _expanded(self, name: str) -> str:
         """The value; `$(optenv NAME default)` of an unexpanded xacro file stands for its default."""
         value = self.attributes[name]
-        found = _OPTENV.fullmatch(value.strip())
-        if found is None:
+        match = _OPTENV.fullmatch(value.strip())
+        if match is None:
             return value
         self.warn(
             "a xacro substitution is not expanded",
             attribute=name,
-            help=f"expand it with xacro; until then deepbots uses its default, {found[1]}",
+            help=f"expand it with xacro; until then deepbots uses its default, {match[1]}",
         )
-        return found[1]
+        return match[1]
 
 
 class _RefusedError(Exception):
@@ -233,7 +252,8 @@ class _Builder:
         self.parser.StartDoctypeDeclHandler = self._doctype
 
     def offset(self, index: int) -> int:
-        """The code point of the source at byte `index` of `data`; counts on from the last call, so that a file is decoded once."""
+        """The code point of the source at byte `index` of `data`; counts on from the last call, so that a
+        file is decoded once."""
         byte, point = self._mark if self._mark[0] <= index else (0, 0)
         self._mark = (index, point + len(self.data[byte:index].decode(errors="ignore")))
         return self.begin + self._mark[1]
@@ -242,7 +262,9 @@ class _Builder:
         self.version = version
 
     def _doctype(self, name: str, system: str | None, public: str | None, internal: int) -> None:
-        raise _RefusedError("DB301", "a DOCTYPE is not allowed in a robot file", "remove it; URDF needs no entities")
+        raise _RefusedError(
+            "DB301", "a DOCTYPE is not allowed in a robot file", "remove it; URDF needs no entities"
+        )
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._count += 1
@@ -273,12 +295,27 @@ def parse(source: Source, findings: Findings) -> Element | None:
         return None
     if builder.version != "1.0":
         end = text.find("?>") + 2
-        findings.add("DB311", Span(source, early, end), f"XML version {builder.version[:20]!r} does not exist", 'write version="1.0"')
+        findings.add(
+            "DB311",
+            Span(source, early, end),
+            f"XML version {builder.version[:20]!r} does not exist",
+            'write version="1.0"',
+        )
     if early:
         headline = "the XML declaration is not at the start of the file"
-        findings.add("DB311", Span(source, early, early + len("<?xml")), headline, "remove the blanks and empty lines before it")
+        findings.add(
+            "DB311",
+            Span(source, early, early + len("<?xml")),
+            headline,
+            "remove the blanks and empty lines before it",
+        )
     if late >= 0:
-        findings.add("DB311", Span(source, late, late + 1), "a zero byte after the end of the document", "end the file before it")
+        findings.add(
+            "DB311",
+            Span(source, late, late + 1),
+            "a zero byte after the end of the document",
+            "end the file before it",
+        )
     return root
 
 
@@ -288,14 +325,18 @@ def _parsed(builder: _Builder) -> Element | None:
         builder.parser.Parse(builder.data, True)
     except _RefusedError as refused:
         at = builder.offset(builder.parser.CurrentByteIndex)
-        found = _START_TAG.match(source.text, at)
-        end = found.end() if found else min(at + 1, len(source.text))
+        match = _START_TAG.match(source.text, at)
+        end = match.end() if match else min(at + 1, len(source.text))
         findings.add(refused.code, Span(source, at, end), refused.headline, refused.help)
         return None
     except expat.ExpatError as error:
         at = min(builder.offset(max(builder.parser.ErrorByteIndex, 0)), len(source.text))
         also = tuple(Label(element.span, "opened here and not closed") for element in builder.open[-1:])
-        what = "the file is empty" if not source.text.strip() else f"this is not XML: {expat.ErrorString(error.code)}"
+        what = (
+            "the file is empty"
+            if not source.text.strip()
+            else f"this is not XML: {expat.ErrorString(error.code)}"
+        )
         if builder.open and error.code == expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS]:
             what = "the file ends inside an element"
         misplaced = error.code == expat.errors.codes[expat.errors.XML_ERROR_MISPLACED_XML_PI]

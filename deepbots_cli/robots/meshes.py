@@ -1,7 +1,8 @@
 """Mesh files: location, access, content. This module needs no numpy, since lint imports it.
 
-Every file is checked here before an engine or a library reads it. PyBullet 3.2.7 crashes on a vertex that is not a number, on an
-OBJ face that names a missing vertex and on a COLLADA file without its libraries; it draws nothing for an STL file of a wrong length.
+Every file is checked here before an engine or a library reads it. PyBullet 3.2.7 crashes on a vertex that is
+not a number, on an OBJ face that names a missing vertex and on a COLLADA file without its libraries; it draws
+nothing for an STL file of a wrong length.
 """
 
 from __future__ import annotations
@@ -39,12 +40,22 @@ _PLACE_STL = re.compile(rb"vertex[ \t]+([-+.0-9eE \t]+)", re.IGNORECASE)
 _FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
 _INDEX = re.compile(rb"[ \t]-?0*([0-9]+)")
 _LINES = re.compile(rb"^[ \t]*(?=[vf][ \t])", re.MULTILINE)
-_MAX_LINES = 400_000  # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
+# vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
+_MAX_LINES = 400_000
 _MAX_COORDINATE = 1e6  # in the units of the mesh: 1 km in millimeters
 _LARGE_NUMBER = re.compile(rb"(?<![0-9.])[0-9]{7}|[eE]\+?0*[1-9]")
 _MAX_CORNERS = 1_500_000
 _COLLADA = ("asset", "library_geometries", "library_visual_scenes")
-_ARCHIVES = (b"PK\x03\x04", b"PK\x05\x06", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"7z\xbc\xaf", b"Rar!", b"\x28\xb5\x2f\xfd")
+_ARCHIVES = (
+    b"PK\x03\x04",
+    b"PK\x05\x06",
+    b"\x1f\x8b",
+    b"BZh",
+    b"\xfd7zXZ\0",
+    b"7z\xbc\xaf",
+    b"Rar!",
+    b"\x28\xb5\x2f\xfd",
+)
 
 
 @dataclass(frozen=True)
@@ -57,14 +68,16 @@ class UnusableMesh:
 
 @dataclass(frozen=True)
 class MeshAboveRobot:
-    """A mesh in a folder above the robot file, where PyBullet looks too; `reference` is its path from the folder of the robot."""
+    """A mesh in a folder above the robot file, where PyBullet looks too; `reference` is its path from the
+    folder of the robot."""
 
     path: Path
     reference: str
 
 
 class LoadedMesh(NamedTuple):
-    """A mesh that an engine may load; `reference` is a better name for it in the robot file, if there is one."""
+    """A mesh that an engine may load; `reference` is a better name for it in the robot file, if there is
+    one."""
 
     path: Path
     digest: str
@@ -88,10 +101,13 @@ def locate_mesh(reference: str, folder: Path) -> Path | UnusableMesh:
         return Path(os.path.realpath(folder / rest))
     if scheme != "package":
         return UnusableMesh(
-            f"deepbots cannot download a mesh from {scheme[:20]!r}", "save the file next to the robot file, and write its path"
+            f"deepbots cannot download a mesh from {scheme[:20]!r}",
+            "save the file next to the robot file, and write its path",
         )
     package, _, inside = rest.partition("/")
-    home = package_folder(package) or next((above for above in folder.absolute().parents if above.name == package), None)
+    home = package_folder(package) or next(
+        (above for above in folder.absolute().parents if above.name == package), None
+    )
     return Path(os.path.realpath(home / inside if home else folder / rest))
 
 
@@ -112,32 +128,39 @@ def package_folder(name: str) -> Path | None:
 
 def package_folders(reference: str) -> tuple[Path, ...]:
     """The folder of the package that `package://X/rest` names; none for a path, or if it is not installed."""
-    home = package_folder(reference.removeprefix("package://").partition("/")[0]) if reference.startswith("package://") else None
+    home = (
+        package_folder(reference.removeprefix("package://").partition("/")[0])
+        if reference.startswith("package://")
+        else None
+    )
     return (home,) if home else ()
 
 
 def package_file(reference: str) -> Path | None:
-    """The file of an installed package that `package://X/rest` names; None where there is none, or it lies outside of X."""
+    """The file of an installed package that `package://X/rest` names; None where there is none, or it lies
+    outside of X."""
     package, _, inside = reference.removeprefix("package://").partition("/")
     home = package_folder(package)
     if home is None:
         return None
     try:
-        found = Path(os.path.realpath(home / inside))
-        return found if found.is_relative_to(os.path.realpath(home)) and found.is_file() else None
+        path = Path(os.path.realpath(home / inside))
+        return path if path.is_relative_to(os.path.realpath(home)) and path.is_file() else None
     except (OSError, ValueError):  # a name that is too long, or holds a NUL
         return None
 
 
 def library_reference(reference: str) -> str | None:
-    """How to name a file of pybullet_data that `reference` calls by its path there; None unless it is installed and holds one."""
+    """How to name a file of pybullet_data that `reference` calls by its path there; None unless it is
+    installed and holds one."""
     inside = reference.removeprefix("pybullet_data/")
     names = (f"package://pybullet_data/{inside}{suffix}" for suffix in ("", ".urdf"))
     return None if "://" in reference else next((name for name in names if package_file(name)), None)
 
 
 def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
-    """Allows the folder of the robot file, the `allowed` ones, all below them, and the installed package that a `package://` names."""
+    """Allows the folder of the robot file, the `allowed` ones, all below them, and the installed package that
+    a `package://` names."""
     roots = [os.path.realpath(root) for root in (folder, *allowed)]
 
     def resolve(reference: str) -> Path | MeshAboveRobot | UnusableMesh:
@@ -154,7 +177,8 @@ def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
 
 
 def _above(reference: str, folder: Path, roots: list[str]) -> MeshAboveRobot | None:
-    """The nearest file of that name seen from a folder above; PyBullet's `findExistingMeshFile` looks there in the same order."""
+    """The nearest file of that name seen from a folder above; PyBullet's `findExistingMeshFile` looks there
+    in the same order."""
     for above in folder.absolute().parents:
         path = Path(os.path.realpath(above / reference))
         if any(path.is_relative_to(root) for root in roots) and path.is_file():
@@ -172,23 +196,28 @@ class MeshReader:
 
     def load(self, reference: str) -> LoadedMesh | UnusableMesh:
         try:
-            found = self._resolve(reference)
-            if isinstance(found, UnusableMesh):
-                return found
-            path = found.path if isinstance(found, MeshAboveRobot) else found
+            resolved = self._resolve(reference)
+            if isinstance(resolved, UnusableMesh):
+                return resolved
+            path = resolved.path if isinstance(resolved, MeshAboveRobot) else resolved
             if path not in self._known:
                 self._known[path] = self._digest(path)
         except OSError as error:
             return UnusableMesh(f"the mesh cannot be read: {error.strerror}")
-        digest, better = self._known[path], found.reference if isinstance(found, MeshAboveRobot) else None
+        digest = self._known[path]
+        better = resolved.reference if isinstance(resolved, MeshAboveRobot) else None
         return digest if isinstance(digest, UnusableMesh) else LoadedMesh(path, digest, better)
 
     def _digest(self, path: Path) -> str | UnusableMesh:
         if not str(path).isprintable():
-            return UnusableMesh("the path of the mesh contains characters that cannot be printed", "rename the file or its folder")
+            return UnusableMesh(
+                "the path of the mesh contains characters that cannot be printed",
+                "rename the file or its folder",
+            )
         if path.suffix.lower() not in MESH_SUFFIXES:
             return UnusableMesh(
-                f"the mesh format {path.suffix[:20]!r} is not supported", f"convert it to one of: {', '.join(MESH_SUFFIXES)}"
+                f"the mesh format {path.suffix[:20]!r} is not supported",
+                f"convert it to one of: {', '.join(MESH_SUFFIXES)}",
             )
         if not path.exists():
             return UnusableMesh("the mesh does not exist", f"check the path: deepbots looked for {path}")
@@ -199,7 +228,10 @@ class MeshReader:
             return UnusableMesh(f"the mesh is larger than {MAX_BYTES >> 20} MiB", "simplify it")
         self._total += len(data)
         if self._total > MAX_TOTAL_BYTES:
-            return UnusableMesh(f"the meshes of this robot are larger than {MAX_TOTAL_BYTES >> 20} MiB together", "simplify them")
+            return UnusableMesh(
+                f"the meshes of this robot are larger than {MAX_TOTAL_BYTES >> 20} MiB together",
+                "simplify them",
+            )
         if data.startswith(_ARCHIVES):
             return UnusableMesh("the mesh is an archive", "unpack it")
         suffix, digest = path.suffix.lower(), hashlib.sha256(data).hexdigest()
@@ -231,14 +263,18 @@ def read_verified(mesh: Mesh) -> bytes:
 
 @lru_cache(maxsize=1000)
 def mesh_bounds(mesh: Mesh) -> tuple[Vector, Vector] | None:
-    """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the file is missing or changed."""
+    """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the file is
+    missing or changed."""
     try:
-        found = mesh_size(Path(mesh.path).suffix.lower(), read_verified(mesh))
+        bounds = mesh_size(Path(mesh.path).suffix.lower(), read_verified(mesh))
     except EngineError:
         return None
-    if found is None:
+    if bounds is None:
         return None
-    ends = [sorted((low * factor, high * factor)) for low, high, factor in zip(found.lower, found.upper, mesh.scale, strict=True)]
+    ends = [
+        sorted((low * factor, high * factor))
+        for low, high, factor in zip(bounds.lower, bounds.upper, mesh.scale, strict=True)
+    ]
     (x, x_end), (y, y_end), (z, z_end) = ends
     return (x, y, z), (x_end, y_end, z_end)
 
@@ -264,7 +300,11 @@ def _far_out(suffix: str, data: bytes) -> str | None:
         return None
     size = mesh_size(suffix, data)
     farthest = max(map(abs, (*size.lower, *size.upper))) if size else 0.0
-    return f"the mesh has a vertex at {farthest:.2g}, and the limit is {_MAX_COORDINATE:.0g}" if farthest > _MAX_COORDINATE else None
+    return (
+        f"the mesh has a vertex at {farthest:.2g}, and the limit is {_MAX_COORDINATE:.0g}"
+        if farthest > _MAX_COORDINATE
+        else None
+    )
 
 
 class MeshSize(NamedTuple):
@@ -280,7 +320,9 @@ def mesh_size(suffix: str, data: bytes) -> MeshSize | None:
     if suffix == ".dae":
         return None
     if suffix == ".obj":
-        numbers = [float(number) for vertex in _VERTEX_COORDINATES.findall(data) for number in vertex.split()[:3]]
+        numbers = [
+            float(number) for vertex in _VERTEX_COORDINATES.findall(data) for number in vertex.split()[:3]
+        ]
         faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
     elif data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
         numbers = [float(number) for vertex in _PLACE_STL.findall(data) for number in vertex.split()[:3]]
@@ -298,11 +340,18 @@ def _stl(data: bytes) -> str | None:
         return "the STL file is shorter than its header"
     triangles = int.from_bytes(data[80:84], "little")
     if len(data) != 84 + 50 * triangles:
-        return f"the STL file declares {triangles:,} triangles, but it is as long as a file of {(len(data) - 84) / 50:,g} triangles"
+        return (
+            f"the STL file declares {triangles:,} triangles, but it is as long as a file of"
+            f" {(len(data) - 84) / 50:,g} triangles"
+        )
     if not triangles:
         return "the STL file contains no triangle"
     # A sum is finite only if every summand is, and finite 32-bit floats cannot overflow it.
-    return None if math.isfinite(sum(_stl_numbers(data))) else "the STL file contains a vertex that is not finite"
+    return (
+        None
+        if math.isfinite(sum(_stl_numbers(data)))
+        else "the STL file contains a vertex that is not finite"
+    )
 
 
 def _stl_numbers(data: bytes) -> array[float]:
@@ -321,7 +370,9 @@ def _obj(data: bytes) -> str | None:
     vertices = len(_VERTEX.findall(data))
     if not vertices:
         return "the OBJ file contains no vertex"
-    lower = data.lower()  # two plain searches take a third of the time of the pattern, which they nearly always spare
+    lower = (
+        data.lower()
+    )  # two plain searches take a third of the time of the pattern, which they nearly always spare
     if (b"nan" in lower or b"inf" in lower) and _NOT_FINITE.search(data):
         return "the OBJ file contains a vertex that is not finite"
     indices: set[bytes] = set()
@@ -336,7 +387,10 @@ def _obj(data: bytes) -> str | None:
         return "the OBJ file contains no face"
     last = max(indices, key=lambda digits: (len(digits), digits))
     if len(last) > 9 or int(last) > vertices:
-        return f"a face of the OBJ file has vertex {last[:12].decode()}, but the file has only {vertices} vertices"
+        return (
+            f"a face of the OBJ file has vertex {last[:12].decode()}, but the file has only {vertices}"
+            " vertices"
+        )
     return None
 
 

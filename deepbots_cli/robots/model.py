@@ -1,4 +1,5 @@
-"""A robot as data: links, joints, limits, inertia; inertia of simple shapes in closed form; URDF text; pure functions that change it.
+"""A robot as data: links, joints, limits, inertia; inertia of simple shapes in closed form; URDF text; pure
+functions that change it.
 
 SI units; rpy in rad, fixed axes x, y, z as in URDF.
 
@@ -85,7 +86,11 @@ class Inertial:
     @property
     def matrix(self) -> Matrix:
         """The inertia as a symmetric matrix."""
-        return ((self.ixx, self.ixy, self.ixz), (self.ixy, self.iyy, self.iyz), (self.ixz, self.iyz, self.izz))
+        return (
+            (self.ixx, self.ixy, self.ixz),
+            (self.ixy, self.iyy, self.iyz),
+            (self.ixz, self.iyz, self.izz),
+        )
 
     @property
     def is_stated(self) -> bool:
@@ -94,9 +99,11 @@ class Inertial:
 
     @property
     def is_plausible(self) -> bool:
-        """Whether a rigid body can have this inertia: positive definite, and no principal moment above the sum of the others.
+        """Whether a rigid body can have this inertia: positive definite, and no principal moment above the
+        sum of the others.
 
-        The second holds exactly if the second moments of the mass, J = tr(I)/2 - I, are positive semidefinite.
+        The second holds exactly if the second moments of the mass, J = tr(I)/2 - I, are positive
+        semidefinite.
         """
         tensor = self.matrix
         trace = tensor[0][0] + tensor[1][1] + tensor[2][2]
@@ -121,7 +128,8 @@ FRICTION_TAGS = ("lateral_friction", "spinning_friction", "rolling_friction", "r
 
 @dataclass(frozen=True)
 class Friction:
-    """Contact parameters of a link. None means not stated: engines take 1 for `lateral` and 0 for the others."""
+    """Contact parameters of a link. None means not stated: engines take 1 for `lateral` and 0 for the
+    others."""
 
     lateral: float | None = None
     spinning: float | None = None
@@ -205,16 +213,21 @@ class RobotModel:
 
     @cached_property
     def followers(self) -> dict[str, Mimic]:
-        """The moving joints that follow another one, each with the joint at the end of its chain, which follows none."""
+        """The moving joints that follow another one, each with the joint at the end of its chain, which
+        follows none."""
         joints = {joint.name: joint for joint in self.moving_joints}
-        found = {}
+        followers = {}
         for joint in joints.values():
             mimic = joint.mimic
-            while mimic is not None and mimic.joint in joints and (above := joints[mimic.joint].mimic) is not None:
+            while (
+                mimic is not None
+                and mimic.joint in joints
+                and (above := joints[mimic.joint].mimic) is not None
+            ):
                 mimic = Mimic(above.joint, mimic.multiplier * above.multiplier, mimic.position(above.offset))
             if mimic is not None and mimic.joint in joints:
-                found[joint.name] = mimic
-        return found
+                followers[joint.name] = mimic
+        return followers
 
     def followers_of(self, leader: str) -> dict[str, Mimic]:
         """The joints that follow this one."""
@@ -222,7 +235,8 @@ class RobotModel:
 
     @property
     def end_link(self) -> str:
-        """The link that the most moving joints carry: of an arm, its hand or a finger; of several the last one."""
+        """The link that the most moving joints carry: of an arm, its hand or a finger; of several the last
+        one."""
         carried = {self.root: 0}
         waiting = [self.root]
         for parent in waiting:
@@ -234,10 +248,14 @@ class RobotModel:
 
     def links_below(self, first: str, *, rigid: bool = False) -> list[str]:
         """A link and the links that it carries; `rigid` leaves out those behind a joint that moves."""
-        found = [first]
-        for link in found:
-            found += [joint.child for joint in self.joints if joint.parent == link and (joint.type == "fixed" or not rigid)]
-        return found
+        links = [first]
+        for link in links:
+            links += [
+                joint.child
+                for joint in self.joints
+                if joint.parent == link and (joint.type == "fixed" or not rigid)
+            ]
+        return links
 
     def subtree_mass(self) -> dict[str, float]:
         """For each link by name, the mass (kg) of the link and of everything below it."""
@@ -279,7 +297,13 @@ def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _IDENTITY_POS
     """The inertial of a homogeneous body of `mass` kg whose shape has the pose `origin`; None for a mesh."""
     match shape:
         case Box((x, y, z)):
-            return Inertial(mass, origin, ixx=mass / 12 * (y * y + z * z), iyy=mass / 12 * (x * x + z * z), izz=mass / 12 * (x * x + y * y))
+            return Inertial(
+                mass,
+                origin,
+                ixx=mass / 12 * (y * y + z * z),
+                iyy=mass / 12 * (x * x + z * z),
+                izz=mass / 12 * (x * x + y * y),
+            )
         case Sphere(r):
             moment = 2 / 5 * mass * r * r
             return Inertial(mass, origin, ixx=moment, iyy=moment, izz=moment)
@@ -289,8 +313,12 @@ def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _IDENTITY_POS
         case Capsule(r, length):
             middle = mass * length / (length + 4 / 3 * r)
             ends = mass - middle
-            across = middle / 12 * (3 * r * r + length * length) + ends * (2 / 5 * r * r + length * length / 4 + 3 / 8 * length * r)
-            return Inertial(mass, origin, ixx=across, iyy=across, izz=middle / 2 * r * r + ends * 2 / 5 * r * r)
+            across = middle / 12 * (3 * r * r + length * length) + ends * (
+                2 / 5 * r * r + length * length / 4 + 3 / 8 * length * r
+            )
+            return Inertial(
+                mass, origin, ixx=across, iyy=across, izz=middle / 2 * r * r + ends * 2 / 5 * r * r
+            )
         case Mesh():
             return None
 
@@ -321,22 +349,29 @@ def _is_positive(m: Matrix, shift: float) -> bool:
 
 Lines = list[str]
 # `quoteattr` of the standard library does the same, and imports 66 modules, `urllib` and `email` among them.
-_ESCAPES = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
+_ESCAPES = str.maketrans(
+    {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+)
 
 
 def to_urdf(model: RobotModel) -> str:
-    """The model as URDF text: one element per line, floats to the last digit, meshes by the path that the model holds.
+    """The model as URDF text: one element per line, floats to the last digit, meshes by the path that the
+    model holds.
 
-    `reader.read_bytes(write(model).encode(), ...)` gives the same model again. This text, never the user's own file, is what an engine
-    loads.
+    `reader.read_bytes(write(model).encode(), ...)` gives the same model again. This text, never the user's
+    own file, is what an engine loads.
     """
     colors: dict[Color, str] = {}
     links = [line for link in model.links for line in _link(link, colors)]
     joints = [line for joint in model.joints for line in _joint(joint)]
-    return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *_element("robot", [*links, *joints], name=model.name), ""])
+    return "\n".join(
+        ['<?xml version="1.0" encoding="utf-8"?>', *_element("robot", [*links, *joints], name=model.name), ""]
+    )
 
 
-def _element(tag: str, inside: Lines | None = None, **attributes: str | float | tuple[float, ...] | None) -> Lines:
+def _element(
+    tag: str, inside: Lines | None = None, **attributes: str | float | tuple[float, ...] | None
+) -> Lines:
     """An element with the lines inside it; attributes that are None are left out."""
     written = [f" {name}={_value(value)}" for name, value in attributes.items() if value is not None]
     if inside is None:
@@ -345,7 +380,11 @@ def _element(tag: str, inside: Lines | None = None, **attributes: str | float | 
 
 
 def _value(value: str | float | tuple[float, ...]) -> str:
-    text = value if isinstance(value, str) else " ".join(map(repr, value if isinstance(value, tuple) else (value,)))
+    text = (
+        value
+        if isinstance(value, str)
+        else " ".join(map(repr, value if isinstance(value, tuple) else (value,)))
+    )
     return f'"{text.translate(_ESCAPES)}"'
 
 
@@ -391,7 +430,11 @@ def _shape(shape: Shape) -> Lines:
 
 
 def _friction(friction: Friction) -> Lines:
-    values = zip(FRICTION_TAGS, (friction.lateral, friction.spinning, friction.rolling, friction.restitution), strict=True)
+    values = zip(
+        FRICTION_TAGS,
+        (friction.lateral, friction.spinning, friction.rolling, friction.restitution),
+        strict=True,
+    )
     inside = [line for tag, value in values if value is not None for line in _element(tag, value=value)]
     return _element("contact", inside) if inside else []
 
@@ -405,15 +448,20 @@ def _joint(joint: Joint) -> Lines:
     ]
     limit = joint.limit
     if limit != Limit():
-        inside += _element("limit", lower=limit.lower, upper=limit.upper, velocity=limit.velocity, effort=limit.effort)
+        inside += _element(
+            "limit", lower=limit.lower, upper=limit.upper, velocity=limit.velocity, effort=limit.effort
+        )
     if joint.damping or joint.friction:
         inside += _element("dynamics", damping=joint.damping, friction=joint.friction)
     if joint.mimic:
-        inside += _element("mimic", joint=joint.mimic.joint, multiplier=joint.mimic.multiplier, offset=joint.mimic.offset)
+        inside += _element(
+            "mimic", joint=joint.mimic.joint, multiplier=joint.mimic.multiplier, offset=joint.mimic.offset
+        )
     return _element("joint", inside, name=joint.name, type=joint.type)
 
 
-# Changes: an impossible one returns a sentence with the reason. The link or joint must exist: callers report unknown names
+# Changes: an impossible one returns a sentence with the reason. The link or joint must exist: callers report
+# unknown names
 
 _ALIGNMENT_TOLERANCE = 1e-6
 
@@ -435,14 +483,21 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
 
 
 def with_density(model: RobotModel, link: str, density: float) -> RobotModel | str:
-    """The link as a homogeneous body of `density` kg/m^3; the mass of a mesh is computed when it is simulated."""
+    """The link as a homogeneous body of `density` kg/m^3; the mass of a mesh is computed when it is
+    simulated."""
     old = model.link(link)
     shapes = old.collisions or old.visuals
     if len(shapes) != 1:
-        return f"link {link!r} has {len(shapes)} shapes, but a density needs exactly one; write its `mass` instead"
+        return (
+            f"link {link!r} has {len(shapes)} shapes, but a density needs exactly one; write its `mass`"
+            " instead"
+        )
     shape = shapes[0].shape
     if isinstance(shape, Mesh) and shape.path.lower().endswith(".dae"):
-        return f"the mesh of link {link!r} is a COLLADA file, and deepbots does not compute its volume; write its `mass` instead"
+        return (
+            f"the mesh of link {link!r} is a COLLADA file, and deepbots does not compute its volume;"
+            " write its `mass` instead"
+        )
     inertial = homogeneous_inertial(shape, density * (volume(shape) or 0.0), shapes[0].origin)
     return with_link(model, replace(old, inertial=inertial, density=density if inertial is None else None))
 
@@ -450,20 +505,29 @@ def with_density(model: RobotModel, link: str, density: float) -> RobotModel | s
 def with_friction(model: RobotModel, link: str, **parameters: float | None) -> RobotModel:
     """The link with the given contact parameters, by the names of `Friction`; None keeps the old value."""
     old = model.link(link)
-    given = {name: value for name, value in parameters.items() if value is not None}
-    return with_link(model, replace(old, friction=replace(old.friction, **given)))
+    present = {name: value for name, value in parameters.items() if value is not None}
+    return with_link(model, replace(old, friction=replace(old.friction, **present)))
 
 
 def with_color(model: RobotModel, link: str, color: Color) -> RobotModel:
     """The link with all its visuals in one color; a link without visuals shows its collision shapes."""
     old = model.link(link)
-    return with_link(model, replace(old, visuals=tuple(replace(visual, color=color) for visual in old.visuals or old.collisions)))
+    return with_link(
+        model,
+        replace(old, visuals=tuple(replace(visual, color=color) for visual in old.visuals or old.collisions)),
+    )
 
 
 def with_joint(
-    model: RobotModel, joint: str, *, damping: float | None = None, friction: float | None = None, limit: Limit | None = None
+    model: RobotModel,
+    joint: str,
+    *,
+    damping: float | None = None,
+    friction: float | None = None,
+    limit: Limit | None = None,
 ) -> RobotModel:
-    """The joint with `damping` (N m s/rad or N s/m), `friction` (N m or N) and `limit`; None keeps the value of the file."""
+    """The joint with `damping` (N m s/rad or N s/m), `friction` (N m or N) and `limit`; None keeps the value
+    of the file."""
     old = model.joint(joint)
     new = replace(
         old,
@@ -483,7 +547,8 @@ class _ShapeError(Exception):
 
 
 def with_scale(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
-    """The link stretched by `scale` along the axes of its own frame, as if it were made longer from the same material.
+    """The link stretched by `scale` along the axes of its own frame, as if it were made longer from the same
+    material.
 
     Shapes, center of mass and the origins of child joints move with it, mass grows with the volume, and the
     inertia is exact for any distribution of mass, since the second moments transform linearly.
@@ -504,7 +569,9 @@ def with_scale(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
         for joint in model.joints
         if joint.parent == link
     }
-    return _with_joints(with_link(model, replace(old, inertial=inertial, visuals=visuals, collisions=collisions)), children)
+    return _with_joints(
+        with_link(model, replace(old, inertial=inertial, visuals=visuals, collisions=collisions)), children
+    )
 
 
 def _along(v: Vector, scale: Vector) -> Vector:
@@ -517,8 +584,13 @@ def _stretched_inertial(old: Inertial, scale: Vector) -> Inertial:
     axes = rotation_matrix(old.origin.rpy)
     moments = rotate_tensor(second_moments(old.matrix), axes)
     stretched = scaled_matrix(product(product(diagonal(scale), moments), diagonal(scale)), growth)
-    tensor = _trace_minus(rotate_tensor(stretched, transposed(axes)), 1.0)  # I = tr(J) - J, the inverse of `second_moments`
-    return _with_matrix(replace(old, mass=old.mass * growth, origin=replace(old.origin, xyz=_along(old.origin.xyz, scale))), tensor)
+    tensor = _trace_minus(
+        rotate_tensor(stretched, transposed(axes)), 1.0
+    )  # I = tr(J) - J, the inverse of `second_moments`
+    return _with_matrix(
+        replace(old, mass=old.mass * growth, origin=replace(old.origin, xyz=_along(old.origin.xyz, scale))),
+        tensor,
+    )
 
 
 def _with_matrix(old: Inertial, tensor: Matrix) -> Inertial:

@@ -1,6 +1,8 @@
-"""URDF to a checked model. Errors are mistakes that would crash or mislead an engine; other oddities are warnings.
+"""URDF to a checked model. Errors are mistakes that would crash or mislead an engine; other oddities are
+warnings.
 
-The order is: the file, its elements, links and joints one by one, then the robot as a whole (one tree, plausible inertia).
+The order is: the file, its elements, links and joints one by one, then the robot as a whole (one tree,
+plausible inertia).
 """
 
 from __future__ import annotations
@@ -89,7 +91,8 @@ _SHAPES = _VOCABULARY["geometry"][0].split()
 class RobotFile:
     """A robot, its text, and where each link and joint is named in it, and the limits of each joint.
 
-    `digest` is the sha256 (hex) of the file; `meshes` maps the real path of each mesh to the digest of its bytes.
+    `digest` is the sha256 (hex) of the file; `meshes` maps the real path of each mesh to the digest of its
+    bytes.
     """
 
     model: RobotModel
@@ -101,7 +104,9 @@ class RobotFile:
 
     @property
     def meshes(self) -> dict[str, str]:
-        shapes = (geometry.shape for link in self.model.links for geometry in (*link.visuals, *link.collisions))
+        shapes = (
+            geometry.shape for link in self.model.links for geometry in (*link.visuals, *link.collisions)
+        )
         return {shape.path: shape.digest for shape in shapes if isinstance(shape, Mesh)}
 
 
@@ -109,7 +114,9 @@ MAX_CACHED_FILES = 32
 _CACHE: dict[tuple[bytes, str], RobotFile] = {}
 
 
-def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveMesh | None = None) -> RobotFile | None:
+def read(
+    path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveMesh | None = None
+) -> RobotFile | None:
     """Read the robot file at `path`, which findings call `display`.
 
     Args:
@@ -123,20 +130,24 @@ def read(path: Path, display: str, findings: Findings, *, resolve_mesh: ResolveM
     if path.is_file():  # a pipe would block for ever
         try:
             data = read_at_most(path, MAX_BYTES + 1)
-            return read_bytes(data, display, findings, resolve_mesh=resolve_mesh or mesh_resolver(path.absolute().parent))
+            return read_bytes(
+                data, display, findings, resolve_mesh=resolve_mesh or mesh_resolver(path.absolute().parent)
+            )
         except OSError as error:
             headline = f"the robot file cannot be read: {(error.strerror or 'unknown reason').lower()}"
     findings.add("DB301", Span(Source(display, ""), 0, 0), headline)
     return None
 
 
-def read_bytes(data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh) -> RobotFile | None:
+def read_bytes(
+    data: bytes, display: str, findings: Findings, *, resolve_mesh: ResolveMesh
+) -> RobotFile | None:
     """Read a robot file that is already in memory.
 
     A robot without meshes and findings is read once: the scenarios of a folder share few robots.
     """
-    if (known := _CACHE.get((data, display))) is not None:
-        return known
+    if (cached := _CACHE.get((data, display))) is not None:
+        return cached
     before = len(findings)
     robot = _read(data, display, findings, resolve_mesh)
     if robot is not None and not robot.meshes and len(findings) == before:
@@ -152,12 +163,18 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
     if source is None or root is None:
         return None
     if root.tag != "robot":
-        root.error(f"the outermost element is <{root.tag[:40]}>, not <robot>", help="only URDF is read; convert the file first")
+        root.error(
+            f"the outermost element is <{root.tag[:40]}>, not <robot>",
+            help="only URDF is read; convert the file first",
+        )
         return None
     _check_words(root)
     macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
     if macro is not None:  # the plain elements of a program that writes URDF would give another robot
-        macro.error("a xacro macro that has not been expanded", help="expand the file first: xacro robot.urdf.xacro > robot.urdf")
+        macro.error(
+            "a xacro macro that has not been expanded",
+            help="expand the file first: xacro robot.urdf.xacro > robot.urdf",
+        )
     links, joints = _named(root, "link"), _named(root, "joint")
     if not root.find_all("link"):
         root.error("the robot has no links")
@@ -175,21 +192,32 @@ def _read(data: bytes, display: str, findings: Findings, resolve_mesh: ResolveMe
         _check_reach(model.joint(name), mimic, model.joint(mimic.joint), joints[name].find_all("mimic")[0])
     if root.report.errors:
         return None
-    link_spans, joint_spans = ({name: element.value_span("name") for name, element in elements.items()} for elements in (links, joints))
-    limit_spans = {name: limits[0].value_span(None) for name, element in joints.items() if (limits := element.find_all("limit"))}
+    link_spans, joint_spans = (
+        {name: element.value_span("name") for name, element in elements.items()}
+        for elements in (links, joints)
+    )
+    limit_spans = {
+        name: limits[0].value_span(None)
+        for name, element in joints.items()
+        if (limits := element.find_all("limit"))
+    }
     return RobotFile(model, source, hashlib.sha256(data).hexdigest(), link_spans, joint_spans, limit_spans)
 
 
 def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
     if len(data) > MAX_BYTES:
-        findings.add("DB005", Span(Source(display, ""), 0, 0), f"the robot file is larger than {MAX_BYTES >> 20} MiB")
+        findings.add(
+            "DB005", Span(Source(display, ""), 0, 0), f"the robot file is larger than {MAX_BYTES >> 20} MiB"
+        )
         return None
     try:
         return Source(display, data.decode("utf-8").removeprefix("\ufeff"))
     except UnicodeDecodeError as error:
         source = Source(display, data.decode("utf-8", errors="replace"))
         at = len(data[: error.start].decode("utf-8"))
-        findings.add("DB301", Span(source, at, at + 1), "the robot file is not UTF-8 text", "save it as UTF-8")
+        findings.add(
+            "DB301", Span(source, at, at + 1), "the robot file is not UTF-8 text", "save it as UTF-8"
+        )
         return None
 
 
@@ -200,22 +228,28 @@ def _check_words(root: Element) -> None:
     while waiting and len(unknown) < MAX_WORDS:
         element = waiting.pop()
         children, attributes = _VOCABULARY[element.tag]
-        unknown += [(element, name, attributes, name) for name in element.attributes if name not in attributes.split()]
+        unknown += [
+            (element, name, attributes, name) for name in element.attributes if name not in attributes.split()
+        ]
         for child in element.children:
             if child.tag not in children.split():
                 unknown.append((child, child.tag, children, None))
             elif child.tag in _VOCABULARY:
                 waiting.append(child)
-    for element, word, known, attribute in unknown[:MAX_WORDS]:
-        match = nearest_word(word, known.split(), 0.75)
+    for element, word, expected, attribute in unknown[:MAX_WORDS]:
+        match = nearest_word(word, expected.split(), 0.75)
         if match:
             what = "attribute" if attribute else "element"
-            element.warn(f"deepbots ignores the {what} {quoted(word)}", attribute=attribute, help=f"did you mean {match!r}?")
+            element.warn(
+                f"deepbots ignores the {what} {quoted(word)}",
+                attribute=attribute,
+                help=f"did you mean {match!r}?",
+            )
 
 
 def _named(root: Element, tag: str) -> dict[str, Element]:
     """The links or joints by name, in file order."""
-    found: dict[str, Element] = {}
+    by_name: dict[str, Element] = {}
     for element in root.find_all(tag):
         name = element.text("name")
         if name is None:
@@ -224,21 +258,32 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
             element.error(f"the name {quoted(name)} is longer than {MAX_NAME} characters", attribute="name")
             continue
         if not name.isprintable():
-            element.error(f"the name {quoted(name)} contains characters that cannot be printed", attribute="name")
+            element.error(
+                f"the name {quoted(name)} contains characters that cannot be printed", attribute="name"
+            )
             continue
-        first = found.setdefault(name, element)
+        first = by_name.setdefault(name, element)
         if first is not element:
             also = (Label(first.value_span("name"), "first defined here"),)
-            element.error(f"a second {tag} called {quoted(name)}", attribute="name", help="rename one of the two", labels=also)
-    return found
+            element.error(
+                f"a second {tag} called {quoted(name)}",
+                attribute="name",
+                help="rename one of the two",
+                labels=also,
+            )
+    return by_name
 
 
-def _model(root: Element, links: dict[str, Element], joints: dict[str, Element], meshes: MeshReader) -> RobotModel | None:
+def _model(
+    root: Element, links: dict[str, Element], joints: dict[str, Element], meshes: MeshReader
+) -> RobotModel | None:
     """The whole model, or None after an error."""
     colors = _colors(root)
     read_links = [_link(element, name, colors, meshes) for name, element in links.items()]
     read_joints = {name: joint for name, element in joints.items() if (joint := _joint(element, name))}
-    complete = len(read_joints) == len(root.find_all("joint")) and _check_references(read_joints, links, joints)
+    complete = len(read_joints) == len(root.find_all("joint")) and _check_references(
+        read_joints, links, joints
+    )
     base = _root_link(read_joints, links, joints) if complete else None
     if root.report.errors or base is None:
         return None
@@ -268,7 +313,9 @@ def _color(material: Element) -> Color | None:
     color = element.rgba()
     if any(not 0 <= part <= 1 for part in color):
         element.warn(
-            "color values outside 0 to 1 are clipped", attribute="rgba", help="if the values are from 0 to 255, divide them by 255"
+            "color values outside 0 to 1 are clipped",
+            attribute="rgba",
+            help="if the values are from 0 to 255, divide them by 255",
         )
     red, green, blue, alpha = (min(max(part, 0.0), 1.0) for part in color)
     return red, green, blue, alpha
@@ -282,15 +329,26 @@ def _pose(element: Element) -> Pose:
     largest = max(rpy, key=abs)
     if abs(largest) > _FULL_TURN:
         in_rad = " ".join(f"{round(math.radians(angle), 4):g}" for angle in rpy)
-        help = f'URDF angles are in radians; {largest:g} degrees are {math.radians(largest):.4g} rad: write rpy="{in_rad}"'
+        help = (
+            f"URDF angles are in radians; {largest:g} degrees are {math.radians(largest):.4g} rad: write"
+            f' rpy="{in_rad}"'
+        )
         origin.warn(f"{largest:g} rad is more than a full turn", attribute="rpy", help=help, code="DB504")
     return Pose(origin.vector("xyz", (0.0, 0.0, 0.0)), rpy)
 
 
 def _link(element: Element, name: str, colors: dict[str, Color], meshes: MeshReader) -> Link:
-    visuals = [_geometry(visual, meshes, _visual_color(visual, colors)) for visual in element.find_all("visual")]
+    visuals = [
+        _geometry(visual, meshes, _visual_color(visual, colors)) for visual in element.find_all("visual")
+    ]
     collisions = [_geometry(collision, meshes) for collision in element.find_all("collision")]
-    return Link(name, _inertial(element), tuple(filter(None, visuals)), tuple(filter(None, collisions)), _friction(element))
+    return Link(
+        name,
+        _inertial(element),
+        tuple(filter(None, visuals)),
+        tuple(filter(None, collisions)),
+        _friction(element),
+    )
 
 
 def _inertial(link: Element) -> Inertial | None:
@@ -329,7 +387,10 @@ def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -
         element.error("<geometry> contains no known shape", help=f"use one of {', '.join(_SHAPES)}")
         return None
     for extra in shapes[1:]:
-        extra.warn("deepbots ignores a second shape in the same <geometry>", help="put it into its own <visual> or <collision>")
+        extra.warn(
+            "deepbots ignores a second shape in the same <geometry>",
+            help="put it into its own <visual> or <collision>",
+        )
     shape = _mesh(shapes[0], meshes) if shapes[0].tag == "mesh" else _solid(shapes[0], holder.tag)
     return Geometry(shape, _pose(holder), color) if shape else None
 
@@ -344,7 +405,9 @@ def _solid(element: Element, holder: str) -> Shape | None:
         shape = Sphere(element.number("radius"))
         measures = {"radius": shape.radius}
     else:
-        shape = (Cylinder if element.tag == "cylinder" else Capsule)(element.number("radius"), element.number("length"))
+        shape = (Cylinder if element.tag == "cylinder" else Capsule)(
+            element.number("radius"), element.number("length")
+        )
         measures = {"radius": shape.radius, "length": shape.length}
     wrong = next((name for name, value in measures.items() if value <= 0), None)
     if wrong is None:
@@ -368,7 +431,10 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
         element.error(loaded.headline, attribute="filename", help=loaded.help)
         return None
     if loaded.reference:
-        headline = "the mesh is not in the folder of the robot file; deepbots reads the one in a parent folder, as PyBullet does"
+        headline = (
+            "the mesh is not in the folder of the robot file; deepbots reads the one in a parent"
+            " folder, as PyBullet does"
+        )
         element.warn(headline, attribute="filename", help=f'write filename="{loaded.reference}"')
     return Mesh(str(loaded.path), loaded.digest, scale)
 
@@ -377,8 +443,8 @@ def _friction(link: Element) -> Friction:
     contact = link.find_one("contact")
     if contact is None:
         return Friction()
-    found = [contact.find_one(tag) for tag in FRICTION_TAGS]
-    return Friction(*(element.non_negative_number("value") if element else None for element in found))
+    elements = [contact.find_one(tag) for tag in FRICTION_TAGS]
+    return Friction(*(element.non_negative_number("value") if element else None for element in elements))
 
 
 # Joints
@@ -409,7 +475,11 @@ def _joint(element: Element, name: str) -> Joint | None:
 
 def _joint_type(element: Element) -> JointType | None:
     word = element.text("type")
-    kind = "continuous" if word == _BALL else next((known for known in _JOINT_TYPES if known == word), None)
+    kind = (
+        "continuous"
+        if word == _BALL
+        else next((joint_type for joint_type in _JOINT_TYPES if joint_type == word), None)
+    )
     if word is not None and kind is None:
         help = known_names_help(word, _JOINT_TYPES, "joint types")
         element.error(f"unknown joint type {quoted(word)}", attribute="type", help=help)
@@ -424,7 +494,11 @@ def _axis(joint: Element, kind: JointType) -> Vector:
     x, y, z = element.vector("xyz", (1.0, 0.0, 0.0))
     length = math.hypot(x, y, z)
     if length < 1e-9:
-        element.error("the axis has no length", attribute="xyz", help="write the direction the joint turns about or slides along")
+        element.error(
+            "the axis has no length",
+            attribute="xyz",
+            help="write the direction the joint turns about or slides along",
+        )
         return (1.0, 0.0, 0.0)
     return (x, y, z) if abs(length - 1) < 1e-12 else (x / length, y / length, z / length)
 
@@ -437,33 +511,50 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
     element = joint.find_one("limit")
     if element is None:
         if kind in ("revolute", "prismatic"):
-            joint.warn(f"joint {quoted(name)} has no limits", help='add <limit lower="..." upper="..." .../>', code="DB307")
+            joint.warn(
+                f"joint {quoted(name)} has no limits",
+                help='add <limit lower="..." upper="..." .../>',
+                code="DB307",
+            )
         return Limit()
     effort = element.non_negative_number("effort", 0.0) or None
     velocity = element.non_negative_number("velocity", 0.0) or None
     lower, upper = element.number("lower", 0.0), element.number("upper", 0.0)
     if kind in ("revolute", "prismatic"):
         if not {"lower", "upper"} & element.attributes.keys():
-            element.warn(f"joint {quoted(name)} has no limits", help='add lower="..." and upper="..."', code="DB307")
+            element.warn(
+                f"joint {quoted(name)} has no limits", help='add lower="..." and upper="..."', code="DB307"
+            )
         elif lower <= upper:
             return Limit(lower, upper, velocity, effort)
         else:
-            headline = f"the lower limit of joint {quoted(name)} is above its upper limit, so deepbots ignores both"
-            element.warn(headline, help="swap the two limits, or change the type of the joint to continuous", code="DB307")
+            headline = (
+                f"the lower limit of joint {quoted(name)} is above its upper limit, so deepbots ignores both"
+            )
+            element.warn(
+                headline,
+                help="swap the two limits, or change the type of the joint to continuous",
+                code="DB307",
+            )
     return Limit(None, None, velocity, effort)
 
 
 def _mimic(joint: Element) -> Mimic | None:
     element = joint.find_one("mimic")
     other = element.text("joint") if element else None
-    return Mimic(other, element.number("multiplier", 1.0), element.number("offset", 0.0)) if element and other else None
+    return (
+        Mimic(other, element.number("multiplier", 1.0), element.number("offset", 0.0))
+        if element and other
+        else None
+    )
 
 
 def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotModel:
     """The model with three hinges for each ball joint: URDF has no ball joints, PyBullet reads them.
 
-    The hinges stand at one place and turn about x, then y, then z, with two links between them that have neither mass nor shape. Their
-    angles are intrinsic rotations about x, y, z. Each hinge has the effort, velocity, damping and friction of the ball joint.
+    The hinges stand at one place and turn about x, then y, then z, with two links between them that have
+    neither mass nor shape. Their angles are intrinsic rotations about x, y, z. Each hinge has the effort,
+    velocity, damping and friction of the ball joint.
     """
     balls = {joint.name for joint in model.joints if elements[joint.name].attributes["type"] == _BALL}
     links: list[Link] = list(model.links)
@@ -472,7 +563,9 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
     for joint in model.joints:
         element = elements[joint.name]
         if joint.mimic and (joint.name in balls or joint.mimic.joint in balls):
-            element.find_all("mimic")[0].error("a ball joint has three angles: it cannot follow a joint or be followed")
+            element.find_all("mimic")[0].error(
+                "a ball joint has three angles: it cannot follow a joint or be followed"
+            )
         if joint.name not in balls:
             joints.append(joint)
             continue
@@ -480,12 +573,16 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
         clash = next((name for name in names if name in taken), None)
         if clash:
             headline = (
-                f"ball joint {quoted(joint.name)} needs the name {quoted(clash)} for one of its three hinges, but the name is already used"
+                f"ball joint {quoted(joint.name)} needs the name {quoted(clash)} for one of its three"
+                " hinges, but the name is already used"
             )
             element.error(headline, attribute="name", help="rename one of the two")
             continue
         limited = " deepbots ignores its lower and upper limits." if element.find_all("limit") else ""
-        headline = f"deepbots models ball joint {quoted(joint.name)} as three hinges at the same point: {', '.join(names)}"
+        headline = (
+            f"deepbots models ball joint {quoted(joint.name)} as three hinges at the same point:"
+            f" {', '.join(names)}"
+        )
         help = f"avoid angles near -90 and 90 deg about y, where the axes x and z coincide.{limited}"
         element.warn(headline, attribute="type", help=help)
         between = names[:2]
@@ -493,7 +590,12 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
         joints += [
             replace(joint, name=name, parent=parent, child=child, axis=axis, origin=origin)
             for name, parent, child, axis, origin in zip(
-                names, [joint.parent, *between], [*between, joint.child], _AXES, [joint.origin, Pose(), Pose()], strict=True
+                names,
+                [joint.parent, *between],
+                [*between, joint.child],
+                _AXES,
+                [joint.origin, Pose(), Pose()],
+                strict=True,
             )
         ]
     return replace(model, links=tuple(links), joints=tuple(joints))
@@ -502,7 +604,9 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
 # The robot as a whole
 
 
-def _check_references(joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]) -> bool:
+def _check_references(
+    joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]
+) -> bool:
     """Whether every joint joins two known links; every mimic must follow a known joint other than itself."""
     complete = True
     for name, joint in joints.items():
@@ -511,7 +615,9 @@ def _check_references(joints: Mapping[str, Joint], links: Mapping[str, Element],
             if link not in links:
                 complete = False
                 headline = f"joint {quoted(name)} has the unknown link {quoted(link)} as its {tag}"
-                element.find_all(tag)[0].error(headline, attribute="link", help=known_names_help(link, links, "links"))
+                element.find_all(tag)[0].error(
+                    headline, attribute="link", help=known_names_help(link, links, "links")
+                )
         if joint.mimic:
             _check_mimic(joint, joint.mimic, joints, element.find_all("mimic")[0])
     for cycle in _cycles({name: joint.mimic.joint for name, joint in joints.items() if joint.mimic}):
@@ -527,18 +633,22 @@ def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], elemen
         headline = f"joint {quoted(joint.name)} follows the unknown joint {quoted(mimic.joint)}"
         element.error(headline, attribute="joint", help=known_names_help(mimic.joint, joints, "joints"))
     elif not joint.moves:
-        element.warn(f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing", help="remove the <mimic>")
+        element.warn(
+            f"joint {quoted(joint.name)} is {joint.type}, so it follows nothing", help="remove the <mimic>"
+        )
     elif not leader.moves:
         headline = f"joint {quoted(joint.name)} follows {quoted(leader.name)}, which is {leader.type}"
         help = known_names_help(
-            mimic.joint, [name for name, other in joints.items() if other.moves and other is not joint], "joints that move"
+            mimic.joint,
+            [name for name, other in joints.items() if other.moves and other is not joint],
+            "joints that move",
         )
         element.error(headline, attribute="joint", help=help)
 
 
 def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) -> None:
-    """DB301 where the multipliers or offsets of a chain exceed MAX_MAGNITUDE; a warning where the follower reaches its limits before its
-    leader does."""
+    """DB301 where the multipliers or offsets of a chain exceed MAX_MAGNITUDE; a warning where the follower
+    reaches its limits before its leader does."""
     if not max(abs(mimic.multiplier), abs(mimic.offset)) <= MAX_MAGNITUDE:
         both = f"from joint {quoted(joint.name)} to {quoted(leader.name)}"
         element.error(f"the multipliers or offsets {both} together exceed {MAX_MAGNITUDE:g}")
@@ -549,12 +659,20 @@ def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) ->
     slack = _LIMIT_TOLERANCE * (high - low)
     if low < own.lower - slack or high > own.upper + slack:
         unit = "m" if joint.type == "prismatic" else "rad"
-        headline = f"joint {quoted(joint.name)} reaches its limit before {quoted(leader.name)} does, and then blocks {quoted(leader.name)}"
+        headline = (
+            f"joint {quoted(joint.name)} reaches its limit before {quoted(leader.name)} does, and"
+            f" then blocks {quoted(leader.name)}"
+        )
         low, high = min(low, own.lower), max(high, own.upper)
-        element.warn(headline, help=f'set lower="{low:.6g}" upper="{high:.6g}" ({unit}) in the <limit> of {quoted(joint.name)}')
+        element.warn(
+            headline,
+            help=f'set lower="{low:.6g}" upper="{high:.6g}" ({unit}) in the <limit> of {quoted(joint.name)}',
+        )
 
 
-def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]) -> str | None:
+def _root_link(
+    joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]
+) -> str | None:
     """The one root link; None after a finding, where the links do not form one tree."""
     joint_above: dict[str, str] = {}
     errors = 0
@@ -563,7 +681,10 @@ def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elemen
         if first != name:
             errors += 1
             also = (Label(elements[first].span, f"{quoted(first)} already has this child"),)
-            headline = f"link {quoted(joint.child)} has two parents, {quoted(joints[first].parent)} and {quoted(joint.parent)}"
+            headline = (
+                f"link {quoted(joint.child)} has two parents, {quoted(joints[first].parent)} and"
+                f" {quoted(joint.parent)}"
+            )
             elements[name].find_all("child")[0].error(headline, attribute="link", labels=also)
     parent = {child: joints[name].parent for child, name in joint_above.items()}
     for cycle in _cycles(parent):
@@ -575,13 +696,15 @@ def _root_link(joints: Mapping[str, Joint], links: Mapping[str, Element], elemen
         errors += 1
         also = (Label(links[roots[0]].value_span("name"), "the other root"),)
         headline = f"link {quoted(name)} is a second root: no joint has it as its child"
-        links[name].error(headline, attribute="name", help="join it to another link, or remove it", labels=also)
+        links[name].error(
+            headline, attribute="name", help="join it to another link, or remove it", labels=also
+        )
     return roots[0] if roots and not errors else None
 
 
 def _cycles(above: Mapping[str, str]) -> list[list[str]]:
     """The cycles of a graph in which each name has at most one name above it."""
-    found = []
+    cycles = []
     visited: set[str] = set()
     for start in above:
         path: dict[str, None] = {}
@@ -592,31 +715,41 @@ def _cycles(above: Mapping[str, str]) -> list[list[str]]:
             name = above[name]
         if name in path:
             names = list(path)
-            found.append(names[names.index(name) :])
-    return found
+            cycles.append(names[names.index(name) :])
+    return cycles
 
 
 def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
     """DB305 and DB306: links whose inertia is missing or impossible.
 
-    A link on a fixed joint, or the root, may be a mere frame: such links share one warning, and have none without any shape, as
-    `world` and `tool0` are.
+    A link on a fixed joint, or the root, may be a mere frame: such links share one warning, and have none
+    without any shape, as `world` and `tool0` are.
     """
     moving = {joint.child for joint in model.joints if joint.type != "fixed"}
 
     def warn(code: str, links: list[Link], lack: str, help: str) -> None:
         for link in links:
             if link.name in moving:
-                elements[link.name].warn(f"link {quoted(link.name)} moves but has {lack}", attribute="name", help=help, code=code)
+                elements[link.name].warn(
+                    f"link {quoted(link.name)} moves but has {lack}", attribute="name", help=help, code=code
+                )
         still = [link.name for link in links if link.name not in moving]
         if len(still) == 1:
-            elements[still[0]].warn(f"link {quoted(still[0])} has {lack}", attribute="name", help=help, code=code)
+            elements[still[0]].warn(
+                f"link {quoted(still[0])} has {lack}", attribute="name", help=help, code=code
+            )
         elif still:
             shown = ", ".join(still[:20]) + (f" and {len(still) - 20} more" if len(still) > 20 else "")
             headline = f"{len(still)} links on fixed joints or at the root have {lack}"
-            elements[still[0]].warn(headline, attribute="name", help=help, notes=(f"they are: {shown}",), code=code)
+            elements[still[0]].warn(
+                headline, attribute="name", help=help, notes=(f"they are: {shown}",), code=code
+            )
 
-    missing = [link for link in model.links if link.inertial is None and (link.name in moving or link.visuals or link.collisions)]
+    missing = [
+        link
+        for link in model.links
+        if link.inertial is None and (link.name in moving or link.visuals or link.collisions)
+    ]
     warn(
         "DB305",
         missing,
@@ -629,4 +762,6 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
         if link.inertial and link.inertial.mass > 0 and not link.inertial.is_plausible:
             help = "each principal moment must be above 0 and at most the sum of the other two"
             at = elements[link.name].find_all("inertial")[0].find_all("inertia")[0]
-            at.warn(f"no rigid body can have the inertia of link {quoted(link.name)}", help=help, code="DB306")
+            at.warn(
+                f"no rigid body can have the inertia of link {quoted(link.name)}", help=help, code="DB306"
+            )

@@ -1,4 +1,5 @@
-"""What is run and who acts: the source that is named, episodes as a stream of steps, and experience for a learner.
+"""What is run and who acts: the source that is named, episodes as a stream of steps, and experience for a
+learner.
 
 episode.py    `steps`, an episode of one environment; the result of an episode
 source.py     which scenario is meant: the one place that answers it
@@ -9,10 +10,19 @@ worlds.py     worlds that go on side by side, single ones or a batch
 collector.py  fragments of experience, by shards of worlds
 policies.py   a trained policy as a driver; evaluations in several worlds at a time
 
-Environments are stepped in `episode.steps`, one at a time, and in `worlds.Worlds` and `worlds.BatchEpisodes`, side by side. Outside of this
-package, wrappers pass `step` on, and benchmarks time it.
+Environments are stepped in `episode.steps`, one at a time, and in `worlds.Worlds` and `worlds.BatchEpisodes`,
+side by side. Outside of this package, wrappers pass `step` on, and benchmarks time it.
 """
 
-from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, Start, Step, play, result_of, steps
+from deepbots_cli.rollout.episode import (
+    Driver,
+    Episode,
+    EpisodeAccumulator,
+    Start,
+    Step,
+    play,
+    result_of,
+    steps,
+)
 
 __all__ = ["Driver", "Episode", "EpisodeAccumulator", "Start", "Step", "play", "result_of", "steps"]

@@ -1,13 +1,15 @@
 """Experience for a learner, fragment by fragment.
 
-A `Collector` returns the next fragment for the learner: the rows of some steps, and the episodes that ended. `LocalCollector` steps worlds
-in this process. `ShardedCollector` gathers the fragments of shards: each steps some of the worlds with its own copy of the policy, in this
-process or in another one (`ShardPool`). The experience does not depend on where shards run, because:
+A `Collector` returns the next fragment for the learner: the rows of some steps, and the episodes that ended.
+`LocalCollector` steps worlds in this process. `ShardedCollector` gathers the fragments of shards: each steps
+some of the worlds with its own copy of the policy, in this process or in another one (`ShardPool`). The
+experience does not depend on where shards run, because:
 
-- The worlds of a shard have their own seeds and random streams. The policy of a shard draws from generators that are seeded anew for each
-  fragment, with the number of the shard and of the steps before.
+- The worlds of a shard have their own seeds and random streams. The policy of a shard draws from generators
+  that are seeded anew for each fragment, with the number of the shard and of the steps before.
 - Fragments are joined by the number of their shard (`join`), never by the order in which they arrive.
-- The collector knows how each running episode began, and its actions. Another shard can continue from there exactly.
+- The collector knows how each running episode began, and its actions. Another shard can continue from there
+  exactly.
 """
 
 from __future__ import annotations
@@ -28,14 +30,16 @@ from deepbots_cli.runtime.spaces import by_part
 
 
 class Decision(NamedTuple):
-    """The output of an actor: `actions` for the worlds, one per row, and further arrays (`columns`) to store in the fragment."""
+    """The output of an actor: `actions` for the worlds, one per row, and further arrays (`columns`) to store
+    in the fragment."""
 
     actions: Array
     columns: Mapping[str, Array] = {}
 
 
 Actor = Callable[[Any, Array, Array | None], Decision]
-"""Acts on the observations of all rows, given which rows begin an episode, and which options are allowed (None: all)."""
+"""Acts on the observations of all rows, given which rows begin an episode, and which options are allowed
+(None: all)."""
 
 
 _NOISE = 0.1
@@ -43,7 +47,8 @@ _NOISE = 0.1
 
 
 class Lesson(NamedTuple):
-    """What a script teaches in a fragment: its actions become the column `taught`, and it drives the first `worlds`."""
+    """What a script teaches in a fragment: its actions become the column `taught`, and it drives the first
+    `worlds`."""
 
     script: str
     worlds: int
@@ -58,7 +63,8 @@ class PolicyActor(Protocol):
         """Called before each fragment."""
 
     def parameters(self) -> Mapping[str, Any]:
-        """What copies in shards must have in common with it: weights, and numbers such as the rate of exploration."""
+        """What copies in shards must have in common with it: weights, and numbers such as the rate of
+        exploration."""
 
     def memory(self) -> Mapping[str, Array]:
         """What the policy remembers between two fragments: arrays with a row for each agent."""
@@ -76,7 +82,8 @@ OnStep = Callable[[WorldsStep], bool]
 
 @dataclass(frozen=True)
 class Fragment:
-    """The experience of some steps: arrays of shape (steps, rows, ...), or a dictionary of arrays for observations with parts.
+    """The experience of some steps: arrays of shape (steps, rows, ...), or a dictionary of arrays for
+    observations with parts.
 
     Attributes:
         observations: The observations on which the agents acted.
@@ -132,15 +139,23 @@ class Collector(Protocol):
     """The weights with which the next fragment is collected, if they are not the newest ones."""
 
     def collect(
-        self, actor: Actor, steps: int, on_step: OnStep, *, with_masks: bool = False, lesson: Lesson | None = None
+        self,
+        actor: Actor,
+        steps: int,
+        on_step: OnStep,
+        *,
+        with_masks: bool = False,
+        lesson: Lesson | None = None,
     ) -> Fragment | None:
-        """The next `steps` of every row; None if `on_step` ended it before. `with_masks` gives the actor which options are allowed."""
+        """The next `steps` of every row; None if `on_step` ended it before. `with_masks` gives the actor
+        which options are allowed."""
 
     def state(self) -> ShardState:
         """What another collector with the same worlds goes on from, between two fragments."""
 
     def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
-        """Go on from a state. Returns False where the worlds come to other observations: then they begin anew from `seeds`."""
+        """Go on from a state. Returns False where the worlds come to other observations: then they begin anew
+        from `seeds`."""
 
 
 class LocalCollector:
@@ -148,7 +163,9 @@ class LocalCollector:
 
     def __init__(self, worlds: Worlds) -> None:
         self.worlds = worlds
-        self.rows, self.observation_space, self.action_space = worlds.rows, worlds.observation_space, worlds.action_space
+        self.rows = worlds.rows
+        self.observation_space = worlds.observation_space
+        self.action_space = worlds.action_space
         self.times = CollectTimes()
         self.stale: Mapping[str, Array] = {}
         self.starts = np.ones(self.rows, bool)
@@ -191,12 +208,25 @@ class LocalCollector:
             rewards.append(step.rewards)
             endings += [(number, ending) for ending in step.endings]
             observations, starts = step.observations, step.dones
-        columns = {name: np.stack([decision.columns[name] for decision in decisions]) for name in decisions[0].columns}
+        columns = {
+            name: np.stack([decision.columns[name] for decision in decisions])
+            for name in decisions[0].columns
+        }
         actions = np.stack([decision.actions for decision in decisions])
-        return Fragment(_joined(np.stack, seen), actions, np.stack(rewards), np.stack(begun), columns, observations, starts, endings)
+        return Fragment(
+            _joined(np.stack, seen),
+            actions,
+            np.stack(rewards),
+            np.stack(begun),
+            columns,
+            observations,
+            starts,
+            endings,
+        )
 
     def taught(self, decision: Decision, lesson: Lesson) -> Decision:
-        """What is done in a step of a lesson. The script drives with some noise, so that it meets more states than its own."""
+        """What is done in a step of a lesson. The script drives with some noise, so that it meets more states
+        than its own."""
         taught = self.worlds.scripted(lesson.script)
         columns = {**decision.columns, "taught": taught}
         actions, own = np.array(decision.actions), taught[: lesson.worlds]
@@ -251,7 +281,10 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
         side_by_side([fragment.actions for fragment in fragments]),
         side_by_side([fragment.rewards for fragment in fragments]),
         side_by_side([fragment.starts for fragment in fragments]),
-        {name: side_by_side([fragment.columns[name] for fragment in fragments]) for name in fragments[0].columns},
+        {
+            name: side_by_side([fragment.columns[name] for fragment in fragments])
+            for name in fragments[0].columns
+        },
         _joined(np.concatenate, [fragment.following for fragment in fragments]),
         np.concatenate([fragment.following_starts for fragment in fragments]),
         sorted(endings, key=lambda entry: (entry[0], entry[1].row)),
@@ -333,7 +366,8 @@ class Harvest(Answer):
         fragment: The experience of its rows.
         memory: That of its actor after the fragment.
         ended: Of each ending of the fragment: the stage of the episode, and what it drew.
-        begun: Of each world that has begun another episode, by its number in the shard: how this one began, and its stage.
+        begun: Of each world that has begun another episode, by its number in the shard: how this one began,
+            and its stage.
         seconds: Time by the clock that the fragment took, and the part of it in the worlds.
     """
 
@@ -345,7 +379,8 @@ class Harvest(Answer):
 
 
 class RunningEpisode(NamedTuple):
-    """The running episode of a world, and the stage of the curriculum that it belongs to; `actions` has the shape (steps, ...)."""
+    """The running episode of a world, and the stage of the curriculum that it belongs to; `actions` has the
+    shape (steps, ...)."""
 
     start: int | dict[str, Any]
     actions: Array
@@ -363,19 +398,27 @@ class ShardPool(Protocol):
         """Bring the worlds of each shard to the end of these episodes; the observations of each shard."""
 
     def collect(
-        self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
+        self,
+        order: Order,
+        memories: Sequence[Mapping[str, Array]],
+        episodes: Sequence[Sequence[RunningEpisode]],
     ) -> Callable[[], list[Harvest]]:
-        """Ask for the harvest of each shard, from `episodes` on, which are those after the last harvest; the result waits for it."""
+        """Ask for the harvest of each shard, from `episodes` on, which are those after the last harvest; the
+        result waits for it."""
 
-    def evaluate(self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Evaluated]:
-        """The part of each shard in an evaluation; `episodes` are those after the last harvest, and do not change."""
+    def evaluate(
+        self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]
+    ) -> list[Evaluated]:
+        """The part of each shard in an evaluation; `episodes` are those after the last harvest, and do not
+        change."""
 
 
 class ShardListener(Protocol):
     """The training, which counts what shards have collected."""
 
     def present(self) -> tuple[int, int, int]:
-        """Steps so far, the number of the next episode, and the number of the present stage of the curriculum."""
+        """Steps so far, the number of the next episode, and the number of the present stage of the
+        curriculum."""
 
     def on_row(self) -> None:
         """Called for each row of each step."""
@@ -388,11 +431,13 @@ class ShardListener(Protocol):
 
 
 class ShardedCollector:
-    """Gathers the fragments of shards, and then counts their steps and episodes as if all worlds were in this process.
+    """Gathers the fragments of shards, and then counts their steps and episodes as if all worlds were in this
+    process.
 
     Args:
         pool: The shards.
-        seeds: The seed of the first episode of each world; worlds belong to shards in the order of their numbers.
+        seeds: The seed of the first episode of each world; worlds belong to shards in the order of their
+            numbers.
         stages: The stage that each world is in; it is kept up to date.
         sizes: The number of worlds of each shard.
         agents: The agents of a world in this process, which computes the rewards of hindsight.
@@ -423,7 +468,9 @@ class ShardedCollector:
 
     def _anew(self, seeds: Sequence[int]) -> None:
         """Let new episodes begin."""
-        self.episodes = [RunningEpisode(seed, np.array([]), stage) for seed, stage in zip(seeds, self._stages, strict=True)]
+        self.episodes = [
+            RunningEpisode(seed, np.array([]), stage) for seed, stage in zip(seeds, self._stages, strict=True)
+        ]
 
     def _by_shard(self, items: Any, width: int = 1) -> list[Any]:
         """Items of worlds, or of rows with `width` rows for each world, for each shard."""
@@ -440,13 +487,20 @@ class ShardedCollector:
         self.starts = np.repeat([not len(episode.actions) for episode in self.episodes], self._width)
         return _joined(np.concatenate, self._pool.begin(self._by_shard(self.episodes)))
 
-    def fetch(self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None) -> Fragment:
+    def fetch(
+        self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
+    ) -> Fragment:
         """The next `steps` of every row, which `step_all` then counts one by one."""
         began = perf_counter()
         answer = self._asked or self._ask(actor, steps, with_masks, lesson)
         harvests, self._asked, self.stale = answer(), None, {}
         self._note_times(harvests, perf_counter() - began)
-        actor.remember({name: np.concatenate([harvest.memory[name] for harvest in harvests]) for name in harvests[0].memory})
+        actor.remember(
+            {
+                name: np.concatenate([harvest.memory[name] for harvest in harvests])
+                for name in harvests[0].memory
+            }
+        )
         for harvest in harvests:
             self._listener.on_answer(harvest)
         fragment = join([harvest.fragment for harvest in harvests])
@@ -455,17 +509,24 @@ class ShardedCollector:
         return fragment
 
     def ask_ahead(self, actor: PolicyActor, steps: int, *, with_masks: bool = False) -> None:
-        """Ask for the next fragment, which `fetch` then returns, with the present weights. Workers collect it during the next update."""
+        """Ask for the next fragment, which `fetch` then returns, with the present weights. Workers collect it
+        during the next update."""
         parameters = actor.parameters().items()
         self.stale = {name: value.copy() for name, value in parameters if isinstance(value, np.ndarray)}
         self._asked = self._ask(actor, steps, with_masks, None)
 
-    def _ask(self, actor: PolicyActor, steps: int, with_masks: bool, lesson: Lesson | None) -> Callable[[], list[Harvest]]:
+    def _ask(
+        self, actor: PolicyActor, steps: int, with_masks: bool, lesson: Lesson | None
+    ) -> Callable[[], list[Harvest]]:
         self.begin()
         memory = {name: self._by_shard(array, self._width) for name, array in actor.memory().items()}
-        memories = [{name: parts[shard] for name, parts in memory.items()} for shard in range(len(self._sizes))]
+        memories = [
+            {name: parts[shard] for name, parts in memory.items()} for shard in range(len(self._sizes))
+        ]
         begun, next_episode, stage = self._listener.present()
-        order = Order({**actor.parameters(), **self.stale}, steps, begun, next_episode, stage, with_masks, lesson)
+        order = Order(
+            {**actor.parameters(), **self.stale}, steps, begun, next_episode, stage, with_masks, lesson
+        )
         return self._pool.collect(order, memories, self._by_shard(self.episodes))
 
     def _note_times(self, harvests: Sequence[Harvest], seconds: float) -> None:
@@ -480,28 +541,40 @@ class ShardedCollector:
     def evaluate(self, actor: PolicyActor, seeds: Sequence[int], stage: str | None) -> list[Episode]:
         """An episode of the policy from each seed, in the order of the seeds."""
         order = EvaluationOrder(actor.parameters(), seeds, stage)
-        found: dict[int, Episode] = {}
+        episodes_by_number: dict[int, Episode] = {}
         for answer in self._pool.evaluate(order, self._by_shard(self.episodes)):
             self._listener.on_answer(answer)
-            found.update(answer.episodes)
-        return [found[number] for number in range(len(seeds))]
+            episodes_by_number.update(answer.episodes)
+        return [episodes_by_number[number] for number in range(len(seeds))]
 
     def _note_episodes(self, fragment: Fragment, harvests: Sequence[Harvest]) -> None:
         """Keep how the running episode of each world began, and its actions."""
-        begun = [harvest.begun.get(world) for harvest, size in zip(harvests, self._sizes, strict=True) for world in range(size)]
+        begun = [
+            harvest.begun.get(world)
+            for harvest, size in zip(harvests, self._sizes, strict=True)
+            for world in range(size)
+        ]
         for world, beginning in enumerate(begun):
             first = world * self._width
-            actions = fragment.actions[:, first : first + self._width] if self._width > 1 else fragment.actions[:, first]
+            actions = (
+                fragment.actions[:, first : first + self._width]
+                if self._width > 1
+                else fragment.actions[:, first]
+            )
             if beginning is None:
                 before = self.episodes[world]
                 actions = np.concatenate([before.actions, actions]) if len(before.actions) else actions
                 self.episodes[world] = before._replace(actions=actions)
             else:
-                starts = np.flatnonzero(np.append(fragment.starts[:, first], fragment.following_starts[first]))
+                starts = np.flatnonzero(
+                    np.append(fragment.starts[:, first], fragment.following_starts[first])
+                )
                 self.episodes[world] = RunningEpisode(beginning[0], actions[starts[-1] :], beginning[1])
         self._stages[:] = [episode.stage for episode in self.episodes]
 
-    def _steps(self, fragment: Fragment, details: Sequence[tuple[int, Mapping[str, Any]]]) -> Iterator[WorldsStep]:
+    def _steps(
+        self, fragment: Fragment, details: Sequence[tuple[int, Mapping[str, Any]]]
+    ) -> Iterator[WorldsStep]:
         """The steps of a fragment in their order; each is counted when it is asked for."""
         endings = iter([*zip(fragment.endings, details, strict=True)])
         upcoming = next(endings, None)
@@ -516,8 +589,12 @@ class ShardedCollector:
                     here.append(ending)
                     upcoming = next(endings, None)
             self.starts = fragment.following_starts if is_last else fragment.starts[number + 1]
-            self._observations = fragment.following if is_last else by_part(itemgetter(number + 1), fragment.observations)
-            yield WorldsStep(self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, here)
+            self._observations = (
+                fragment.following if is_last else by_part(itemgetter(number + 1), fragment.observations)
+            )
+            yield WorldsStep(
+                self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, here
+            )
 
     def step_all(self, actions: Any) -> WorldsStep:
         """The next step of the fragment that was fetched; the worlds have acted already."""
@@ -552,9 +629,9 @@ class ShardedCollector:
 
 def _details(harvests: Sequence[Harvest]) -> list[tuple[int, Mapping[str, Any]]]:
     """Stage and drawn values of each ending, in the order of the endings of the joined fragment."""
-    found = [
+    details = [
         (number, shard, ending.row, detail)
         for shard, harvest in enumerate(harvests)
         for (number, ending), detail in zip(harvest.fragment.endings, harvest.ended, strict=True)
     ]
-    return [detail for *_, detail in sorted(found, key=lambda entry: entry[:3])]
+    return [detail for *_, detail in sorted(details, key=lambda entry: entry[:3])]

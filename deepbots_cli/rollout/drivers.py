@@ -19,11 +19,13 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
 RANDOM, ZERO, HAND, POLICY, RECORDED, ROBOT = "random", "zero", "you", "policy", "recording", "robot"
-"""Names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option of each choice."""
+"""Names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option
+of each choice."""
 
 
 def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
-    """`random`, `zero`, a script of the scenario, or actions such as `forward,backward`, which are repeated without end.
+    """`random`, `zero`, a script of the scenario, or actions such as `forward,backward`, which are repeated
+    without end.
 
     Raises:
         UsageError: It is none of these.
@@ -38,18 +40,31 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
         act = partial(world.get_wrapper_attr("script"), name)
         return Driver(lambda _: act())
     if name == POLICY:
-        raise UsageError("only a run has a policy; train one with `deepbots train`, and name the run instead of the scenario")
+        raise UsageError(
+            "only a run has a policy; train one with `deepbots train`, and name the run instead of the"
+            " scenario"
+        )
     if name == HAND:
         raise UsageError("you can drive in the browser only; use `deepbots play`")
     options = [option.name for part in program.agent.choices for option in part.options]
     if not name.isidentifier() or name in options:
         return repeated_actions(world, name)
-    known = (*scripts, RANDOM, ZERO)
-    near = nearest_word(name, (*known, *options))
+    names = (*scripts, RANDOM, ZERO)
+    near = nearest_word(name, (*names, *options))
     hint = f" (did you mean {near}?)" if near else ""
-    slots = [part.options if isinstance(part, Choices) else () for each in program.agent.action for part in _slots(each)]
-    example = ",".join(":".join(slot[at].name if slot else number for slot in slots) for at, number in ((0, "0.5"), (-1, "-0.5")))
-    raise UsageError(f"there is no driver '{name}'{hint}; the drivers are {', '.join(known)}, and actions such as {example}")
+    slots = [
+        part.options if isinstance(part, Choices) else ()
+        for each in program.agent.action
+        for part in _slots(each)
+    ]
+    example = ",".join(
+        ":".join(slot[at].name if slot else number for slot in slots)
+        for at, number in ((0, "0.5"), (-1, "-0.5"))
+    )
+    raise UsageError(
+        f"there is no driver '{name}'{hint}; the drivers are {', '.join(names)}, and actions such as"
+        f" {example}"
+    )
 
 
 def random_driver(world: gym.Env[Any, Any]) -> Driver:
@@ -82,8 +97,9 @@ def sequence_driver(actions: Iterable[Any]) -> Driver:
 def repeated_actions(world: gym.Env[Any, Any], text: str) -> Driver:
     """The actions in `text`, repeated without end. Commas separate actions, colons the parts of one action.
 
-    A part is the name or the index of an option, or a number from -1 to 1 for a range. `forward*8` is eight steps of the same action. In
-    place of an action, the name of a script lets the script act. All copies of a robot get the same action.
+    A part is the name or the index of an option, or a number from -1 to 1 for a range. `forward*8` is eight
+    steps of the same action. In place of an action, the name of a script lets the script act. All copies of a
+    robot get the same action.
 
     Raises:
         UsageError: The scenario has no such action.
@@ -99,7 +115,9 @@ def _read_repeated(world: gym.Env[Any, Any], word: str) -> tuple[Callable[[], An
     """What gives the action of each step, and the number of steps."""
     text, star, times = word.partition("*")
     if star and not (times.isdecimal() and len(times) <= _MAX_DIGITS and int(times)):
-        raise UsageError(f"'{word}' is not valid; write the number of steps after the asterisk, such as {text}*8")
+        raise UsageError(
+            f"'{word}' is not valid; write the number of steps after the asterisk, such as {text}*8"
+        )
     agent = world.get_wrapper_attr("scenario").agent
     options = {option.name for part in agent.choices for option in part.options}
     if text in {script.name for script in agent.scripts} - options:
@@ -112,7 +130,10 @@ def _read_action(world: gym.Env[Any, Any], text: str) -> Any:
     parts = [width for part in world.get_wrapper_attr("scenario").agent.action for width in _slots(part)]
     words = text.split(":")
     if len(words) != len(parts):
-        raise UsageError(f"the action '{text}' has {len(words)} parts, but this scenario needs {len(parts)}; separate the parts by colons")
+        raise UsageError(
+            f"the action '{text}' has {len(words)} parts, but this scenario needs {len(parts)}; separate the"
+            " parts by colons"
+        )
     values = [_read_part(part, word.strip()) for part, word in zip(parts, words, strict=True)]
     ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
     choices = [int(value) for part, value in zip(parts, values, strict=True) if isinstance(part, Choices)]
@@ -137,9 +158,13 @@ def _read_part(part: Choices | ActionRange, word: str) -> float:
     except ValueError:
         value = float("nan")
     if not -1 <= value <= 1:
-        order = f"; the order of its numbers is {':'.join(part.components)}" if len(part.components) > 1 else ""
+        order = (
+            f"; the order of its numbers is {':'.join(part.components)}" if len(part.components) > 1 else ""
+        )
         scale = f"-1 is {part.low:g} {part.unit}, 1 is {part.high:g} {part.unit}"
-        raise UsageError(f"'{word}' is not valid for '{part.name}': write a number from -1 to 1 ({scale}){order}")
+        raise UsageError(
+            f"'{word}' is not valid for '{part.name}': write a number from -1 to 1 ({scale}){order}"
+        )
     return value
 
 
@@ -154,7 +179,8 @@ def zero_action(space: gym.Space[Any]) -> Any:
 
 
 def action_from_values(env: Supervisor, values: Mapping[str, float]) -> Any:
-    """The action with these values by the names of action fields: the index of an option, or a number from -1 to 1; others are 0."""
+    """The action with these values by the names of action fields: the index of an option, or a number from -1
+    to 1; others are 0."""
     choices, ranges = [], []
     for part in env.scenario.agent.action:
         if isinstance(part, Choices):

@@ -1,4 +1,5 @@
-"""One episode: `steps` yields a `Step` for the reset and for each step of the environment, `result_of` adds them up.
+"""One episode: `steps` yields a `Step` for the reset and for each step of the environment, `result_of` adds
+them up.
 
 for step in steps(environment, random_driver(environment), Start(seed=3)):
     print(step.number, step.reward)
@@ -40,7 +41,9 @@ class Start(NamedTuple):
     @classmethod
     def of_evaluation(cls, root: int, number: int, options: Mapping[str, Any] | None = None) -> Start:
         """The start of episode `number`, from 0, of an evaluation with the seed `root`."""
-        from deepbots_cli.runtime.streams import derive_seed  # here, since commands that only read runs work without gymnasium
+        from deepbots_cli.runtime.streams import (
+            derive_seed,
+        )  # here, since commands that only read runs work without gymnasium
 
         return cls(derive_seed(root, "evaluation", number), options, number)
 
@@ -65,7 +68,8 @@ class Driver:
 
 
 class Step(NamedTuple):
-    """The reset (`number` 0, without action and reward), or a step of the environment; names as in Gymnasium."""
+    """The reset (`number` 0, without action and reward), or a step of the environment; names as in
+    Gymnasium."""
 
     number: int
     action: Any
@@ -80,7 +84,9 @@ class Step(NamedTuple):
         return self.terminated or self.truncated
 
 
-def steps(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Iterator[Step]:  # it is immutable
+def steps(
+    world: gym.Env[Any, Any], driver: Driver, start: Start = Start()
+) -> Iterator[Step]:  # it is immutable
     """Run an episode; the caller may stop at any step.
 
     Raises:
@@ -89,7 +95,9 @@ def steps(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> I
     if start.state is not None:
         set_random_state(world, start.state)
     driver.begin(start)
-    observation, info = world.reset(seed=start.seed, options=None if start.options is None else dict(start.options))
+    observation, info = world.reset(
+        seed=start.seed, options=None if start.options is None else dict(start.options)
+    )
     step = Step(0, None, observation, 0.0, False, False, info)
     yield step
     while not (step.terminated or step.truncated):
@@ -131,8 +139,8 @@ def set_random_state(world: gym.Env[Any, Any], state: dict[str, Any]) -> None:
 class Episode:
     """One finished episode; `terms` are the reward terms, summed over it.
 
-    For an episode of an evaluation, `seed` is the seed of its reset, and `drawn` contains the drawn values in SI units by their path in the
-    scenario, such as `parameters.mark` (see `Supervisor.reset`).
+    For an episode of an evaluation, `seed` is the seed of its reset, and `drawn` contains the drawn values in
+    SI units by their path in the scenario, such as `parameters.mark` (see `Supervisor.reset`).
     """
 
     total_return: float
@@ -166,8 +174,12 @@ class EpisodeAccumulator:
         """
         terms = info.get("reward_terms", {})
         if not math.isfinite(reward):
-            at_fault = ", ".join(name for name, value in terms.items() if not math.isfinite(value)) or "their sum"
-            raise DeepbotsError(f"the reward is no longer finite in step {self._length + 1} of an episode ({at_fault})")
+            at_fault = (
+                ", ".join(name for name, value in terms.items() if not math.isfinite(value)) or "their sum"
+            )
+            raise DeepbotsError(
+                f"the reward is no longer finite in step {self._length + 1} of an episode ({at_fault})"
+            )
         self._return += reward
         self._length += 1
         sums = self._terms

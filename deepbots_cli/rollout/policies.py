@@ -1,8 +1,9 @@
 """Episodes of a policy, in several worlds at a time with results that do not depend on how many.
 
-The rounding of a matrix product depends on the number of rows and on the index of a row, and a rounding error can change an action.
-Therefore every forward pass has `FORWARD_BATCH_SIZE` rows, and episode k always uses row k mod `FORWARD_BATCH_SIZE`. The content of other
-rows does not affect it. `evaluate_policy` of learning libraries provides neither this nor the same starts for every policy.
+The rounding of a matrix product depends on the number of rows and on the index of a row, and a rounding error
+can change an action. Therefore every forward pass has `FORWARD_BATCH_SIZE` rows, and episode k always uses
+row k mod `FORWARD_BATCH_SIZE`. The content of other rows does not affect it. `evaluate_policy` of learning
+libraries provides neither this nor the same starts for every policy.
 """
 
 from __future__ import annotations
@@ -15,15 +16,27 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.rollout.episode import Driver, Episode, EpisodeAccumulator, OnEpisode, Start, Step, play, steps
+from deepbots_cli.errors import EngineError
+from deepbots_cli.rollout.episode import (
+    Driver,
+    Episode,
+    EpisodeAccumulator,
+    OnEpisode,
+    Start,
+    Step,
+    play,
+    steps,
+)
 from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 
 FORWARD_BATCH_SIZE = 8
-"""A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8 gain little."""
+"""A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8
+gain little."""
 
+NumberedEpisode = tuple[int, Episode]
+"""A finished episode of an evaluation, with its number from 0."""
 StopCondition = Callable[[Sequence[Episode]], bool]
 """Whether the first episodes of an evaluation are enough."""
 
@@ -34,7 +47,12 @@ class Predictor(Protocol):
     takes_masks: bool
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False, action_masks: Any = None
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+        action_masks: Any = None,
     ) -> tuple[Any, Any]: ...
 
 
@@ -44,137 +62,131 @@ def play_episodes(
     seeds: Sequence[int],
     *,
     deterministic: bool,
-    numbers: Sequence[int] | None = None,
-    on_episode: OnEpisode | None = None,
-    until: StopCondition | None = None,
-) -> list[Episode]:
-    """One episode from each seed, in the order of `seeds`, or only those with these `numbers`.
+    numbers: Sequence[int],
+) -> Iterator[NumberedEpisode]:
+    """The episodes with these `numbers`, each from its seed, in the order in which they end.
 
-    Runs up to `FORWARD_BATCH_SIZE` worlds at a time; a policy that samples, or a world with several agents, uses only one. With `until`,
-    the result ends with the first episode for which it returns True. An episode depends on its seed and its number only, so the result is
-    the same for any number of worlds, and for any division of the numbers.
+    Runs up to `FORWARD_BATCH_SIZE` worlds at a time; a policy that samples, or a world with several agents,
+    uses only one. An episode depends on its seed and its number only, so it is the same for any number of
+    worlds, and for any division of the numbers.
     """
-    numbers = range(len(seeds)) if numbers is None else numbers
-    on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
-    episodes: list[Episode] = []
     if has_copies(worlds[0]):
         driver = PolicyDriver(policy, worlds[0], deterministic=deterministic)
-        for number in numbers:
-            episodes.append(play(worlds[0], driver, Start(seeds[number])))
-            on_episode(len(episodes), len(numbers))
-            if until(episodes):
-                break
-        return episodes
+        yield from ((number, play(worlds[0], driver, Start(seeds[number]))) for number in numbers)
+        return
     together = min(len(worlds), FORWARD_BATCH_SIZE) if deterministic else 1
     forward = ForwardPass(worlds[0].observation_space, _choices(worlds[0]) if policy.takes_masks else None)
-    finished: dict[int, Episode] = {}
-    by_row = [[number for number in numbers if number % FORWARD_BATCH_SIZE == row] for row in range(FORWARD_BATCH_SIZE)]
+    by_row = [
+        [number for number in numbers if number % FORWARD_BATCH_SIZE == row]
+        for row in range(FORWARD_BATCH_SIZE)
+    ]
     rows = [row for row, own in enumerate(by_row) if own]
     for first in range(0, len(rows), together):
-        lanes = [EvaluationLane(world, row, by_row[row], seeds) for world, row in zip(worlds, rows[first : first + together], strict=False)]
+        lanes = [
+            EvaluationLane(world, row, by_row[row], seeds)
+            for world, row in zip(worlds, rows[first : first + together], strict=False)
+        ]
         running = [lane for lane in lanes if lane.begin(forward)]
         while running:
             actions = forward.predict(policy, deterministic=deterministic)
-            for lane in running:
-                episode = lane.step(actions[lane.row], forward)
-                if episode is not None:
-                    finished[lane.number] = episode
-                    on_episode(len(finished), len(numbers))
-            if _complete(episodes, finished, numbers, until):
+            stepped = [(lane, lane.step(actions[lane.row], forward)) for lane in running]
+            yield from ((lane.number, episode) for lane, episode in stepped if episode is not None)
+            running = [lane for lane, episode in stepped if episode is None or lane.begin(forward)]
+
+
+def in_order(
+    finished: Iterable[NumberedEpisode],
+    numbers: Sequence[int],
+    on_episode: OnEpisode | None = None,
+    until: StopCondition | None = None,
+) -> list[Episode]:
+    """The episodes in the order of `numbers`; the last one is the first for which `until` returns True."""
+    done: dict[int, Episode] = {}
+    episodes: list[Episode] = []
+    for number, episode in finished:
+        done[number] = episode
+        if on_episode is not None:
+            on_episode(len(done), len(numbers))
+        while len(episodes) < len(numbers) and numbers[len(episodes)] in done:
+            episodes.append(done[numbers[len(episodes)]])
+            if until is not None and until(episodes):
                 return episodes
-            running = [lane for lane in running if lane.number not in finished or lane.begin(forward)]
     return episodes
 
 
-def _complete(episodes: list[Episode], finished: dict[int, Episode], numbers: Sequence[int], until: StopCondition) -> bool:
-    """Append the episodes that follow in the order of `numbers`; whether they are enough."""
-    for number in numbers[len(episodes) :]:
-        if number not in finished:
-            break
-        episodes.append(finished[number])
-        if until(episodes):
-            return True
-    return False
+def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int]) -> Iterator[NumberedEpisode]:
+    """The episodes of `play_episodes` in a batch of worlds, with the likeliest actions; there are at least as
+    many seeds as worlds.
 
+    World i sits in row i mod `FORWARD_BATCH_SIZE` of one of several forward passes, and goes through episodes
+    that sit in the same row of `play_episodes`. With copies of a robot each world has a forward pass of its
+    own, with a row for each copy.
 
-def play_batch(
-    policy: Predictor,
-    worlds: BatchSupervisor,
-    seeds: Sequence[int],
-    *,
-    on_episode: OnEpisode | None = None,
-    until: StopCondition | None = None,
-) -> list[Episode] | None:
-    """The episodes of `play_episodes` in a batch of worlds, with the likeliest actions; there are at least as many seeds as worlds.
-
-    World i sits in row i mod `FORWARD_BATCH_SIZE` of one of several forward passes, and goes through episodes that sit in the same row of
-    `play_episodes`. With copies of a robot each world has a forward pass of its own, with a row for each copy.
-
-    Returns:
-        The same as `play_episodes`. None if a world fails: `play_episodes` then says where, and keeps its episode.
+    Raises:
+        DeepbotsError: A world fails; `play_episodes` says where.
     """
-    on_episode, until = on_episode or (lambda done, of: None), until or (lambda episodes: False)
     count, width = len(worlds.singles), worlds.copies
     size = 1 if has_copies(worlds.singles[0]) else FORWARD_BATCH_SIZE
     choices = _choices(next(iter(worlds.singles[0].agents.values()))) if policy.takes_masks else None
     passes = [ForwardPass(worlds.observation_space, choices, size * width) for _ in range(0, count, size)]
     waiting = [deque(range(count + (row - count) % size, len(seeds), size)) for row in range(size)]
     numbers, running = list(range(count)), BatchEpisodes(worlds)
-    finished: dict[int, Episode] = {}
-    episodes: list[Episode] = []
     answers: list[Any] = [None] * len(passes)
     lost = len(worlds.losses)
-    try:
-        seen = worlds.reset(seeds[:count])
-        drawn = [single.drawn() for single in worlds.singles]
-        while not running.resting.all():
-            masks = None if choices is None else worlds.action_masks()
-            for place, forward in enumerate(passes):
-                those = slice(place * size, min(count, (place + 1) * size))
-                if answers[place] is None or not running.resting[those].all():
-                    forward.put_all(seen, slice(those.start * width, those.stop * width), masks)
-                    answers[place] = forward.predict(policy, deterministic=True)
-            outcome = running.step_all(np.concatenate(answers)[: worlds.count])
-            if len(worlds.losses) > lost:
-                return None
-            begun = []
-            for place, world in enumerate(outcome.done.tolist()):
-                number, row = numbers[world], world % size
-                finished[number] = running.close(world, outcome.infos[place], seeds[number], drawn[world])
-                on_episode(len(finished), len(seeds))
-                if waiting[row]:
-                    numbers[world] = waiting[row].popleft()
-                    passes[world // size].starts[row * width : (row + 1) * width] = True
-                    begun.append(world)
-                else:
-                    running.resting[world] = True
-            if _complete(episodes, finished, range(len(seeds)), until):
-                return episodes
-            if begun:
-                worlds.begin(begun, [seeds[numbers[world]] for world in begun])
-                for world in begun:
-                    drawn[world] = worlds.singles[world].drawn()
-            seen = worlds.observations() if begun else worlds.by_row(outcome.observations)
-    except DeepbotsError:
-        return None
-    return episodes
+    seen = worlds.reset(seeds[:count])
+    drawn = [single.drawn() for single in worlds.singles]
+    while not running.resting.all():
+        masks = None if choices is None else worlds.action_masks()
+        for place, forward in enumerate(passes):
+            those = slice(place * size, min(count, (place + 1) * size))
+            if answers[place] is None or not running.resting[those].all():
+                forward.put_all(seen, slice(those.start * width, those.stop * width), masks)
+                answers[place] = forward.predict(policy, deterministic=True)
+        outcome = running.step_all(np.concatenate(answers)[: worlds.count])
+        if len(worlds.losses) > lost:
+            raise EngineError(worlds.losses[-1].error)
+        begun = []
+        for place, world in enumerate(outcome.done.tolist()):
+            number, row = numbers[world], world % size
+            yield number, running.close(world, outcome.infos[place], seeds[number], drawn[world])
+            if waiting[row]:
+                numbers[world] = waiting[row].popleft()
+                passes[world // size].starts[row * width : (row + 1) * width] = True
+                begun.append(world)
+            else:
+                running.resting[world] = True
+        if begun:
+            worlds.begin(begun, [seeds[numbers[world]] for world in begun])
+            for world in begun:
+                drawn[world] = worlds.singles[world].drawn()
+        seen = worlds.observations() if begun else worlds.by_row(outcome.observations)
 
 
 class PolicyDriver(Driver):
     """The policy of a model.
 
-    If the start of an episode has a number, the actions are bit for bit those of the evaluation episode with this number. For copies of a
-    robot this is always true, because each forward pass has one row per copy.
+    If the start of an episode has a number, the actions are bit for bit those of the evaluation episode with
+    this number. For copies of a robot this is always true, because each forward pass has one row per copy.
 
     Args:
         batch: The batch of `world`; the policy then acts in all of its worlds, with one row per world.
     """
 
     def __init__(
-        self, policy: Predictor, world: gym.Env[Any, Any], *, deterministic: bool = True, batch: BatchSupervisor | None = None
+        self,
+        policy: Predictor,
+        world: gym.Env[Any, Any],
+        *,
+        deterministic: bool = True,
+        batch: BatchSupervisor | None = None,
     ) -> None:
         self._policy, self._world, self._deterministic = policy, world, deterministic
-        self._size = batch.count if batch else len(world.get_wrapper_attr("agents")) if has_copies(world) else 0
+        if batch:
+            self._size = batch.count
+        elif has_copies(world):
+            self._size = len(world.get_wrapper_attr("agents"))
+        else:
+            self._size = 0
         self._takes_masks = policy.takes_masks and world.has_wrapper_attr("action_masks")
         self._masks = batch.action_masks if batch else lambda: world.get_wrapper_attr("action_masks")()
         self._forward: ForwardPass | None = None
@@ -187,7 +199,9 @@ class PolicyDriver(Driver):
         self._memory, self._starts[:], self._forward = None, True, None
         if start.number is not None and not self._size:
             self._row = start.number % FORWARD_BATCH_SIZE
-            self._forward = ForwardPass(self._world.observation_space, _choices(self._world) if self._takes_masks else None)
+            self._forward = ForwardPass(
+                self._world.observation_space, _choices(self._world) if self._takes_masks else None
+            )
 
     def act(self, observation: Any) -> Any:
         if self._forward is not None:
@@ -196,7 +210,9 @@ class PolicyDriver(Driver):
         masks = self._masks() if self._takes_masks else None
         if masks is not None and self._size:
             masks = masks.reshape(self._size, -1)
-        action, self._memory = self._policy.predict(observation, self._memory, self._starts, self._deterministic, masks)
+        action, self._memory = self._policy.predict(
+            observation, self._memory, self._starts, self._deterministic, masks
+        )
         self._starts = np.zeros_like(self._starts)
         return action
 
@@ -204,7 +220,8 @@ class PolicyDriver(Driver):
 def _seed_sampling(seed: int) -> None:
     """Seed the generators of torch on the devices in use.
 
-    Without a GPU `torch.manual_seed` takes 0.1 to 1 ms, since it prints the stack for each kind of device and keeps it.
+    Without a GPU `torch.manual_seed` takes 0.1 to 1 ms, since it prints the stack for each kind of device and
+    keeps it.
     """
     if torch.cuda.is_initialized():  # type: ignore[no-untyped-call]
         torch.manual_seed(seed)
@@ -215,8 +232,8 @@ def _seed_sampling(seed: int) -> None:
 class ForwardPass:
     """The observations of one forward pass; rows of worlds that do not run keep what they last held.
 
-    If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A recurrent policy
-    has a `memory` for each row, which it forgets where `starts` says that an episode begins.
+    If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A
+    recurrent policy has a `memory` for each row, which it forgets where `starts` says that an episode begins.
     """
 
     def __init__(self, space: gym.Space[Any], choices: int | None, size: int = FORWARD_BATCH_SIZE) -> None:
@@ -224,12 +241,16 @@ class ForwardPass:
         self.starts = np.ones(size, dtype=bool)
         self.masks: Array | None = None if choices is None else np.ones((size, choices), dtype=bool)
         self.observations: Any = (
-            {key: _zeros(part, size) for key, part in space.spaces.items()} if isinstance(space, gym.spaces.Dict) else _zeros(space, size)
+            {key: _zeros(part, size) for key, part in space.spaces.items()}
+            if isinstance(space, gym.spaces.Dict)
+            else _zeros(space, size)
         )
 
     def predict(self, policy: Predictor, *, deterministic: bool) -> Any:
         """An action for each row."""
-        actions, self.memory = policy.predict(self.observations, self.memory, self.starts, deterministic, self.masks)
+        actions, self.memory = policy.predict(
+            self.observations, self.memory, self.starts, deterministic, self.masks
+        )
         self.starts[:] = False
         return actions
 
@@ -269,7 +290,9 @@ def _zeros(space: gym.Space[Any], rows: int) -> Array:
 class EvaluationLane:
     """One world that goes through its episodes `numbers`, in one row of a forward pass."""
 
-    def __init__(self, world: gym.Env[Any, Any], row: int, numbers: Iterable[int], seeds: Sequence[int]) -> None:
+    def __init__(
+        self, world: gym.Env[Any, Any], row: int, numbers: Iterable[int], seeds: Sequence[int]
+    ) -> None:
         self.row = self.number = row
         self._world, self._numbers, self._seeds = world, iter(numbers), seeds
         self._accumulator = EpisodeAccumulator()

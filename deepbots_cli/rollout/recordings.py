@@ -1,4 +1,5 @@
-"""Reading recordings: the episodes in an MCAP file, with the scenario that they ran in. `view.recordings` writes them."""
+"""Reading recordings: the episodes in an MCAP file, with the scenario that they ran in. `view.recordings`
+writes them."""
 
 from __future__ import annotations
 
@@ -22,7 +23,11 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import read_at_most
 
 FORMAT = 1
-_MAX_FILE, _MAX_RECORD, _MAX_CONTENT = 1 << 28, 1 << 26, 1 << 29  # bytes: of a file, of one record, and of all of them unpacked
+_MAX_FILE, _MAX_RECORD, _MAX_CONTENT = (
+    1 << 28,
+    1 << 26,
+    1 << 29,
+)  # bytes: of a file, of one record, and of all of them unpacked
 _MAX_INPUTS = 1000
 _RECORD_OVERHEAD_BYTES = 100
 """Bytes that a record takes in memory besides its content: a chunk of empty ones is a bomb too."""
@@ -35,7 +40,8 @@ class RecordingError(UsageError):
 
 @dataclass(frozen=True, eq=False)
 class RecordedEpisode:
-    """One episode of a recording: its number, the seed of its reset, and the topics of each step, as bytes."""
+    """One episode of a recording: its number, the seed of its reset, and the topics of each step, as
+    bytes."""
 
     number: int
     seed: int
@@ -64,24 +70,33 @@ class Recording:
         try:
             data = read_at_most(path, _MAX_FILE + 1)
         except OSError as error:
-            raise RecordingError(f"{path} cannot be read: {(error.strerror or 'unknown reason').lower()}") from error
+            raise RecordingError(
+                f"{path} cannot be read: {(error.strerror or 'unknown reason').lower()}"
+            ) from error
         if len(data) > _MAX_FILE:
-            raise RecordingError(f"{path} is larger than {_MAX_FILE >> 20} MiB, which is the largest recording that can be shown")
+            raise RecordingError(
+                f"{path} is larger than {_MAX_FILE >> 20} MiB, which is the largest recording that can be"
+                " shown"
+            )
         if not data.startswith(b"\x89MCAP"):
             raise RecordingError(f"{path} is not a recording: it is not an MCAP file")
         metadata, files, steps = _content(path, data)
         if metadata is None:
-            raise RecordingError(f"{path} is an MCAP file, but neither a recording of a simulation nor the log of a robot; use Foxglove")
+            raise RecordingError(
+                f"{path} is an MCAP file, but neither a recording of a simulation nor the log of a robot;"
+                " use Foxglove"
+            )
         if metadata.get("format") != str(FORMAT):
             raise RecordingError(
-                f"{path} is a recording of format {metadata.get('format', '?')[:20]}, but this version of deepbots reads {FORMAT}; "
+                f"{path} is a recording of format {metadata.get('format', '?')[:20]}, but this version of"
+                f" deepbots reads {FORMAT}; "
                 "use the version that recorded it"
             )
         if "resolved.yaml" not in files or not steps:
             raise RecordingError(f"{path} is damaged: it contains no {'episode' if files else 'scenario'}")
-        found = Recording(path, metadata, list(_episodes(path, steps)), scenario_folder(path, files))
-        weakref.finalize(found, shutil.rmtree, found.folder, ignore_errors=True)
-        return found
+        recording = Recording(path, metadata, list(_episodes(path, steps)), scenario_folder(path, files))
+        weakref.finalize(recording, shutil.rmtree, recording.folder, ignore_errors=True)
+        return recording
 
     def episode(self, number: int) -> RecordedEpisode:
         """The episode of this number.
@@ -89,15 +104,17 @@ class Recording:
         Raises:
             UsageError: There is none; says which there are.
         """
-        found = next((episode for episode in self.episodes if episode.number == number), None)
-        if found is None:
+        numbered = next((episode for episode in self.episodes if episode.number == number), None)
+        if numbered is None:
             numbers = [episode.number for episode in self.episodes]
             listed = str(numbers[0]) if len(numbers) == 1 else f"{min(numbers)} to {max(numbers)}"
             raise UsageError(f"{self.path} contains no episode {number}; it contains {listed}")
-        return found
+        return numbered
 
 
-def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[str, bytes], list[dict[str, bytes]]]:
+def _content(
+    path: Path, data: bytes
+) -> tuple[Mapping[str, str] | None, dict[str, bytes], list[dict[str, bytes]]]:
     """Metadata, attached files, and the topics of each step."""
     try:
         from mcap import records
@@ -112,27 +129,41 @@ def _content(path: Path, data: bytes) -> tuple[Mapping[str, str] | None, dict[st
     messages: list[records.Message] = []
     size = 0
     try:
-        for found in StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=_MAX_RECORD).records:
-            if isinstance(found, records.Metadata) and found.name == "deepbots":
-                metadata = found.metadata
-            elif isinstance(found, records.Attachment):
-                size += len(found.data)
-                files[safe_name(found.name)] = found.data
-            elif isinstance(found, records.Chunk):
+        for record in StreamReader(io.BytesIO(data), emit_chunks=True, record_size_limit=_MAX_RECORD).records:
+            if isinstance(record, records.Metadata) and record.name == "deepbots":
+                metadata = record.metadata
+            elif isinstance(record, records.Attachment):
+                size += len(record.data)
+                files[safe_name(record.name)] = record.data
+            elif isinstance(record, records.Chunk):
                 # The unpacked size is in the frame too, and decompression goes by that one.
-                unpacked = get_frame_parameters(found.data).content_size if found.compression == "zstd" else len(found.data)
+                unpacked = (
+                    get_frame_parameters(record.data).content_size
+                    if record.compression == "zstd"
+                    else len(record.data)
+                )
                 size += unpacked
-                if found.compression not in ("zstd", "") or unpacked != found.uncompressed_size or max(size, 8 * unpacked) > _MAX_CONTENT:
+                if (
+                    record.compression not in ("zstd", "")
+                    or unpacked != record.uncompressed_size
+                    or max(size, 8 * unpacked) > _MAX_CONTENT
+                ):
                     raise RecordingError(
-                        f"{path} is damaged, larger than {_MAX_CONTENT >> 20} MiB when decompressed, or uses an unknown compression"
+                        f"{path} is damaged, larger than {_MAX_CONTENT >> 20} MiB when decompressed, or uses"
+                        " an unknown compression"
                     )
-                inner = breakup_chunk(found, validate_crc=True)
+                inner = breakup_chunk(record, validate_crc=True)
                 size += _RECORD_OVERHEAD_BYTES * len(inner)
                 topics |= {each.id: each.topic for each in inner if isinstance(each, records.Channel)}
                 messages += [each for each in inner if isinstance(each, records.Message)]
             if size > _MAX_CONTENT or len(files) > _MAX_INPUTS:
-                raise RecordingError(f"{path} contains more than {_MAX_CONTENT >> 20} MiB, or more than {_MAX_INPUTS} files")
-        steps = [{topics[each.channel_id]: each.data for each in step} for _, step in groupby(messages, lambda each: each.log_time)]
+                raise RecordingError(
+                    f"{path} contains more than {_MAX_CONTENT >> 20} MiB, or more than {_MAX_INPUTS} files"
+                )
+        steps = [
+            {topics[each.channel_id]: each.data for each in step}
+            for _, step in groupby(messages, lambda each: each.log_time)
+        ]
     except (McapError, ZstdError, struct.error, ValueError, KeyError, IndexError, MemoryError) as error:
         raise RecordingError(f"{path} is cut short or damaged; record the episode again") from error
     return metadata, files, steps
@@ -152,7 +183,9 @@ def scenario_folder(path: Path, files: Mapping[str, bytes]) -> Path:
             target.write_bytes(content)
         except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
             shutil.rmtree(folder, ignore_errors=True)
-            raise RecordingError(f"{path} is damaged: it contains a file and a folder of the same name") from error
+            raise RecordingError(
+                f"{path} is damaged: it contains a file and a folder of the same name"
+            ) from error
     return folder
 
 
@@ -163,7 +196,9 @@ def safe_name(name: str) -> str:
         ValueError: It leads elsewhere.
     """
     parts = PurePosixPath(name).parts
-    if name != "resolved.yaml" and (parts[:1] != ("inputs",) or ".." in parts or "\\" in name or "\0" in name or len(name) > 500):
+    if name != "resolved.yaml" and (
+        parts[:1] != ("inputs",) or ".." in parts or "\\" in name or "\0" in name or len(name) > 500
+    ):
         raise ValueError(name)
     if any(len(part.encode()) > 255 for part in parts):  # which most file systems refuse
         raise ValueError(name)
@@ -176,11 +211,11 @@ def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[RecordedEpisode
         raise RecordingError(f"{path} is damaged: it does not begin with an episode")
     for first, end in zip(begun, [*begun[1:], len(steps)], strict=True):
         with damaged(path):
-            known = msgspec.json.decode(steps[first]["/episode"])
-            seed = msgspec.convert(known["seed"], int)
+            described = msgspec.json.decode(steps[first]["/episode"])
+            seed = msgspec.convert(described["seed"], int)
             if seed < 0:
                 raise ValueError(seed)
-            yield RecordedEpisode(msgspec.convert(known["episode"], int), seed, steps[first:end])
+            yield RecordedEpisode(msgspec.convert(described["episode"], int), seed, steps[first:end])
 
 
 @contextmanager
@@ -188,7 +223,16 @@ def damaged(path: Path) -> Iterator[None]:
     """A block that reads a recording raises a RecordingError where the content is damaged."""
     try:
         yield
-    except (msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError, RecursionError) as error:
+    except (
+        msgspec.MsgspecError,
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        OSError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         raise RecordingError(f"{path} is damaged: a step of it cannot be read") from error
 
 
@@ -202,10 +246,10 @@ def actions(recording: Recording, recorded: RecordedEpisode, space: Any) -> Iter
         with damaged(recording.path):
             action = msgspec.json.decode(step["/step"])["action"]
             if isinstance(space, spaces.Dict):
-                found: Any = {name: unpacked(action[name], part) for name, part in space.spaces.items()}
+                values: Any = {name: unpacked(action[name], part) for name, part in space.spaces.items()}
             else:
-                found = unpacked(action["action"], space)
-        yield found
+                values = unpacked(action["action"], space)
+        yield values
 
 
 def unpacked(packed: Mapping[str, Any], space: Any) -> Any:

@@ -1,4 +1,5 @@
-"""Reading the log of a robot, which `deepbots serve --log` writes, with the bundle and the scenario of the policy that acted."""
+"""Reading the log of a robot, which `deepbots serve --log` writes, with the bundle and the scenario of the
+policy that acted."""
 
 from __future__ import annotations
 
@@ -65,7 +66,8 @@ class RobotLog:
 
     @staticmethod
     def read(path: Path) -> RobotLog:
-        """Read a log, also one of a process that was killed, and unpack its scenario into a folder of its own.
+        """Read a log, also one of a process that was killed, and unpack its scenario into a folder of its
+        own.
 
         Raises:
             RecordingError: It cannot be read, has no step, or no scenario; says why in one sentence.
@@ -81,7 +83,8 @@ class RobotLog:
             description = files.pop("bundle.json", None)
             if description is None or "resolved.yaml" not in files:
                 raise RecordingError(
-                    f"{path} is the log of a robot without the scenario, which the page draws; serve a whole bundle of this version of"
+                    f"{path} is the log of a robot without the scenario, which the page draws; serve a whole"
+                    " bundle of this version of"
                     f" deepbots, or read the log with: deepbots diagnose {path}"
                 )
             info = decode(description)
@@ -90,13 +93,15 @@ class RobotLog:
         except (OSError, ValueError, TypeError, msgspec.MsgspecError, BundleError) as error:
             if isinstance(error, UsageError):
                 raise
-            raise RecordingError(f"{path} cannot be read as the log of a robot: {' '.join(str(error).split())[:120]}") from error
+            raise RecordingError(
+                f"{path} cannot be read as the log of a robot: {' '.join(str(error).split())[:120]}"
+            ) from error
         if not episodes:
             raise RecordingError(f"{path} contains no step: the robot sent no complete set of values")
-        known = {"scenario": info.scenario.name, "digest": info.scenario.digest}
-        found = RobotLog(path, known, info, episodes, folder)
-        weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
-        return found
+        metadata = {"scenario": info.scenario.name, "digest": info.scenario.digest}
+        log = RobotLog(path, metadata, info, episodes, folder)
+        weakref.finalize(log, shutil.rmtree, folder, ignore_errors=True)
+        return log
 
     def episode(self, number: int) -> LoggedEpisode:
         """The episode of this number.
@@ -104,10 +109,12 @@ class RobotLog:
         Raises:
             UsageError: There is none; says which there are.
         """
-        found = next((episode for episode in self.episodes if episode.number == number), None)
-        if found is None:
-            raise UsageError(f"{self.path} contains no episode {number}; list them with: deepbots replay {self.path}")
-        return found
+        numbered = next((episode for episode in self.episodes if episode.number == number), None)
+        if numbered is None:
+            raise UsageError(
+                f"{self.path} contains no episode {number}; list them with: deepbots replay {self.path}"
+            )
+        return numbered
 
 
 def is_robot_log(path: Path) -> bool:
@@ -120,36 +127,43 @@ def is_robot_log(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             first = islice(StreamReader(file, record_size_limit=1 << 20).records, 8)
-            return any(isinstance(found, records.Metadata) and found.name == "deepbots_robot" for found in first)
+            return any(
+                isinstance(record, records.Metadata) and record.name == "deepbots_robot" for record in first
+            )
     except Exception:  # noqa: BLE001  mcap raises errors of many kinds for a file that is no MCAP file
         return False
 
 
 def _episodes(messages: Iterator[tuple[str, float, dict[str, Any]]]) -> Iterator[LoggedEpisode]:
-    """The episodes with a step. They have the numbers of the log, or their places where a number comes twice."""
-    found: list[tuple[int, list[LoggedStep]]] = []
+    """The episodes with a step. They have the numbers of the log, or their places where a number comes
+    twice."""
+    episodes: list[tuple[int, list[LoggedStep]]] = []
     begun, events, count = 0.0, list[str](), 0
     for topic, stamp, content in messages:
         kind, text = (str(content.get(key, "")) for key in ("kind", "text"))
         if topic == "/event" and kind == "episode":
-            found.append((int(text) if text.isdecimal() else 0, []))
+            episodes.append((int(text) if text.isdecimal() else 0, []))
             begun, events = stamp, []
         elif topic == "/event":
             events.append(f"{_KINDS.get(kind, '')}{text}"[:200])
         elif topic == "/step":
-            if not found:
-                found.append((0, []))
+            if not episodes:
+                episodes.append((0, []))
                 begun = stamp
             count += 1
             if count > MAX_STEPS:
                 break
             content = {"ages": {}, **content, "time": max(0.0, stamp - begun), "events": events}
-            found[-1][1].append(msgspec.convert(content, LoggedStep))
+            episodes[-1][1].append(msgspec.convert(content, LoggedStep))
             events = []
-    numbers = Counter(number for number, steps in found if steps)
+    numbers = Counter(number for number, steps in episodes if steps)
     twice = any(times > 1 for times in numbers.values())
-    for place, (number, steps) in enumerate([each for each in found if each[1]]):
+    for place, (number, steps) in enumerate([each for each in episodes if each[1]]):
         yield LoggedEpisode(place if twice else number, steps)
 
 
-_KINDS = {"safe": "safe posture: ", "resumed": "the policy acts again: ", "refused": "a message was refused: "}
+_KINDS = {
+    "safe": "safe posture: ",
+    "resumed": "the policy acts again: ",
+    "refused": "a message was refused: ",
+}

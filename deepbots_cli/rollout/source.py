@@ -1,13 +1,16 @@
-"""`Source.open`: which scenario is meant by what a person or a program names. Nothing else in the package answers this.
+"""`Source.open`: which scenario is meant by what a person or a program names. Nothing else in the package
+answers this.
 
     cartpole, cartpole.yaml, a `Scenario`    a scenario
     runs/cartpole-0-1                        a run: a folder with run.json
     runs/cartpole-seeds-1                    a group of runs: a folder with group.json
-    runs/cartpole-tune-1                     a study of `deepbots tune`, with a group for each trial: a folder with study.json
+    runs/cartpole-tune-1                     a study of `deepbots tune`, with a group for each trial: a folder
+                                             with study.json
     runs/cartpole-0-1/models/agent/best.zip  a checkpoint: a model in the folder of a run
     cartpole-0-0.mcap                        a recording
 
-A run, a group, a study and an open recording keep their scenario as `resolved.yaml` in a folder that holds all files that it reads.
+A run, a group, a study and an open recording keep their scenario as `resolved.yaml` in a folder that holds
+all files that it reads.
 """
 
 from __future__ import annotations
@@ -58,9 +61,11 @@ class Source:
         kind: What it is.
         name: How to call it.
         path: The file, or the folder of a run or a group; that of its run for a checkpoint.
-        scenario: The file of its scenario, or the scenario itself; None for a recording, whose scenario is in it.
+        scenario: The file of its scenario, or the scenario itself; None for a recording, whose scenario is in
+            it.
         permissions: What its scenario may use.
-        project: The folder that its scenario may read from; None for the nearest one above it that looks like a project.
+        project: The folder that its scenario may read from; None for the nearest one above it that looks like
+            a project.
         model: The name of the model, of a checkpoint.
     """
 
@@ -73,8 +78,14 @@ class Source:
     model: str | None = None
 
     @classmethod
-    def open(cls, source: str | Path | Scenario | Source, permissions: Permissions = Permissions(), *kinds: SourceKind) -> Source:
-        """What `source` names, which must be one of `kinds` if any are given; `permissions` are those of a scenario that is named.
+    def open(
+        cls,
+        source: str | Path | Scenario | Source,
+        permissions: Permissions = Permissions(),
+        *kinds: SourceKind,
+    ) -> Source:
+        """What `source` names, which must be one of `kinds` if any are given; `permissions` are those of a
+        scenario that is named.
 
         Raises:
             UsageError: `source` is none of these. A RunError if a run or a group is expected.
@@ -82,22 +93,37 @@ class Source:
         if isinstance(source, Scenario):
             return cls(SourceKind.SCENARIO, f"<Scenario {source.name}>", Path(), source, permissions)
         error = UsageError if not kinds or SourceKind.SCENARIO in kinds else RunError
-        found = source if isinstance(source, Source) else cls._named(Path(source), str(source), permissions, error)
-        if kinds and found.kind not in kinds:
+        opened = (
+            source
+            if isinstance(source, Source)
+            else cls._named(Path(source), str(source), permissions, error)
+        )
+        if kinds and opened.kind not in kinds:
             *others, final = (kind.value for kind in kinds)
             wanted = f"{', '.join(others)} or {final}" if others else final
-            what = "a file" if found.kind is SourceKind.SCENARIO and found.path.suffix not in (".yaml", ".yml") else found.kind.value
+            what = (
+                "a file"
+                if opened.kind is SourceKind.SCENARIO and opened.path.suffix not in (".yaml", ".yml")
+                else opened.kind.value
+            )
             hint = ""
-            if found.kind is SourceKind.STUDY:
-                hint = f"; name one of its trials, such as {found.path}/trial-0"
-            elif SourceKind.RUN in kinds and found.kind is SourceKind.GROUP:
-                hint = f"; name one of its runs, such as {found.path}/seed-0"
-            elif SourceKind.RUN in kinds and found.kind is SourceKind.SCENARIO and found.path.suffix in (".yaml", ".yml"):
-                hint = f"; train it first with `deepbots train {found.name}`, or name one of its runs, which `deepbots runs` lists"
-            elif SourceKind.RUN in kinds and found.kind is SourceKind.CHECKPOINT:
-                hint = f"; name the run: {found.path}"
-            raise error(f"{found.name} is {what}, and not {wanted}{hint}")
-        return found
+            if opened.kind is SourceKind.STUDY:
+                hint = f"; name one of its trials, such as {opened.path}/trial-0"
+            elif SourceKind.RUN in kinds and opened.kind is SourceKind.GROUP:
+                hint = f"; name one of its runs, such as {opened.path}/seed-0"
+            elif (
+                SourceKind.RUN in kinds
+                and opened.kind is SourceKind.SCENARIO
+                and opened.path.suffix in (".yaml", ".yml")
+            ):
+                hint = (
+                    f"; train it first with `deepbots train {opened.name}`, or name one of its runs,"
+                    " which `deepbots runs` lists"
+                )
+            elif SourceKind.RUN in kinds and opened.kind is SourceKind.CHECKPOINT:
+                hint = f"; name the run: {opened.path}"
+            raise error(f"{opened.name} is {what}, and not {wanted}{hint}")
+        return opened
 
     @classmethod
     def _named(cls, path: Path, name: str, permissions: Permissions, error: type[UsageError]) -> Source:
@@ -107,13 +133,20 @@ class Source:
                 return cls.kept(path, permissions, kind)
             if path.suffix.lower() in (".urdf", ".xacro"):
                 new = f"`deepbots new {_name_for(path)} --urdf {name}` writes a scenario for it"
-                raise error(f"{name} is a robot file, not a scenario; `deepbots inspect {name}` describes it, {new}")
-            found = None if path.is_file() else shipped.scenario_path(name)  # a folder of the same name does not hide it
-            if found is not None:
-                return cls(SourceKind.SCENARIO, found.name, found, found, permissions)
+                raise error(
+                    f"{name} is a robot file, not a scenario; `deepbots inspect {name}` describes it, {new}"
+                )
+            shipped_path = (
+                None if path.is_file() else shipped.scenario_path(name)
+            )  # a folder of the same name does not hide it
+            if shipped_path is not None:
+                return cls(SourceKind.SCENARIO, shipped_path.name, shipped_path, shipped_path, permissions)
             if path.is_dir():
                 any(path.iterdir())  # which fails where it may not be entered
-                raise error(f"{name} is not a run, a group or a scenario: it is a folder without {RECORD_NAME} or {GROUP_RECORD_NAME}")
+                raise error(
+                    f"{name} is not a run, a group or a scenario: it is a folder without {RECORD_NAME} or"
+                    f" {GROUP_RECORD_NAME}"
+                )
             if not path.exists():
                 raise error(f"no file, folder or shipped scenario is called '{name}'; {_hint(path)}")
         except (OSError, ValueError, RuntimeError) as failed:
@@ -122,25 +155,34 @@ class Source:
         if path.suffix == RECORDING_SUFFIX:
             return cls(SourceKind.RECORDING, name, path, None, permissions)
         run = path.parent.parent.parent
-        if path.suffix == ".zip" and path.parent.parent.name == MODELS_FOLDER and folder_kind(run) is SourceKind.RUN:
+        if (
+            path.suffix == ".zip"
+            and path.parent.parent.name == MODELS_FOLDER
+            and folder_kind(run) is SourceKind.RUN
+        ):
             return replace(cls.kept(run, permissions, SourceKind.CHECKPOINT), name=name, model=path.stem)
         return cls(SourceKind.SCENARIO, name, path, path, permissions)
 
     @classmethod
-    def kept(cls, folder: Path, permissions: Permissions = Permissions(), kind: SourceKind = SourceKind.RUN) -> Source:
+    def kept(
+        cls, folder: Path, permissions: Permissions = Permissions(), kind: SourceKind = SourceKind.RUN
+    ) -> Source:
         """What keeps its scenario in a folder, which is the whole project of this scenario.
 
         The scenario may name Python functions: making a world asks whether they may run.
         """
         return cls(kind, str(folder), folder, folder / RESOLVED_NAME, permissions, folder)
 
-    def document(self, *, overrides: Sequence[str] = (), drafts: Drafts = NO_DRAFTS, tests: bool = False) -> Document:
+    def document(
+        self, *, overrides: Sequence[str] = (), drafts: Drafts = NO_DRAFTS, tests: bool = False
+    ) -> Document:
         """The text of its scenario.
 
         Args:
             overrides: Assignments `path=value`, as for `--set`.
             drafts: What to read in the place of files, by their absolute paths.
-            tests: Whether to read `tests` and `tune` also with `overrides`, which may change what these sections name.
+            tests: Whether to read `tests` and `tune` also with `overrides`, which may change what these
+                sections name.
 
         Raises:
             UsageError: The file cannot be read.
@@ -151,20 +193,30 @@ class Source:
         else:
             path = self.scenario or self.path
             display = self.name if path == self.path else str(path)
-            document = load(path, overrides, display=display, permissions=permissions, drafts=drafts, project=self.project)
+            document = load(
+                path, overrides, display=display, permissions=permissions, drafts=drafts, project=self.project
+            )
         root = document.root
         if overrides and not tests and root is not None:
-            root = replace(root, entries={key: entry for key, entry in root.entries.items() if key not in (TESTS, TUNE)})
+            root = replace(
+                root, entries={key: entry for key, entry in root.entries.items() if key not in (TESTS, TUNE)}
+            )
         return replace(document, root=root)
 
-    def checked(self, *, overrides: Sequence[str] = (), drafts: Drafts = NO_DRAFTS, tests: bool = False) -> CheckedScenario:
+    def checked(
+        self, *, overrides: Sequence[str] = (), drafts: Drafts = NO_DRAFTS, tests: bool = False
+    ) -> CheckedScenario:
         """Its scenario, read and checked; arguments and errors are those of `document`."""
         return check(self.document(overrides=overrides, drafts=drafts, tests=tests))
 
 
 def folder_kind(path: Path) -> SourceKind | None:
     """Whether a folder is that of a run, of a group or of a study; None for any other path."""
-    names = ((GROUP_RECORD_NAME, SourceKind.GROUP), (RECORD_NAME, SourceKind.RUN), (STUDY_RECORD_NAME, SourceKind.STUDY))
+    names = (
+        (GROUP_RECORD_NAME, SourceKind.GROUP),
+        (RECORD_NAME, SourceKind.RUN),
+        (STUDY_RECORD_NAME, SourceKind.STUDY),
+    )
     for name, kind in names:
         if os.path.isfile(path / name):  # unlike `Path.is_file`, False for a folder that may not be entered
             return kind
@@ -187,31 +239,49 @@ def _hint(path: Path) -> str:
         return f"did you mean {elsewhere}? The current folder is {here}"
     names = shipped.scenario_names()
     if path.stem in names and len(path.parts) == 1:  # as in `cartpole.yaml`
-        return f"the shipped scenario is called `{path.stem}`; `deepbots new {path.stem} --from {path.stem}` copies it to {path.stem}.yaml"
+        return (
+            f"the shipped scenario is called `{path.stem}`; `deepbots new {path.stem} --from {path.stem}`"
+            f" copies it to {path.stem}.yaml"
+        )
     if _is_path_of_run(path):
         return f"the current folder is {here}; {_runs_there(here)}"
     near = nearest_word(path.stem, names)
     is_shipped = near is not None and is_typo(path.stem, near) and len(path.parts) == 1
     if path.suffix in (".yaml", ".yml") and not is_shipped:
         return f"the current folder is {here}{_scenario_files(here, path)}"
-    return f"did you mean {near}? (`deepbots scenarios` shows all)" if near else f"the shipped scenarios are: {', '.join(names)}"
+    return (
+        f"did you mean {near}? (`deepbots scenarios` shows all)"
+        if near
+        else f"the shipped scenarios are: {', '.join(names)}"
+    )
 
 
 def _runs_there(here: Path) -> str:
     """The runs in the folder `runs` of a folder, the newest first."""
     try:
-        folders = [Path(entry.path) for entry in islice(os.scandir(here / "runs"), _MAX_RUNS) if entry.is_dir()]
-        newest = sorted((folder for folder in folders if folder_kind(folder)), key=os.path.getmtime, reverse=True)
+        folders = [
+            Path(entry.path) for entry in islice(os.scandir(here / "runs"), _MAX_RUNS) if entry.is_dir()
+        ]
+        newest = sorted(
+            (folder for folder in folders if folder_kind(folder)), key=os.path.getmtime, reverse=True
+        )
     except OSError:
         newest = []
     if not newest:
         return "it has no runs: train one with `deepbots train SCENARIO`"
     more = ", and `deepbots runs` lists all" if len(newest) > _MAX_LISTED else ""
-    return f"its runs, the newest first, are {', '.join(str(run.relative_to(here)) for run in newest[:_MAX_LISTED])}{more}"
+    return (
+        "its runs, the newest first, are"
+        f" {', '.join(str(run.relative_to(here)) for run in newest[:_MAX_LISTED])}{more}"
+    )
 
 
 def _is_path_of_run(path: Path) -> bool:
-    return path.parts[:1] == ("runs",) or re.search(r"-\d+-\d+$|-seeds-\d+$|-tune-\d+$", path.name) is not None or path.suffix == ".zip"
+    return (
+        path.parts[:1] == ("runs",)
+        or re.search(r"-\d+-\d+$|-seeds-\d+$|-tune-\d+$", path.name) is not None
+        or path.suffix == ".zip"
+    )
 
 
 def _elsewhere(path: Path, here: Path) -> str | None:
@@ -223,11 +293,13 @@ def _elsewhere(path: Path, here: Path) -> str | None:
         for name in (path, with_runs):
             if (above / name).exists():
                 return os.path.relpath(above / name, here)
-    inside = path.relative_to(here.name) if path.parts[0] == here.name and len(path.parts) > 1 else None  # as `hw/mine.yaml` in hw
+    inside = (
+        path.relative_to(here.name) if path.parts[0] == here.name and len(path.parts) > 1 else None
+    )  # as `hw/mine.yaml` in hw
     if inside is not None and inside.exists():
         return str(inside)
-    found = None if _is_path_of_run(path) else files.find_in(here, path.name, depth=1)
-    return os.path.relpath(found, here) if found else None
+    near = None if _is_path_of_run(path) else files.find_in(here, path.name, depth=1)
+    return os.path.relpath(near, here) if near else None
 
 
 def _scenario_files(here: Path, path: Path) -> str:
@@ -237,4 +309,6 @@ def _scenario_files(here: Path, path: Path) -> str:
     near = nearest_word(path.stem, by_stem)
     if near:
         return f"; did you mean {by_stem[near]}?"
-    return f", whose .yaml files are {', '.join(names[:_MAX_LISTED])}" if names else ", which has no .yaml file"
+    return (
+        f", whose .yaml files are {', '.join(names[:_MAX_LISTED])}" if names else ", which has no .yaml file"
+    )

@@ -1,7 +1,7 @@
 """Worlds that go on side by side, a row for each agent: single ones, stepped in turn, or batches on arrays.
 
-When an episode of a world ends, its next one begins within the same step. A step of a light world costs tens of microseconds, less than
-handing it to another process would.
+When an episode of a world ends, its next one begins within the same step. A step of a light world costs tens
+of microseconds, less than handing it to another process would.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class Ending(NamedTuple):
 
 
 class WorldsStep(NamedTuple):
-    """A step of all rows; observations are those that the agents act on next. A batch has infos of ended episodes only."""
+    """A step of all rows; observations are those that the agents act on next. A batch has infos of ended
+    episodes only."""
 
     observations: Any
     rewards: Array
@@ -52,7 +53,9 @@ class HistoryRecorder(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(world)
         self.history = EpisodeHistory(0, [])
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         self.history = EpisodeHistory(random_state(self.env) if seed is None else seed, [])
         return self.env.reset(seed=seed, options=options)
 
@@ -62,17 +65,20 @@ class HistoryRecorder(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class Worlds:
-    """Single worlds, stepped in turn; world i starts from `seeds[i]` at the first reset and runs on from there.
+    """Single worlds, stepped in turn; world i starts from `seeds[i]` at the first reset and runs on from
+    there.
 
-    There is a row for each agent: one per world, or one for each copy of a robot in a world with several. An episode ends for all
-    copies when it ends for one. For the others it is truncated, and `ended_by` is `another_copy`.
+    There is a row for each agent: one per world, or one for each copy of a robot in a world with several. An
+    episode ends for all copies when it ends for one. For the others it is truncated, and `ended_by` is
+    `another_copy`.
 
     Args:
         worlds: The worlds, which are closed with this.
         seeds: The seed of each.
         on_step: Called after the step of each row.
         on_episode: Called after each episode of a row with the number of its world.
-        next_world: Called before a world begins its next episode. It may return a replacement world and its seed.
+        next_world: Called before a world begins its next episode. It may return a replacement world and its
+            seed.
     """
 
     def __init__(
@@ -99,10 +105,15 @@ class Worlds:
         """What the running episode of each world drew, by name."""
         self.observations: Any = None
         """Those that the agents act on next; None before the first reset."""
-        self._keys = list(self.observation_space.spaces) if isinstance(self.observation_space, gym.spaces.Dict) else None
+        self._keys = (
+            list(self.observation_space.spaces)
+            if isinstance(self.observation_space, gym.spaces.Dict)
+            else None
+        )
 
     def _agents_of(self, world: gym.Env[Any, Any]) -> list[Any]:
-        """The agents of a world, one per row. A world with a single agent is its own agent, so that its wrappers act too."""
+        """The agents of a world, one per row. A world with a single agent is its own agent, so that its
+        wrappers act too."""
         return list(world.get_wrapper_attr("agents").values()) if self._is_team else [world]
 
     @property
@@ -130,10 +141,14 @@ class Worlds:
         observations: list[Any] = []
         rewards, dones, infos, endings = [], [], [], []
         for index in range(len(self.worlds)):
-            action = actions[index * self._width : (index + 1) * self._width] if self._is_team else actions[index]
+            action = (
+                actions[index * self._width : (index + 1) * self._width] if self._is_team else actions[index]
+            )
             outcomes, done = self._act(index, action)
             seen = []
-            for row, (observation, reward, terminated, truncated, info) in enumerate(outcomes, index * self._width):
+            for row, (observation, reward, terminated, truncated, info) in enumerate(
+                outcomes, index * self._width
+            ):
                 reward = float(reward)
                 accumulator = self._accumulators[row]
                 accumulator.add(reward, info)
@@ -148,7 +163,13 @@ class Worlds:
                 infos.append(info)
             observations += self._go_on(index) if done else seen
         self.observations = self._stack(observations)
-        return WorldsStep(self.observations, np.array(rewards, dtype=np.float32), np.array(dones, dtype=bool), infos, endings)
+        return WorldsStep(
+            self.observations,
+            np.array(rewards, dtype=np.float32),
+            np.array(dones, dtype=bool),
+            infos,
+            endings,
+        )
 
     def _act(self, index: int, action: Any) -> tuple[list[Outcome], bool]:
         """A step of a world: the outcome of each row, and whether the episode is over."""
@@ -157,7 +178,9 @@ class Worlds:
         done = terminated or truncated
         if not self._is_team:
             return [(observation, float(reward), terminated, truncated, info)], done
-        return [(a.get_observations(), a.get_reward(), *a.is_done(), a.get_info()) for a in self._agents_of(world)], done
+        return [
+            (a.get_observations(), a.get_reward(), *a.is_done(), a.get_info()) for a in self._agents_of(world)
+        ], done
 
     def _go_on(self, index: int) -> list[Any]:
         """Begin the next episode of a world, or the first of the one that follows it."""
@@ -174,7 +197,9 @@ class Worlds:
         world = self.worlds[index]
         observation, info = world.reset(seed=seed)
         self.drawn[index] = info.get("drawn", {})
-        return [agent.get_observations() for agent in self._agents_of(world)] if self._is_team else [observation]
+        return (
+            [agent.get_observations() for agent in self._agents_of(world)] if self._is_team else [observation]
+        )
 
     def _stack(self, observations: list[Any]) -> Any:
         if self._keys is None:
@@ -190,7 +215,8 @@ class Worlds:
         return self.worlds[world].history.start
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> Any:
-        """Bring the worlds back to the moment at which `histories` were taken; the observations, which are the same if the physics is."""
+        """Bring the worlds back to the moment at which `histories` were taken; the observations, which are
+        the same if the physics is."""
         self._accumulators = [EpisodeAccumulator() for _ in self._accumulators]
         observations: list[Any] = []
         for index, history in enumerate(histories):
@@ -223,12 +249,18 @@ def _recorded(world: gym.Env[Any, Any]) -> HistoryRecorder:
 
 def has_copies(world: gym.Env[Any, Any]) -> bool:
     """Whether the agents of the world are copies of a robot, and not the world itself."""
-    return world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
+    return (
+        world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
+    )
 
 
 def observation_digest(observations: Any) -> str:
     """SHA-256 of observations, to the bit."""
-    parts = [observations[key] for key in sorted(observations)] if isinstance(observations, dict) else [observations]
+    parts = (
+        [observations[key] for key in sorted(observations)]
+        if isinstance(observations, dict)
+        else [observations]
+    )
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
 
 
@@ -236,9 +268,11 @@ def observation_digest(observations: Any) -> str:
 
 
 class BatchEpisodes:
-    """The running episodes of a batch, which it adds up as `EpisodeAccumulator` does for a single world; worlds may rest.
+    """The running episodes of a batch, which it adds up as `EpisodeAccumulator` does for a single world;
+    worlds may rest.
 
-    With `of_agents`, there is an episode for each copy of a robot, in the row of the batch, else one for each world.
+    With `of_agents`, there is an episode for each copy of a robot, in the row of the batch, else one for each
+    world.
     """
 
     def __init__(self, batch: BatchSupervisor, *, of_agents: bool = False) -> None:
@@ -256,7 +290,11 @@ class BatchEpisodes:
         """Act in the worlds that do not rest."""
         outcome = self.batch.advance(actions, self.resting if self.resting.any() else None)
         outcome = outcome if self._of_agents else self.batch.step_by_world(outcome)
-        self.add(outcome.rewards, outcome.terms, (~self.resting).repeat(self.batch.copies if self._of_agents else 1))
+        self.add(
+            outcome.rewards,
+            outcome.terms,
+            (~self.resting).repeat(self.batch.copies if self._of_agents else 1),
+        )
         return outcome
 
     def add(self, rewards: Array, terms: Array, running: Any = True) -> None:
@@ -265,7 +303,13 @@ class BatchEpisodes:
         self._lengths += running
         self._terms += np.where(running, terms, 0.0)
 
-    def close(self, row: int, info: Mapping[str, Any], seed: int | None = None, drawn: Mapping[str, Any] | None = None) -> Episode:
+    def close(
+        self,
+        row: int,
+        info: Mapping[str, Any],
+        seed: int | None = None,
+        drawn: Mapping[str, Any] | None = None,
+    ) -> Episode:
         """The finished episode of a row, given the info of its last step; the next one begins."""
         terms = dict(zip(self.batch.TERMS, self._terms[:, row].tolist(), strict=True))
         total, length = float(self.returns[row]), int(self._lengths[row])
@@ -275,7 +319,9 @@ class BatchEpisodes:
     def repeat(self, histories: Sequence[EpisodeHistory]) -> None:
         """Bring the worlds back to the moment at which `histories` were taken."""
         self.clear()
-        self.batch.restore(histories, lambda acting: self.add(self.batch.rewards(), self.batch.terms(), acting))
+        self.batch.restore(
+            histories, lambda acting: self.add(self.batch.rewards(), self.batch.terms(), acting)
+        )
 
 
 class LossRecorder(Protocol):
@@ -286,17 +332,19 @@ class LossRecorder(Protocol):
 
 
 class BatchWorlds(Worlds):
-    """The worlds of a batch, a row for each agent as in `Worlds`; world i starts from `seeds[i]` at the first reset and runs on from there.
+    """The worlds of a batch, a row for each agent as in `Worlds`; world i starts from `seeds[i]` at the first
+    reset and runs on from there.
 
-    In a curriculum, each world enters the next stage when its episode ends. There is a batch for each stage that worlds are in; the
-    others rest in it.
+    In a curriculum, each world enters the next stage when its episode ends. There is a batch for each stage
+    that worlds are in; the others rest in it.
 
     Args:
         build: Makes the worlds of a stage, by its number; they are closed with this.
         seeds: The seed of each.
         stages: The stage of each, which `next_seed` may change.
         on_step, on_episode: As for `Worlds`.
-        next_seed: Called before a world begins another episode; gives a seed if it begins one of another stage.
+        next_seed: Called before a world begins another episode; gives a seed if it begins one of another
+            stage.
         recorder: Keeps the episodes of worlds that fail.
     """
 
@@ -350,7 +398,9 @@ class BatchWorlds(Worlds):
         seen = first.batch.observations()
         for stage, episodes in others:
             rows, more = self._rows_in(stage), episodes.batch.observations()
-            for mine, other in zip(seen.values(), more.values(), strict=True) if isinstance(seen, dict) else [(seen, more)]:
+            for mine, other in (
+                zip(seen.values(), more.values(), strict=True) if isinstance(seen, dict) else [(seen, more)]
+            ):
                 mine[rows] = other[rows]
         return seen
 
@@ -368,11 +418,11 @@ class BatchWorlds(Worlds):
         ended: dict[int, tuple[int, BatchStep, BatchEpisodes]] = {}
         for stage, episodes in self._batches.items():
             acting, episodes.resting = self._rows_in(stage), ~self._in(stage)
-            known = len(episodes.batch.losses)
+            losses_before = len(episodes.batch.losses)
             with self._recording_failures(stage):
                 outcome = episodes.step_all(actions)
             if self._recorder is not None:
-                for loss in episodes.batch.losses[known:]:
+                for loss in episodes.batch.losses[losses_before:]:
                     self._recorder.record_lost(stage, loss, episodes.batch.snapshot()[loss.world])
             rewards[acting] = outcome.rewards[acting]
             dones[outcome.done] = True
@@ -384,7 +434,9 @@ class BatchWorlds(Worlds):
             if row in ended:
                 place, outcome, episodes = ended[row]
                 infos[row], world = outcome.infos[place], row // self._width
-                episode = episodes.close(row, _own(infos[row], outcome.terminated[row] or outcome.truncated[row]))
+                episode = episodes.close(
+                    row, _own(infos[row], outcome.terminated[row] or outcome.truncated[row])
+                )
                 self._on_episode(world, episode)
                 seen = by_part(itemgetter(place), outcome.final_observations)
                 endings.append(Ending(row, episode, seen, not outcome.terminated[row]))
@@ -408,11 +460,14 @@ class BatchWorlds(Worlds):
         except DeepbotsError:
             if self._recorder is not None:
                 histories = self._batch_of(stage).snapshot()
-                self._recorder.record_failed(stage, [histories[world] for world, own in enumerate(self.stages) if own == stage])
+                self._recorder.record_failed(
+                    stage, [histories[world] for world, own in enumerate(self.stages) if own == stage]
+                )
             raise
 
     def _begin_in(self, stage: int, beginning: Sequence[tuple[int, int | None]]) -> None:
-        """Let worlds begin an episode in a stage; the first ones that enter it find the others at rest there."""
+        """Let worlds begin an episode in a stage; the first ones that enter it find the others at rest
+        there."""
         is_new, worlds = stage not in self._batches, self._batch_of(stage)
         with self._recording_failures(stage):
             if is_new:
@@ -433,7 +488,10 @@ class BatchWorlds(Worlds):
             inside = self._in(stage)
             self._batch_of(stage)
             self._batches[stage].repeat(
-                [history if inside[world] else EpisodeHistory(self.starts[world], []) for world, history in enumerate(histories)]
+                [
+                    history if inside[world] else EpisodeHistory(self.starts[world], [])
+                    for world, history in enumerate(histories)
+                ]
             )
         return self._begun()
 

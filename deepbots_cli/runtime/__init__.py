@@ -1,7 +1,9 @@
 """What generated code runs on.
 
-supervisor.py  bases of the generated classes: the supervisor, a Gymnasium environment, and the robot controllers
-copies.py      copies of a robot in one world: a supervisor for each, and that of all; the engine of a batch of such worlds
+supervisor.py  bases of the generated classes: the supervisor, a Gymnasium environment, and the robot
+controllers
+copies.py      copies of a robot in one world: a supervisor for each, and that of all; the engine of a batch
+               of such worlds
 spaces.py      action and observation spaces, actions in their forms, frame stacks, rewards for other goals
 observing.py   observations from named values, without a world
 formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python
@@ -12,7 +14,8 @@ paths.py       shortest paths around solid objects; painted lines: places beside
 overview.py    a camera that sees the whole scene
 actuation.py   actuators that are more than a motor of the engine, and pushes
 sensing.py     sensors that are sampled once per tick, with their faults; readers.py what each kind measures
-batch.py       base of the generated supervisor of a batch of worlds; columns.py its functions, devices.py its sensors
+batch.py       base of the generated supervisor of a batch of worlds; columns.py its functions, devices.py its
+               sensors
 vector.py      a batch as a vector environment of Gymnasium
 
 Nothing here reads YAML or knows an engine beyond the port.

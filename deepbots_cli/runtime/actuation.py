@@ -1,4 +1,5 @@
-"""Actuators that are more than a motor of the engine, because they act in every substep or change from episode to episode; and pushes.
+"""Actuators that are more than a motor of the engine, because they act in every substep or change from
+episode to episode; and pushes.
 
 Response               what of its commands an actuator follows: delay, lag, limited rates
 Motor, Cartesian       joints that are driven together, and arms that bring a link to a position
@@ -28,16 +29,22 @@ PerJoint = float | Sequence[float]
 class Response:
     """The response of an actuator to its commands, from substep to substep.
 
-    A command takes effect in the first substep that begins `delay` after it was sent, or later. From there on what is
-    followed approaches it: in a substep of h seconds by the share 1 - exp(-h / time_constant) of what is left, a lag of
-    first order exactly, and by at most `rate` * h. It starts from what `initial_value` says when the first command takes effect.
+    A command takes effect in the first substep that begins `delay` after it was sent, or later. From there on
+    what is followed approaches it: in a substep of h seconds by the share 1 - exp(-h / time_constant) of what
+    is left, a lag of first order exactly, and by at most `rate` * h. It starts from what `initial_value` says
+    when the first command takes effect.
 
-    `delay` and `time_constant` are in s, `rates` in units of the command per s, one per component; they are in force from the
-    next `reset`. A negative one, such as a normal distribution may draw, counts as 0.
+    `delay` and `time_constant` are in s, `rates` in units of the command per s, one per component; they are
+    in force from the next `reset`. A negative one, such as a normal distribution may draw, counts as 0.
     """
 
     def __init__(
-        self, substep: float, initial_value: InitialValue, delay: float = 0.0, time_constant: float = 0.0, rates: Sequence[float] = ()
+        self,
+        substep: float,
+        initial_value: InitialValue,
+        delay: float = 0.0,
+        time_constant: float = 0.0,
+        rates: Sequence[float] = (),
     ) -> None:
         """`substep` is the length of one, s; without `rates` a command may jump."""
         self.delay = delay
@@ -93,9 +100,9 @@ class Response:
 class Motor:
     """Joints that are driven together; called with one target per joint.
 
-    What `strength` multiplies is the torque or force that the motor would exert without it: its limit, the gains of
-    its spring, the target of a torque motor. Strength, limits and gains may be set between two episodes and are in
-    force from the next `reset`.
+    What `strength` multiplies is the torque or force that the motor would exert without it: its limit, the
+    gains of its spring, the target of a torque motor. Strength, limits and gains may be set between two
+    episodes and are in force from the next `reset`.
     """
 
     def __init__(
@@ -116,7 +123,8 @@ class Motor:
     ) -> None:
         """`rates` bounds how fast targets change, in their unit per s.
 
-        With `substep`, the length of one in s, the motor follows its commands in every substep; without, at once.
+        With `substep`, the length of one in s, the motor follows its commands in every substep; without, at
+        once.
         """
         self.max_torque = max_torque
         self.stiffness = stiffness
@@ -125,7 +133,9 @@ class Motor:
         self._engine, self._kind, self._robot, self._joints = engine, kind, robot, joints
         self._states = engine.joint_states(robot, joints)
         self._bound: object = None
-        self.response = None if substep is None else Response(substep, self._rest, delay, time_constant, rates)
+        self.response = (
+            None if substep is None else Response(substep, self._rest, delay, time_constant, rates)
+        )
         self.reset()
         if self.response is not None:
             engine.before_substep(self._act)
@@ -171,13 +181,26 @@ class Motor:
 
     def _bind(self) -> None:
         self._shares = [max(0.0, strength) for strength in self._each(self.strength)]
-        limits = [share * limit if limit < inf else inf for share, limit in zip(self._shares, self._each(self.max_torque), strict=True)]
-        gains = (self._scaled(self.stiffness), self._scaled(self.damping)) if self._kind == "position_motor" else ()
-        self._write: MotorWriter = getattr(self._engine, self._kind)(self._robot, self._joints, limits, *gains)
+        limits = [
+            share * limit if limit < inf else inf
+            for share, limit in zip(self._shares, self._each(self.max_torque), strict=True)
+        ]
+        gains = (
+            (self._scaled(self.stiffness), self._scaled(self.damping))
+            if self._kind == "position_motor"
+            else ()
+        )
+        self._write: MotorWriter = getattr(self._engine, self._kind)(
+            self._robot, self._joints, limits, *gains
+        )
 
     def _scaled(self, gain: PerJoint | None) -> list[float] | None:
         """A gain of the spring in each joint, as strong as that motor is."""
-        return None if gain is None else [share * max(0.0, each) for share, each in zip(self._shares, self._each(gain), strict=True)]
+        return (
+            None
+            if gain is None
+            else [share * max(0.0, each) for share, each in zip(self._shares, self._each(gain), strict=True)]
+        )
 
     def _each(self, values: PerJoint) -> Sequence[float]:
         return (values,) * len(self._joints) if isinstance(values, (int, float)) else values
@@ -186,8 +209,9 @@ class Motor:
 class Cartesian(Motor):
     """Brings the origin of a link to a position (m, world frame); called with x, y and z.
 
-    Joint positions are computed once per command, from where the joints are and within their ranges; what is out of
-    reach is approached. The engine's servo then drives the joints there, with the delay, time constant and rates of a `Motor`.
+    Joint positions are computed once per command, from where the joints are and within their ranges; what is
+    out of reach is approached. The engine's servo then drives the joints there, with the delay, time constant
+    and rates of a `Motor`.
     """
 
     def __init__(
@@ -201,11 +225,13 @@ class Cartesian(Motor):
         rpy: tuple[float, float, float] | None = None,
         **response: Any,
     ) -> None:
-        """`rpy` (rad) is the attitude that the link keeps; without, it may have any. `response` are further arguments of a `Motor`."""
+        """`rpy` (rad) is the attitude that the link keeps; without, it may have any. `response` are further
+        arguments of a `Motor`."""
         self._solve = engine.inverse_kinematics((robot, link), joints)
         self.attitude = None if rpy is None else quaternion(*rpy)
         self.watch: Callable[[Triple, Sequence[float]], object] | None = None
-        """Called with the position of each command (m, world frame) and the joint positions computed for it (rad or m)."""
+        """Called with the position of each command (m, world frame) and the joint positions computed for it
+        (rad or m)."""
         super().__init__(engine, "position_motor", robot, joints, max_torque, **response)
 
     def __call__(self, targets: Sequence[float]) -> None:
@@ -226,10 +252,10 @@ def _nothing() -> None:
 class ControlLaw(NamedTuple):
     """How an actuator answers its commands.
 
-    `act` is called before every engine step, from the first command on. It gets the command in SI units, one value per joint, after
-    delay and time constant, and returns the torque (N m) or force (N) on each joint; strength and `max_torque` are applied to it.
-    `restart` begins an episode. `rest` gives the command that keeps the joints where they are until the first one; without it the
-    actuator exerts nothing until then.
+    `act` is called before every engine step, from the first command on. It gets the command in SI units, one
+    value per joint, after delay and time constant, and returns the torque (N m) or force (N) on each joint;
+    strength and `max_torque` are applied to it. `restart` begins an episode. `rest` gives the command that
+    keeps the joints where they are until the first one; without it the actuator exerts nothing until then.
     """
 
     act: Callable[[Sequence[float]], Sequence[float]]
@@ -238,7 +264,8 @@ class ControlLaw(NamedTuple):
 
 
 class Site(NamedTuple):
-    """An actuator in a world: what its kind's `drive` makes a control law from. `substep` is the length of an engine step, s."""
+    """An actuator in a world: what its kind's `drive` makes a control law from. `substep` is the length of an
+    engine step, s."""
 
     engine: Engine
     robot: str
@@ -302,17 +329,20 @@ class CustomMotor(Motor):
 # Forces on links
 
 Rotor = tuple[str, Triple, Triple, float]
-"""The link that carries it, its place and axis in the frame of that link, and its moment constant (m), negative for the other sense."""
+"""The link that carries it, its place and axis in the frame of that link, and its moment constant (m),
+negative for the other sense."""
 
 
 class Thrust:
     """Pushes links in every substep; called with one thrust (N) per rotor.
 
-    A thrust t along the axis comes with a torque moment_constant * t (N m) about it, which is what the air does to the link:
-    positive for a rotor that turns clockwise seen from the tip of the axis. `strength` multiplies both, and is in force
-    from the next `reset`. Until the first command takes effect rotors stand still.
+    A thrust t along the axis comes with a torque moment_constant * t (N m) about it, which is what the air
+    does to the link: positive for a rotor that turns clockwise seen from the tip of the axis. `strength`
+    multiplies both, and is in force from the next `reset`. Until the first command takes effect rotors stand
+    still.
 
-    All rotors on one link make one force and one torque; with four of them, pushing each by itself took seven times as long.
+    All rotors on one link make one force and one torque; with four of them, pushing each by itself took seven
+    times as long.
     """
 
     def __init__(
@@ -345,7 +375,13 @@ class Thrust:
         """The link of each rotor, and force and torque on it per thrust that is commanded."""
         for (carrier, place, axis, moment_constant), each in zip(self._rotors, strengths, strict=True):
             force = frames.scaled(axis, max(0.0, each))
-            self._effects.append((carrier, force, frames.add(frames.cross(place, force), frames.scaled(force, moment_constant))))
+            self._effects.append(
+                (
+                    carrier,
+                    force,
+                    frames.add(frames.cross(place, force), frames.scaled(force, moment_constant)),
+                )
+            )
         self._loads: list[tuple[Pusher, Triple, Triple]] = []
         self.response.reset()
 
@@ -374,14 +410,15 @@ class Thrust:
 
 
 Draw = Callable[[], tuple[Triple, Triple, float, float]]
-"""Force (N), torque (N m), how long they act (s), and how long after the beginning of this push the next begins (s)."""
+"""Force (N), torque (N m), how long they act (s), and how long after the beginning of this push the next
+begins (s)."""
 
 
 class Push:
     """Pushes a link now and then, in the axes of the world, in every substep while a push lasts.
 
-    A push begins in the first substep at or after its time. One that ends within a substep acts in it with the share
-    that is left, so that momentum is force times duration whatever the substep.
+    A push begins in the first substep at or after its time. One that ends within a substep acts in it with
+    the share that is left, so that momentum is force times duration whatever the substep.
     """
 
     def __init__(self, engine: Engine, part: Part, draw: Draw, substep: float) -> None:

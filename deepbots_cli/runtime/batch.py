@@ -1,9 +1,9 @@
 """The supervisor of a batch: many worlds of one scenario, acted on, observed and scored as arrays.
 
-Each world of a batch is a single world with its supervisor, which resets it. Generated code for a batch computes each step over
-columns, arrays with one number per world. When an episode begins, the batch copies the state of the single world into the columns:
-memories of functions, drawn parameters, readings. A function without a form over columns is called in each single world in turn
-(`PerWorldCall`).
+Each world of a batch is a single world with its supervisor, which resets it. Generated code for a batch
+computes each step over columns, arrays with one number per world. When an episode begins, the batch copies
+the state of the single world into the columns: memories of functions, drawn parameters, readings. A function
+without a form over columns is called in each single world in turn (`PerWorldCall`).
 """
 
 from __future__ import annotations
@@ -35,10 +35,12 @@ NOT_FINITE = "not_finite"
 
 
 class BatchStep(NamedTuple):
-    """The result of a step, one row per agent, or one per world; observations are those that the agent acts on next.
+    """The result of a step, one row per agent, or one per world; observations are those that the agent acts
+    on next.
 
-    `terms` has a row per term of the reward and a column per agent. `done` holds the numbers of the rows whose episode ended,
-    `final_observations` their last observations, `infos` their infos. Their next episodes have begun.
+    `terms` has a row per term of the reward and a column per agent. `done` holds the numbers of the rows
+    whose episode ended, `final_observations` their last observations, `infos` their infos. Their next
+    episodes have begun.
     """
 
     observations: Any
@@ -52,7 +54,8 @@ class BatchStep(NamedTuple):
 
 
 class LostWorld(NamedTuple):
-    """A world that was no longer finite: its number, the seed of its random generators, the step of its episode, and the error."""
+    """A world that was no longer finite: its number, the seed of its random generators, the step of its
+    episode, and the error."""
 
     world: int
     seed: int
@@ -60,11 +63,14 @@ class LostWorld(NamedTuple):
     error: str
 
     def __str__(self) -> str:
-        return f"world {self.world} (seed {self.seed}) became infinite or NaN in step {self.step} and was reset"
+        return (
+            f"world {self.world} (seed {self.seed}) became infinite or NaN in step {self.step} and was reset"
+        )
 
 
 class EpisodeHistory(NamedTuple):
-    """The running episode of a world: its seed or the states of its random generators when it began, and the actions since then.
+    """The running episode of a world: its seed or the states of its random generators when it began, and the
+    actions since then.
 
     Physics engines have no exact snapshot. An episode is brought back by the same start and the same actions.
     """
@@ -84,11 +90,11 @@ class PerWorldCall:
             return stack_worlds([function() for function in self._functions])
         rows = zip(*(_rows(argument, len(self._functions)) for argument in arguments), strict=True)
         chosen = self._engine.write_mask
-        given = [
+        by_world = [
             function(*row) if chosen is None or chosen[world] else None
             for world, (function, row) in enumerate(zip(self._functions, rows, strict=True))
         ]
-        return None if given[0] is None else stack_worlds(given)
+        return None if by_world[0] is None else stack_worlds(by_world)
 
 
 def _rows(argument: Any, count: int) -> list[Any]:
@@ -101,7 +107,8 @@ def _rows(argument: Any, count: int) -> list[Any]:
 
 
 class BatchChannel:
-    """A channel that delivers each message in the timestep in which it was sent; all formats carry numbers exactly."""
+    """A channel that delivers each message in the timestep in which it was sent; all formats carry numbers
+    exactly."""
 
     def __init__(self) -> None:
         self._message: Any = ()
@@ -129,17 +136,23 @@ class BatchLossyChannel:
 
     def send(self, message: Any) -> None:
         count = len(self._channels)
-        messages = zip(*(_rows(field, count) for field in message), strict=True) if message else iter([()] * count)
+        messages = (
+            zip(*(_rows(field, count) for field in message), strict=True) if message else iter([()] * count)
+        )
         running = self._batch.running
         for world, (channel, one) in enumerate(zip(self._channels, messages, strict=True)):
             if running is None or running[world]:
                 channel.send(one)
 
     def newest(self) -> Any:
-        return [stack_worlds(values) for values in zip(*(channel.newest() for channel in self._channels), strict=True)]
+        return [
+            stack_worlds(values)
+            for values in zip(*(channel.newest() for channel in self._channels), strict=True)
+        ]
 
     def receive(self) -> Iterator[Any]:
-        """First the first message of each world that got one, then the second; meanwhile motors of the others are left alone."""
+        """First the first message of each world that got one, then the second; meanwhile motors of the others
+        are left alone."""
         arrived = [channel.receive() for channel in self._channels]
         for number in range(max(map(len, arrived))):
             having = np.array([len(messages) > number for messages in arrived])
@@ -151,10 +164,12 @@ class BatchLossyChannel:
 
 
 class _BatchPart:
-    """Base of supervisor and controllers, which take over from those of the single worlds when an episode begins."""
+    """Base of supervisor and controllers, which take over from those of the single worlds when an episode
+    begins."""
 
     STATE: tuple[str, ...] = ()
-    """The attributes whose columns begin with what the single worlds have: drawn values, and values that the next step reads."""
+    """The attributes whose columns begin with what the single worlds have: drawn values, and values that the
+    next step reads."""
 
     def __init__(self, singles: Sequence[Any], batch: BatchSupervisor) -> None:
         self._singles, self._batch = singles, batch
@@ -166,9 +181,11 @@ class _BatchPart:
 
     def memory(self, attribute: str) -> BatchMemory:
         """The memory of a stateful function."""
-        made = BatchMemory([getattr(single, attribute) for single in self._singles], lambda: self._batch.engine.write_mask)
-        self._loaded.append(made)
-        return made
+        memory = BatchMemory(
+            [getattr(single, attribute) for single in self._singles], lambda: self._batch.engine.write_mask
+        )
+        self._loaded.append(memory)
+        return memory
 
     def take_over(self, worlds: Sequence[int]) -> None:
         """Begin with what the single worlds began with."""
@@ -182,7 +199,11 @@ class _BatchPart:
         for name in names:
             values = np.array([getattr(self._singles[world], name) for world in worlds]).T
             is_new = len(worlds) == count or not hasattr(self, name)
-            column = np.zeros((*values.shape[:-1], count), values.dtype) if is_new else columns_array(getattr(self, name), count)
+            column = (
+                np.zeros((*values.shape[:-1], count), values.dtype)
+                if is_new
+                else columns_array(getattr(self, name), count)
+            )
             column[..., worlds] = values
             setattr(self, name, column)
 
@@ -208,20 +229,27 @@ class BatchController(_BatchPart):
     def device(self, name: str) -> BatchDevice:
         """The devices behind a sensor."""
         sensor: Sensor = next(sensor for sensor in self._singles[0].spec.sensors if sensor.name == name)
-        made = BatchDevice([single.devices[name] for single in self._singles], sensor, self._singles[0].spec.name, self._batch)
-        self._loaded.append(made)
-        self.devices[name] = made
-        return made
+        device = BatchDevice(
+            [single.devices[name] for single in self._singles],
+            sensor,
+            self._singles[0].spec.name,
+            self._batch,
+        )
+        self._loaded.append(device)
+        self.devices[name] = device
+        return device
 
     def observe(self) -> None:
         """Sample what is sampled once per tick."""
 
 
 class BatchSupervisor(_BatchPart, ABC):
-    """Base of the generated supervisors of a batch, over single supervisors and the engine that holds all of their worlds.
+    """Base of the generated supervisors of a batch, over single supervisors and the engine that holds all of
+    their worlds.
 
-    A row of columns, observations and actions is an agent. Where worlds have copies of a robot, each world has a row for each copy, and
-    the episode ends for all of them when it ends for one. `by_world` turns rows into what the single worlds take and give.
+    A row of columns, observations and actions is an agent. Where worlds have copies of a robot, each world
+    has a row for each copy, and the episode ends for all of them when it ends for one. `by_world` turns rows
+    into what the single worlds take and give.
     """
 
     TERMS: tuple[str, ...] = ()
@@ -229,7 +257,12 @@ class BatchSupervisor(_BatchPart, ABC):
     def __init__(self, singles: Sequence[Supervisor], engine: BatchEngine) -> None:
         super().__init__([agent for single in singles for agent in single.agents.values()], self)
         first: Supervisor = self._singles[0]
-        self.singles, self.engine, self.scenario, self.count = singles, engine, first.scenario, len(self._singles)
+        self.singles, self.engine, self.scenario, self.count = (
+            singles,
+            engine,
+            first.scenario,
+            len(self._singles),
+        )
         self.copies = self.count // len(singles)
         """The rows of a world."""
         self._has_copies = self.scenario.agent.copies is not None
@@ -241,7 +274,8 @@ class BatchSupervisor(_BatchPart, ABC):
         self._errors: dict[int, str] = {}
         self._starts: list[int | dict[str, Any]] = [0] * len(singles)
         self._first = np.zeros(len(singles), int)
-        """Of each world, how its episode began, and the place of its first action in `_actions`, those of all worlds (`by_world`)."""
+        """Of each world, how its episode began, and the place of its first action in `_actions`, those of all
+        worlds (`by_world`)."""
         self._actions: list[Any] = []
         self._views = frame_indices(self.scenario.agent)
         self.depth, self.newest = len(self._views), 0
@@ -260,13 +294,16 @@ class BatchSupervisor(_BatchPart, ABC):
     def _forget(self) -> None:
         count = self.count
         self.running: Column | None = None
-        """The rows that take part in this tick, as truth values; None for all. `_acting` are those of the step."""
+        """The rows that take part in this tick, as truth values; None for all. `_acting` are those of the
+        step."""
         self._acting: Column | None = None
         self.step_count, self.timestep_count = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.reward: Any = np.zeros(count)
         self.previous_reward: Any = np.zeros(count)
         self.episode_return: Any = np.zeros(count)
-        self.terminated, self.truncated, self.is_success, self._lost = (np.zeros(count, bool) for _ in range(4))
+        self.terminated, self.truncated, self.is_success, self._lost = (
+            np.zeros(count, bool) for _ in range(4)
+        )
         self._holds: dict[str, Column] = {}
         self._limit = ""
         self._fresh = [True] * count
@@ -283,25 +320,33 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def robot(self, name: str, controller: type[BatchController]) -> Any:
         """The controllers of a robot."""
-        made = self.controllers[name] = controller([single.controllers[name] for single in self._singles], self)
-        return made
+        robot = self.controllers[name] = controller(
+            [single.controllers[name] for single in self._singles], self
+        )
+        return robot
 
     def channel(self, name: str, direction: Direction) -> BatchChannel:
         """The paths of messages to or from a robot, where they are direct."""
-        made = self.channels[name, direction] = BatchChannel()
-        return made
+        channel = self.channels[name, direction] = BatchChannel()
+        return channel
 
     def lossy_channel(self, name: str, direction: Direction) -> BatchLossyChannel:
         """The paths of messages to or from a robot, where messages come late or may be lost."""
         attribute = f"{'to' if direction == 'to_robot' else 'from'}_{name}"
-        made = self.channels[name, direction] = BatchLossyChannel([getattr(single, attribute) for single in self._singles], self)
-        return made
+        channel = self.channels[name, direction] = BatchLossyChannel(
+            [getattr(single, attribute) for single in self._singles], self
+        )
+        return channel
 
     # Rows and worlds
 
     def rows_of(self, worlds: Any) -> Any:
         """The numbers of the rows of these worlds."""
-        return worlds if self.copies == 1 else (self.copies * np.asarray(worlds)[:, None] + np.arange(self.copies)).ravel()
+        return (
+            worlds
+            if self.copies == 1
+            else (self.copies * np.asarray(worlds)[:, None] + np.arange(self.copies)).ravel()
+        )
 
     def by_row(self, values: Any) -> Any:
         """Actions or observations of worlds with a row per agent."""
@@ -310,15 +355,23 @@ class BatchSupervisor(_BatchPart, ABC):
     def by_world(self, values: Any) -> Any:
         """Actions or observations with a row per agent as those of worlds."""
         copies = self.copies
-        return by_part(lambda part: part.reshape(-1, copies, *part.shape[1:]), values) if self._has_copies else values
+        return (
+            by_part(lambda part: part.reshape(-1, copies, *part.shape[1:]), values)
+            if self._has_copies
+            else values
+        )
 
     def step_by_world(self, step: BatchStep) -> BatchStep:
         """The result of a step with a row per world, as the single worlds give it."""
         if not self._has_copies:
             return step
         copies = self.copies
-        rewards, *terms = (reduce(operator.add, row.reshape(-1, copies).T) / copies for row in (step.rewards, *step.terms))
-        terminated, truncated = (np.any(column.reshape(-1, copies), axis=1) for column in (step.terminated, step.truncated))
+        rewards, *terms = (
+            reduce(operator.add, row.reshape(-1, copies).T) / copies for row in (step.rewards, *step.terms)
+        )
+        terminated, truncated = (
+            np.any(column.reshape(-1, copies), axis=1) for column in (step.terminated, step.truncated)
+        )
         results = [
             CopyResult(float(step.rewards[row]), bool(step.terminated[row]), bool(step.truncated[row]), info)
             for row, info in zip(step.done.tolist(), step.infos, strict=True)
@@ -341,7 +394,8 @@ class BatchSupervisor(_BatchPart, ABC):
     # Course
 
     def reset(self, seeds: Sequence[int | None], options: dict[str, Any] | None = None) -> Any:
-        """Begin an episode in all worlds, each with a seed of its own or going on with its streams; the observations.
+        """Begin an episode in all worlds, each with a seed of its own or going on with its streams; the
+        observations.
 
         Args:
             options: Values of this episode in place of draws, the same in all worlds.
@@ -358,16 +412,16 @@ class BatchSupervisor(_BatchPart, ABC):
     def step(self, action: Any) -> BatchStep:
         """One step of all worlds; episodes that end are followed by new ones at once.
 
-        A world that is no longer finite is truncated by `not_finite` with a reward of 0. It begins anew, and is told in `losses` and as a
-        warning.
+        A world that is no longer finite is truncated by `not_finite` with a reward of 0. It begins anew, and
+        is told in `losses` and as a warning.
 
         Raises:
-            EvaluationError: An expression has no value in a world that is finite, all options of a choice are forbidden, or an episode
-                would end before its first step.
+            EvaluationError: An expression has no value in a world that is finite, all options of a choice are
+                forbidden, or an episode would end before its first step.
         """
-        known = len(self.losses)
+        losses_before = len(self.losses)
         outcome = self.advance(action)
-        for loss in self.losses[known:]:
+        for loss in self.losses[losses_before:]:
             warnings.warn(str(loss), RuntimeWarning, stacklevel=3)
         if not len(outcome.done):
             return outcome
@@ -376,7 +430,8 @@ class BatchSupervisor(_BatchPart, ABC):
         return outcome._replace(observations=self.observations())
 
     def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
-        """One step of all worlds but those that are `resting` (truth values), whose episodes have ended; no episode begins."""
+        """One step of all worlds but those that are `resting` (truth values), whose episodes have ended; no
+        episode begins."""
         action = by_part(np.array, action)
         self._actions.append(self.by_world(action))
         resting = None if resting is None else resting.repeat(self.copies)
@@ -397,8 +452,11 @@ class BatchSupervisor(_BatchPart, ABC):
         last, infos = by_part(itemgetter(done), observations), [self.info(world) for world in done.tolist()]
         return BatchStep(observations, rewards, terms, terminated, truncated, done, last, infos)
 
-    def begin(self, worlds: Sequence[int], seeds: Sequence[int | None], options: dict[str, Any] | None = None) -> None:
-        """Let some worlds begin episodes, each with a seed of its own or going on with its streams, and with the same `options`."""
+    def begin(
+        self, worlds: Sequence[int], seeds: Sequence[int | None], options: dict[str, Any] | None = None
+    ) -> None:
+        """Let some worlds begin episodes, each with a seed of its own or going on with its streams, and with
+        the same `options`."""
         for world, seed in zip(worlds, seeds, strict=True):
             single = self.singles[world]
             self._starts[world] = single.random_state() if seed is None else seed
@@ -410,19 +468,26 @@ class BatchSupervisor(_BatchPart, ABC):
         self._take_over_from(worlds)
 
     def snapshot(self) -> list[EpisodeHistory]:
-        """The running episode of each world, from which `restore` goes on; its size is proportional to the number of actions."""
+        """The running episode of each world, from which `restore` goes on; its size is proportional to the
+        number of actions."""
         begun = enumerate(zip(self._starts, self._first, strict=True))
-        return [EpisodeHistory(start, [by_part(itemgetter(w), each) for each in self._actions[first:]]) for w, (start, first) in begun]
+        return [
+            EpisodeHistory(start, [by_part(itemgetter(w), each) for each in self._actions[first:]])
+            for w, (start, first) in begun
+        ]
 
     def start_of(self, world: int) -> int | dict[str, Any]:
         """How the running episode of a world began."""
         return self._starts[world]
 
-    def restore(self, episodes: Sequence[EpisodeHistory], on_step: Callable[[Column], None] = lambda acting: None) -> Any:
-        """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats its actions.
+    def restore(
+        self, episodes: Sequence[EpisodeHistory], on_step: Callable[[Column], None] = lambda acting: None
+    ) -> Any:
+        """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats
+        its actions.
 
-        All end in the same step, so that short ones begin late. `on_step` is called after each step with the rows that repeated an action
-        in it, as truth values.
+        All end in the same step, so that short ones begin late. `on_step` is called after each step with the
+        rows that repeated an action in it, as truth values.
 
         Returns:
             The observations.
@@ -441,7 +506,10 @@ class BatchSupervisor(_BatchPart, ABC):
                 self._take_over_from(begun)
             if step < last:
                 places = [step - last + len(episode.actions) for episode in episodes]
-                rows = [episode.actions[place] if place >= 0 else idle for place, episode in zip(places, episodes, strict=True)]
+                rows = [
+                    episode.actions[place] if place >= 0 else idle
+                    for place, episode in zip(places, episodes, strict=True)
+                ]
                 self._actions.append(joined(rows))
                 with np.errstate(all="ignore"):
                     self._advance(self.by_row(self._actions[-1]))
@@ -463,7 +531,8 @@ class BatchSupervisor(_BatchPart, ABC):
             if self.forbids_options:
                 for mask, allowed in zip(self._allowed.values(), single.allowed(), strict=True):
                     mask[:, row] = allowed
-        counts, ends = ("step_count", "timestep_count", "reward", "previous_reward", "episode_return"), ("terminated", "truncated")
+        counts = ("step_count", "timestep_count", "reward", "previous_reward", "episode_return")
+        ends = ("terminated", "truncated")
         for name in (*counts, *ends, "is_success", "_lost"):
             column = columns_array(getattr(self, name), self.count)
             column[rows] = 0
@@ -474,7 +543,11 @@ class BatchSupervisor(_BatchPart, ABC):
         lost = self._lost
         for world in np.flatnonzero(lost[:: self.copies]).tolist():
             error = self._errors.pop(world, "the state became infinite or NaN")
-            self.losses.append(LostWorld(world, self.singles[world].streams.root, int(self.step_count[world * self.copies]), error))
+            self.losses.append(
+                LostWorld(
+                    world, self.singles[world].streams.root, int(self.step_count[world * self.copies]), error
+                )
+            )
         self.reward = np.where(lost, 0.0, self.reward)
         self.terminated, self.truncated = self.terminated & ~lost, self.truncated | lost
         self.is_success = self.is_success & ~lost
@@ -482,11 +555,20 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def info(self, row: int) -> dict[str, Any]:
         """The info of a row for the last step of an episode, as its agent gives it."""
-        held = tuple(name for name, column in self._holds.items() if column[row]) if self.terminated[row] else ()
+        held = (
+            tuple(name for name, column in self._holds.items() if column[row]) if self.terminated[row] else ()
+        )
         if self.truncated[row]:
             held = (NOT_FINITE if self._lost[row] else self._limit,)
-        terms = {name: float(np.broadcast_to(getattr(self, f"term_{name}"), self.count)[row]) for name in self.TERMS}
-        info = {"is_success": bool(self.is_success[row]), "ended_by": held[0] if held else None, "endings": held}
+        terms = {
+            name: float(np.broadcast_to(getattr(self, f"term_{name}"), self.count)[row])
+            for name in self.TERMS
+        }
+        info = {
+            "is_success": bool(self.is_success[row]),
+            "ended_by": held[0] if held else None,
+            "endings": held,
+        }
         masks = {"action_mask": self.action_mask(row)} if self.forbids_options else {}
         return {**info, **masks, "reward_terms": terms}
 
@@ -508,7 +590,11 @@ class BatchSupervisor(_BatchPart, ABC):
         if not self._size:
             return seen
         goals = np.ascontiguousarray(self.goal.T)
-        return {"observation": seen, "achieved_goal": goals[:, : self._size].copy(), "desired_goal": goals[:, self._size :].copy()}
+        return {
+            "observation": seen,
+            "achieved_goal": goals[:, : self._size].copy(),
+            "desired_goal": goals[:, self._size :].copy(),
+        }
 
     def action_masks(self) -> Column:
         """`Supervisor.action_masks` of each agent, a row each; a copy."""
@@ -516,7 +602,9 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def action_mask(self, rows: Any = slice(None)) -> Any:
         """`Supervisor.action_mask` of some agents, with a row for each in each array."""
-        return mask_of_space(self.action_space, [mask.T[rows].astype(np.int8) for mask in self._allowed.values()])
+        return mask_of_space(
+            self.action_space, [mask.T[rows].astype(np.int8) for mask in self._allowed.values()]
+        )
 
     def close(self) -> None:
         """Release all worlds."""
@@ -569,10 +657,15 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def redraw(self, due: Any, draw: Callable[[Any], None], *names: str) -> None:
         """Let the single worlds that are due draw values anew."""
-        rows = np.flatnonzero(np.broadcast_to(due if self.running is None else due & self.running, self.count)).tolist()
+        rows = np.flatnonzero(
+            np.broadcast_to(due if self.running is None else due & self.running, self.count)
+        ).tolist()
         for row in rows:
             single = self._singles[row]
-            single.step_count, single.timestep_count = int(self.step_count[row]), int(self.timestep_count[row])
+            single.step_count, single.timestep_count = (
+                int(self.step_count[row]),
+                int(self.timestep_count[row]),
+            )
             draw(single)
         if rows:
             self._take_columns(rows, names)
@@ -609,7 +702,9 @@ class BatchSupervisor(_BatchPart, ABC):
     def _require_choices(self, resting: Column | None) -> None:
         """Raise: EvaluationError: Every option of a choice is forbidden in a world whose episode goes on."""
         for name, mask in self._allowed.items():
-            stuck = ~(mask.any(axis=0) | self.terminated | self.truncated | (False if resting is None else resting))
+            stuck = ~(
+                mask.any(axis=0) | self.terminated | self.truncated | (False if resting is None else resting)
+            )
             if stuck.any():
                 options = next(part.options for part in self.scenario.agent.choices if part.name == name)
                 names = ", ".join(option.name for option in options)
@@ -625,7 +720,9 @@ class BatchSupervisor(_BatchPart, ABC):
         assert goal is not None
         low, high = (np.array(ends * 2)[:, None] for ends in (goal.low, goal.high))
         middle, half = (high + low) / 2, (high - low) / 2
-        seen = np.clip((stacked((*achieved, *desired), self.count) - middle) / half, -1.0, 1.0).astype(np.float32)
+        seen = np.clip((stacked((*achieved, *desired), self.count) - middle) / half, -1.0, 1.0).astype(
+            np.float32
+        )
         self.goal = self._where_running(seen, self.goal)
         meant = middle + half * self.goal.astype(float)
         return meant[: self._size], meant[self._size :]
@@ -633,7 +730,8 @@ class BatchSupervisor(_BatchPart, ABC):
     def _terminate(self, endings: dict[str, Any], *, success: Any = False) -> None:
         """End the task where one of the endings holds, of which the first counts."""
         self._holds = {
-            name: self._where_running(np.broadcast_to(column, self.count), self._holds.get(name, False)) for name, column in endings.items()
+            name: self._where_running(np.broadcast_to(column, self.count), self._holds.get(name, False))
+            for name, column in endings.items()
         }
         ended = np.logical_or.reduce(list(self._holds.values()))
         self.is_success = self._where_running(ended & success, self.is_success)
@@ -652,7 +750,11 @@ class BatchSupervisor(_BatchPart, ABC):
         wrong = ~(np.abs(reward) < 1e300) & ~self._lost
         if wrong.any() and (self.running is None or (wrong & self.running).any()):
             world = int(np.flatnonzero(wrong)[0])
-            terms = [name for name, value in zip(self.TERMS, self.terms()[:, world], strict=True) if not np.isfinite(value)]
+            terms = [
+                name
+                for name, value in zip(self.TERMS, self.terms()[:, world], strict=True)
+                if not np.isfinite(value)
+            ]
             culprit = f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms"
             raise self._failed(world, f"{culprit} is not finite")
 

@@ -1,7 +1,8 @@
-"""The functions that generated code for a batch calls: those of `formulas`, over columns with one number per world.
+"""The functions that generated code for a batch calls: those of `formulas`, over columns with one number per
+world.
 
-A vector is a sequence of columns, or an array with a row per component. Names and meanings are those of `formulas`; what has no
-value becomes inf or NaN, which the supervisor of the batch reports with the world.
+A vector is a sequence of columns, or an array with a row per component. Names and meanings are those of
+`formulas`; what has no value becomes inf or NaN, which the supervisor of the batch reports with the world.
 """
 
 from __future__ import annotations
@@ -48,9 +49,11 @@ any_of, all_of = partial(reduce, np.logical_or), partial(reduce, np.logical_and)
 
 
 class ExactFunction:
-    """A function of `math` in each world; numpy may round its last bit otherwise, and a batch lives the episodes of single worlds.
+    """A function of `math` in each world; numpy may round its last bit otherwise, and a batch lives the
+    episodes of single worlds.
 
-    It takes 0.1 us per world. Where a world has no value, all take that of `estimate`, which numpy computes over columns.
+    It takes 0.1 us per world. Where a world has no value, all take that of `estimate`, which numpy computes
+    over columns.
     """
 
     def __init__(self, function: Callable[..., float], estimate: Callable[..., Any]) -> None:
@@ -61,7 +64,10 @@ class ExactFunction:
         if len({array.shape for array in arrays}) > 1:
             columns = np.broadcast_arrays(*columns)
             arrays = [*columns]
-        lists = [column.ravel().tolist() if isinstance(column, np.ndarray) else repeat(column) for column in columns]
+        lists = [
+            column.ravel().tolist() if isinstance(column, np.ndarray) else repeat(column)
+            for column in columns
+        ]
         try:
             if not arrays:
                 return self._function(*columns)
@@ -76,7 +82,9 @@ def _length(*values: Any) -> Any:
 
 exp = ExactFunction(math.exp, np.exp)
 log = ExactFunction(math.log, np.log)
-sin, cos, tan = ExactFunction(math.sin, np.sin), ExactFunction(math.cos, np.cos), ExactFunction(math.tan, np.tan)
+sin = ExactFunction(math.sin, np.sin)
+cos = ExactFunction(math.cos, np.cos)
+tan = ExactFunction(math.tan, np.tan)
 atan2 = ExactFunction(math.atan2, np.arctan2)
 pow = ExactFunction(math.pow, np.float_power)
 hypot = ExactFunction(math.hypot, _length)
@@ -104,24 +112,35 @@ _KEPT: dict[type[formulas.Memory], Callable[..., Any]] = {
     formulas.RunningMax: lambda kept, _, x: np.maximum(kept, x),
     formulas.RunningMin: lambda kept, _, x: np.minimum(kept, x),
     formulas.Hold: lambda kept, _, x, condition: np.where(condition, x, kept),
-    formulas.Accumulate: lambda kept, _, more, low, high, start: np.minimum(np.maximum(kept + more, low), high),
+    formulas.Accumulate: lambda kept, _, more, low, high, start: np.minimum(
+        np.maximum(kept + more, low), high
+    ),
     formulas.Duration: lambda kept, step, condition: np.where(condition, kept + step, 0.0),
 }
-"""What memories that choose between numbers keep and give; all others compute with columns as with numbers."""
+"""What memories that choose between numbers keep and give; all others compute with columns as with
+numbers."""
 
 
 class BatchMemory:
-    """The memory of a stateful function in all worlds; a new episode takes it over from that of the single world."""
+    """The memory of a stateful function in all worlds; a new episode takes it over from that of the single
+    world."""
 
-    def __init__(self, singles: Sequence[formulas.Memory | formulas.Memories], chosen: Callable[[], Column | None]) -> None:
+    def __init__(
+        self, singles: Sequence[formulas.Memory | formulas.Memories], chosen: Callable[[], Column | None]
+    ) -> None:
         """`chosen` gives the worlds in which the memory is updated, as truth values; None for all."""
         self._singles, first, self._chosen = singles, singles[0], chosen
         self._vector = isinstance(first, formulas.Memories | formulas.VectorMemory)
-        kind, count = (first.component, first.count) if isinstance(first, formulas.Memories | formulas.VectorMemory) else (type(first), 1)
+        kind, count = (
+            (first.component, first.count)
+            if isinstance(first, formulas.Memories | formulas.VectorMemory)
+            else (type(first), 1)
+        )
         self._law, self._choose = kind(first.timestep), _KEPT.get(kind)
         self._kept: Column = np.zeros((count, len(singles)))
         self._waiting: Column | None = None
-        """The worlds without a message so far, where the memory begins with the first one; None where there are none."""
+        """The worlds without a message so far, where the memory begins with the first one; None where there
+        are none."""
 
     def load(self, world: int) -> None:
         kept = self._singles[world].kept if self._vector else [self._singles[world].kept]
@@ -138,7 +157,9 @@ class BatchMemory:
     def update(self, *arguments: Any) -> Any:
         """The value in this timestep; vectors where the function has one memory per component."""
         count, worlds = self._kept.shape
-        parts = [stacked(argument, worlds) if self._vector else np.asarray(argument) for argument in arguments]
+        parts = [
+            stacked(argument, worlds) if self._vector else np.asarray(argument) for argument in arguments
+        ]
         law, chosen = self._law, self._chosen()
         before = self._kept
         if self._waiting is not None:
@@ -155,4 +176,8 @@ class BatchMemory:
 
 def stacked(columns: Any, worlds: int) -> Column:
     """A vector of columns as an array with a row per component."""
-    return columns if isinstance(columns, np.ndarray) else np.stack([np.broadcast_to(column, worlds) for column in columns])
+    return (
+        columns
+        if isinstance(columns, np.ndarray)
+        else np.stack([np.broadcast_to(column, worlds) for column in columns])
+    )

@@ -1,11 +1,12 @@
 """Copies of a robot in one world under one policy: a supervisor for each, and the one that holds them.
 
-The generated supervisor of a scenario describes one agent. With a single agent it is the environment and holds itself. With copies there is
-one such supervisor for each, over an engine in which the robot's name means this copy, and `CopiesSupervisor` is the environment. Whoever
-runs an environment finds its agents by name in `Supervisor.agents`, and the generated code of a robot does not know of copies.
+The generated supervisor of a scenario describes one agent. With a single agent it is the environment and
+holds itself. With copies there is one such supervisor for each, over an engine in which the robot's name
+means this copy, and `CopiesSupervisor` is the environment. Whoever runs an environment finds its agents by
+name in `Supervisor.agents`, and the generated code of a robot does not know of copies.
 
-Only the loop over the world differs. A physics step acts on all copies at once, so no copy can call it by itself: its `_advance` is a
-generator that waits there, with its local variables, until every copy has acted.
+Only the loop over the world differs. A physics step acts on all copies at once, so no copy can call it by
+itself: its `_advance` is a generator that waits there, with its local variables, until every copy has acted.
 
 In a batch of worlds the copies are rows of the columns: `BatchOfCopies` is the engine as all of them see it.
 """
@@ -45,21 +46,31 @@ def world_with_copies(world: WorldModel, copies: RobotCopies) -> WorldModel:
     """The world with the copies in place of the robot."""
     one = next(robot for robot in world.robots if robot.name == copies.robot)
     others = tuple(robot for robot in world.robots if robot is not one)
-    return replace(world, robots=(*others, *(replace(one, name=copy_name(copies, k + 1)) for k in range(copies.count))))
+    return replace(
+        world, robots=(*others, *(replace(one, name=copy_name(copies, k + 1)) for k in range(copies.count)))
+    )
 
 
 def make_environment(
-    kind: type[Supervisor], scenario: Program, create: Callable[[WorldModel], Engine], render_mode: str | None = None
+    kind: type[Supervisor],
+    scenario: Program,
+    create: Callable[[WorldModel], Engine],
+    render_mode: str | None = None,
 ) -> Supervisor:
     """The environment of a scenario whose generated supervisor is `kind`."""
     copies = scenario.agent.copies
     if copies is None:
         return kind(scenario, create(scenario.world), render_mode)
-    return CopiesSupervisor(kind, scenario, copies, create(world_with_copies(scenario.world, copies)), render_mode)
+    return CopiesSupervisor(
+        kind, scenario, copies, create(world_with_copies(scenario.world, copies)), render_mode
+    )
 
 
 def make_batch(
-    kind: type[Supervisor], of_batch: type[BatchSupervisor], scenario: Program, create: Callable[[WorldModel], BatchEngine]
+    kind: type[Supervisor],
+    of_batch: type[BatchSupervisor],
+    scenario: Program,
+    create: Callable[[WorldModel], BatchEngine],
 ) -> BatchSupervisor:
     """A batch of worlds whose generated supervisors are `of_batch`, and `kind` for each single world."""
     copies = scenario.agent.copies
@@ -73,10 +84,12 @@ def make_batch(
 
 
 class EngineOfCopy(EngineProxy):
-    """The engine as one copy sees it: the robot's name means this copy, and its place is relative to the copy's place in the row.
+    """The engine as one copy sees it: the robot's name means this copy, and its place is relative to the
+    copy's place in the row.
 
-    Values of the world, and of bodies other than the robot, are set by the first copy alone. `reset` and `step` leave the world to
-    the supervisor of all copies; `settling` is how many engine steps the world shall make after the reset.
+    Values of the world, and of bodies other than the robot, are set by the first copy alone. `reset` and
+    `step` leave the world to the supervisor of all copies; `settling` is how many engine steps the world
+    shall make after the reset.
     """
 
     def __init__(self, engine: Engine, copies: RobotCopies, number: int) -> None:
@@ -99,7 +112,12 @@ class EngineOfCopy(EngineProxy):
         self.settling = substeps
 
     def place(
-        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
+        self,
+        body: str,
+        position: Triple,
+        orientation: Quaternion,
+        velocity: Triple = ZERO_VECTOR,
+        angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
         at = add(position, self._offset) if body == self._robot else position
         super().place(body, at, orientation, velocity, angular_velocity)
@@ -109,16 +127,24 @@ class EngineOfCopy(EngineProxy):
 
 
 class BatchOfCopies:
-    """The engine of a batch with a row for each copy, those of the first world first; the robot's name means the copy of a row.
+    """The engine of a batch with a row for each copy, those of the first world first; the robot's name means
+    the copy of a row.
 
     Members, and the worlds that begin episodes, are worlds.
     """
 
     def __init__(self, engine: BatchEngine, copies: RobotCopies) -> None:
         self._engine, self._count = engine, copies.count
-        self._views = [EngineOfCopy(cast("Engine", engine), copies, number + 1) for number in range(copies.count)]
-        self.name, self.capabilities, self.gravity, self.members = engine.name, engine.capabilities, engine.gravity, engine.members
-        self.begin_episodes, self.non_finite_worlds, self.close = engine.begin_episodes, engine.non_finite_worlds, engine.close
+        self._views = [
+            EngineOfCopy(cast("Engine", engine), copies, number + 1) for number in range(copies.count)
+        ]
+        self.name = engine.name
+        self.capabilities = engine.capabilities
+        self.gravity = engine.gravity
+        self.members = engine.members
+        self.begin_episodes = engine.begin_episodes
+        self.non_finite_worlds = engine.non_finite_worlds
+        self.close = engine.close
         self.write_mask: Any = None
 
     def step(self, substeps: int, running: Any = None) -> None:
@@ -182,7 +208,10 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
         "terminated": tuple(copy.terminated for copy in copies),
         "is_success": tuple(copy.info["is_success"] for copy in copies),
     }
-    terms = {name: sum(copy.info["reward_terms"][name] for copy in copies) / len(copies) for name in copies[0].info["reward_terms"]}
+    terms = {
+        name: sum(copy.info["reward_terms"][name] for copy in copies) / len(copies)
+        for name in copies[0].info["reward_terms"]
+    }
     info: Info = {
         "is_success": bool(ended) and all(copy.info["is_success"] for copy in ended),
         "ended_by": (failed or over)[0].info["ended_by"] if over else None,
@@ -190,19 +219,27 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
         "reward_terms": terms,
         "each": each,
     }
-    return CopyResult(sum(copy.reward for copy in copies) / len(copies), bool(ended), bool(over) and not ended, info)
+    return CopyResult(
+        sum(copy.reward for copy in copies) / len(copies), bool(ended), bool(over) and not ended, info
+    )
 
 
 class CopiesSupervisor(Supervisor):
     """The environment of all copies: observations and actions have a row for each, in the order of `agents`.
 
-    Each agent has its own rewards, endings, channels, and draws for its robot. Parameters, and draws for the world and for other bodies,
-    have one value for all copies; the first copy draws it. If the episode ends for one copy, it ends for all. The reward is the mean over
-    the copies. `info["each"]` contains the reward of each copy, whether it terminated, and whether it succeeded.
+    Each agent has its own rewards, endings, channels, and draws for its robot. Parameters, and draws for the
+    world and for other bodies, have one value for all copies; the first copy draws it. If the episode ends
+    for one copy, it ends for all. The reward is the mean over the copies. `info["each"]` contains the reward
+    of each copy, whether it terminated, and whether it succeeded.
     """
 
     def __init__(
-        self, kind: type[Supervisor], scenario: Program, copies: RobotCopies, engine: Engine, render_mode: str | None = None
+        self,
+        kind: type[Supervisor],
+        scenario: Program,
+        copies: RobotCopies,
+        engine: Engine,
+        render_mode: str | None = None,
     ) -> None:
         self._engines = [EngineOfCopy(engine, copies, number + 1) for number in range(copies.count)]
         members = [kind(scenario, view) for view in self._engines]
@@ -233,7 +270,11 @@ class CopiesSupervisor(Supervisor):
             agent._begin()
             agent._drawn = agent._noted()
             if number == 0:
-                shared = {entry.key: agent._drawn[entry.name] for entry in self._shared if entry.name in agent._drawn}
+                shared = {
+                    entry.key: agent._drawn[entry.name]
+                    for entry in self._shared
+                    if entry.name in agent._drawn
+                }
         if self._engines[0].settling:
             self.engine.step(self._engines[0].settling)
 
@@ -247,19 +288,26 @@ class CopiesSupervisor(Supervisor):
         """The draws that all copies share, by name, and those of each copy after its name."""
         shared = {entry.name for entry in self._shared}
         first = next(iter(self.agents.values()))
-        found = {place: value for place, value in first._drawn.items() if place in shared}
+        drawn = {place: value for place, value in first._drawn.items() if place in shared}
         for name, agent in self.agents.items():
-            found |= {f"{name}.{place}": value for place, value in agent._drawn.items() if place not in shared}
-        return found
+            drawn |= {
+                f"{name}.{place}": value for place, value in agent._drawn.items() if place not in shared
+            }
+        return drawn
 
     def present_values(self) -> Drawn:
         first = next(iter(self.agents.values()))
         parameters = {full for value in self.scenario.parameters for full, _ in value.numbers}
-        return self._drawn | {name: value for name, value in first.episode_values.items() if name in parameters}
+        return self._drawn | {
+            name: value for name, value in first.episode_values.items() if name in parameters
+        }
 
     def random_state(self) -> dict[str, Any]:
         begun = self._streams_of_agents is self.streams
-        return {**super().random_state(), "agents": [agent.random_state() for agent in self.agents.values()] if begun else []}
+        return {
+            **super().random_state(),
+            "agents": [agent.random_state() for agent in self.agents.values()] if begun else [],
+        }
 
     def set_random_state(self, state: Mapping[str, Any]) -> None:
         super().set_random_state(state)
@@ -278,11 +326,17 @@ class CopiesSupervisor(Supervisor):
 
     def _advance(self, action: Any) -> None:
         fitting = canonical_action(self.action_space, action)
-        if fitting is None or not is_canonical(fitting, action):  # refused before any copy has acted: those that have cannot go back
+        if fitting is None or not is_canonical(
+            fitting, action
+        ):  # refused before any copy has acted: those that have cannot go back
             raise ValueError("no action of this space")
         self.step_count += 1
         agents = self.agents.values()
-        rows = [{key: part[row] for key, part in action.items()} for row in range(len(agents))] if isinstance(action, dict) else action
+        rows = (
+            [{key: part[row] for key, part in action.items()} for row in range(len(agents))]
+            if isinstance(action, dict)
+            else action
+        )
         turns = [agent._advance(row) for agent, row in zip(agents, rows, strict=True)]
         for turn in turns:
             next(turn)
@@ -298,9 +352,13 @@ class CopiesSupervisor(Supervisor):
         """Take reward and endings from the agents."""
         agents = list(self.agents.values())
         self.step_count, self.timestep_count = agents[0].step_count, agents[0].timestep_count
-        results = [CopyResult(agent.reward, agent.terminated, agent.truncated, agent.get_info()) for agent in agents]
+        results = [
+            CopyResult(agent.reward, agent.terminated, agent.truncated, agent.get_info()) for agent in agents
+        ]
         self.reward, self.terminated, self.truncated, self._info = result_of_all(results)
-        self.is_success, self.endings, self.ended_by = (self._info[name] for name in ("is_success", "endings", "ended_by"))
+        self.is_success, self.endings, self.ended_by = (
+            self._info[name] for name in ("is_success", "endings", "ended_by")
+        )
 
     def scripted(self, name: str) -> Any:
         """Every copy follows the script."""

@@ -1,7 +1,9 @@
-"""The sensors of a batch: the same device in all worlds, with its faults and delays, over columns; see `sensing`.
+"""The sensors of a batch: the same device in all worlds, with its faults and delays, over columns; see
+`sensing`.
 
-A device takes over from that of the single world, which gave the first reading of the episode, and draws its noise from the same stream
-in the same blocks. A kind whose reader computes with columns as with numbers is read at once, any other world by world.
+A device takes over from that of the single world, which gave the first reading of the episode, and draws its
+noise from the same stream in the same blocks. A kind whose reader computes with columns as with numbers is
+read at once, any other world by world.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ def stack_worlds(values: Sequence[Any]) -> Any:
 
 
 class BatchNormals:
-    """The normal numbers of one sensor in all worlds, in the order in which the single worlds would take them."""
+    """The normal numbers of one sensor in all worlds, in the order in which the single worlds would take
+    them."""
 
     def __init__(self, singles: Sequence[Normals], width: int) -> None:
         self._singles = singles
@@ -54,9 +57,9 @@ class BatchNormals:
         for world in np.flatnonzero(empty).tolist():
             self._blocks[world] = self._singles[world].block()
             left[world] = ROWS_PER_BLOCK
-        found = self._blocks[self._every, left - 1]
+        block = self._blocks[self._every, left - 1]
         self._left = left - 1 if wanted is None else left - wanted
-        return found.T
+        return block.T
 
 
 class BatchSensorErrors:
@@ -64,7 +67,9 @@ class BatchSensorErrors:
 
     def __init__(self, devices: Sequence[Device], width: int) -> None:
         self._chains = [device.chain for device in devices if device.chain is not None]
-        self._parameters = {name: np.zeros((width, len(devices))) for name in ("noise", "share", "gain", "bias", "drift")}
+        self._parameters = {
+            name: np.zeros((width, len(devices))) for name in ("noise", "share", "gain", "bias", "drift")
+        }
         self._has: dict[str, bool] = {}
         spec = self._chains[0].spec
         self._noise = BatchNormals([chain.normals for chain in self._chains], width)
@@ -109,15 +114,22 @@ class BatchLookupTable:
             self._noise.load(world)
 
     def __call__(self, values: Column, sampled: Column | None) -> Column:
-        known = self._rows[1:, 0]
-        start, value, noise, slope, growth = np.moveaxis(self._rows[np.searchsorted(known, values, side="right")], -1, 0)
+        distances = self._rows[1:, 0]
+        start, value, noise, slope, growth = np.moveaxis(
+            self._rows[np.searchsorted(distances, values, side="right")], -1, 0
+        )
         along = values - start
         readings: Column = value + slope * along
-        return readings if self._noise is None else readings * (1.0 + (noise + growth * along) * self._noise.row(sampled))
+        return (
+            readings
+            if self._noise is None
+            else readings * (1.0 + (noise + growth * along) * self._noise.row(sampled))
+        )
 
 
 class BatchDevice:
-    """The same device in all worlds, called once per tick; `reading` is the newest that was delivered, a row per component."""
+    """The same device in all worlds, called once per tick; `reading` is the newest that was delivered, a row
+    per component."""
 
     def __init__(self, devices: Sequence[Device], sensor: Sensor, robot: str, batch: BatchSupervisor) -> None:
         self._devices, self._batch = devices, batch
@@ -132,13 +144,15 @@ class BatchDevice:
         self._ring: list[Any] = []
         reader = import_attribute(sensor.reader)
         self._read: Callable[[], Any] | None = None
-        varies = reader is projected_gravity and any(variation.what == "gravity" for variation in batch.scenario.reset.variations)
+        varies = reader is projected_gravity and any(
+            variation.what == "gravity" for variation in batch.scenario.reset.variations
+        )
         joins = sensor.beams is not None and sensor.beams.combined not in (None, "each")
         if reader in ON_COLUMNS and not (varies or joins):
-            made = reader(Site(cast("Engine", batch.engine), robot, sensor, batch.scenario.world))
-            if made.lookup is None:
-                made.restart(None)
-            self._read = made.read
+            instrument = reader(Site(cast("Engine", batch.engine), robot, sensor, batch.scenario.world))
+            if instrument.lookup is None:
+                instrument.restart(None)
+            self._read = instrument.read
 
     def load(self, world: int) -> None:
         device = self._devices[world]
@@ -170,12 +184,16 @@ class BatchDevice:
         values = self._sampled(sampled)
         if not delayed:
             taken = np.ones(self._tick.shape, bool) if sampled is None else sampled
-            self.reading, self.measured_tick = np.where(taken, values, self.reading), np.where(taken, self._tick, self.measured_tick)
+            self.reading, self.measured_tick = (
+                np.where(taken, values, self.reading),
+                np.where(taken, self._tick, self.measured_tick),
+            )
             return
         self._deliver(values, running)
 
     def _deliver(self, values: Any, running: Column | None) -> None:
-        """Give each world the reading that is as old as its delay; before the first of them there is that of the reset."""
+        """Give each world the reading that is as old as its delay; before the first of them there is that of
+        the reset."""
         if running is not None and self._ring:
             values = np.where(running, values, self._ring[0])
         self._ring = [values, *self._ring[: int(self._delay.max())]]

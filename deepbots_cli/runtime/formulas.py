@@ -1,7 +1,8 @@
 """The functions that generated code calls for what would be long to write out.
 
-A pose is the position (m) of a link's origin in the world and its orientation, a quaternion (x, y, z, w). What a function of the
-language means is its entry in `expressions.functions`; the formulas here compute the same to the bit.
+A pose is the position (m) of a link's origin in the world and its orientation, a quaternion (x, y, z, w).
+What a function of the language means is its entry in `expressions.functions`; the formulas here compute the
+same to the bit.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ def wrap_angle(angle: float) -> float:
 
 
 def total(values: Iterable[float]) -> float:
-    """The sum of one or more values from left to right; `sum` is five times as fast, but from Python 3.12 on compensates for rounding."""
+    """The sum of one or more values from left to right; `sum` is five times as fast, but from Python 3.12 on
+    compensates for rounding."""
     return reduce(operator.add, values) if _SUM_COMPENSATES else sum(values, -0.0)
 
 
@@ -95,7 +97,8 @@ def clip(value: float) -> float:
 
 
 def pose_functions(atan2: Callable[..., Any], hypot: Callable[..., Any]) -> tuple[Callable[..., Any], ...]:
-    """Distance, distance in the plane, bearing, roll, pitch, yaw and tilt, of numbers or of columns by the functions given."""
+    """Distance, distance in the plane, bearing, roll, pitch, yaw and tilt, of numbers or of columns by the
+    functions given."""
 
     def distance(pose: Frame, other: Frame) -> Any:
         """The distance (m) between two origins."""
@@ -162,9 +165,10 @@ def _ahead(turn: Quaternion) -> tuple[float, float]:
 class Memory(ABC):
     """The memory of a stateful function of the language for one number or truth value; `timestep` in s.
 
-    `update` is called once per timestep, whether or not its value is used. The first call of an episode, with what holds right
-    after the reset, is `begin`, and every other is `advance`. All take the arguments that the function has in the language.
-    A memory `on_message` has no value before the first message: its first call begins with the values of that message and advances.
+    `update` is called once per timestep, whether or not its value is used. The first call of an episode, with
+    what holds right after the reset, is `begin`, and every other is `advance`. All take the arguments that
+    the function has in the language. A memory `on_message` has no value before the first message: its first
+    call begins with the values of that message and advances.
     """
 
     update: Callable[..., Any]
@@ -219,15 +223,23 @@ class Memories:
         return [memory.kept for memory in self.parts]
 
     def update(self, *arguments: Iterable[Any]) -> list[Any]:
-        """The value of each component in this timestep; one vector per argument that the function has in the language."""
+        """The value of each component in this timestep; one vector per argument that the function has in the
+        language."""
         update, self._update = self._update, self._advance
         return list(map(operator.call, update, *arguments))
 
 
-def memory_of_vector(kind: type[Memory], count: int, timestep: float, *, on_message: bool = False) -> Memory | Memories:
-    """The memory of a stateful function for a vector of `count` components; `update` takes and returns vectors."""
+def memory_of_vector(
+    kind: type[Memory], count: int, timestep: float, *, on_message: bool = False
+) -> Memory | Memories:
+    """The memory of a stateful function for a vector of `count` components; `update` takes and returns
+    vectors."""
     whole = _VECTOR_MEMORIES.get(kind)
-    return Memories(kind, count, timestep, on_message=on_message) if whole is None else whole(count, timestep, on_message=on_message)
+    return (
+        Memories(kind, count, timestep, on_message=on_message)
+        if whole is None
+        else whole(count, timestep, on_message=on_message)
+    )
 
 
 class Delta(Memory):
@@ -337,7 +349,8 @@ class RisingEdge(Memory):
 
 
 class VectorMemory(Memory):
-    """The memory of a stateful function for a whole vector, which costs a half to a seventieth of a memory per component."""
+    """The memory of a stateful function for a whole vector, which costs a half to a seventieth of a memory
+    per component."""
 
     component: ClassVar[type[Memory]]
     """The memory of a single component, which gives the same values."""
@@ -394,21 +407,25 @@ def foreign(what: str, name: str, module: str, function: str, truth: bool) -> Ca
     """
     called = f"the {what} '{name}' in Python ({module}:{function})"
     try:
-        found = getattr(import_module(module), function)
+        imported = getattr(import_module(module), function)
     except Exception as error:  # whatever the module does while it is imported
         raise UsageError(f"{called} cannot be imported: {type(error).__name__}: {error}") from error
-    if not callable(found):
+    if not callable(imported):
         raise UsageError(f"{called} is not a function")
 
     def call(supervisor: Supervisor) -> Any:
         try:
-            value = found(supervisor)
+            value = imported(supervisor)
         except Exception as error:  # whatever the function does
-            raise EvaluationError(f"step {supervisor.step_count}: {called} failed: {type(error).__name__}: {error}") from error
+            raise EvaluationError(
+                f"step {supervisor.step_count}: {called} failed: {type(error).__name__}: {error}"
+            ) from error
         is_truth = isinstance(value, (bool, np.bool_))
         if is_truth != truth or not (is_truth or isinstance(value, Real)):
             wanted = "True or False" if truth else "a number"
-            raise EvaluationError(f"step {supervisor.step_count}: {called} gave {str(value)[:40]!r} instead of {wanted}")
+            raise EvaluationError(
+                f"step {supervisor.step_count}: {called} gave {str(value)[:40]!r} instead of {wanted}"
+            )
         return bool(value) if truth else float(value)
 
     return call

@@ -1,11 +1,13 @@
-"""Messages between robot and supervisor: channels that deliver them, and codecs, one per format, made for one layout.
+"""Messages between robot and supervisor: channels that deliver them, and codecs, one per format, made for one
+layout.
 
-A channel delivers every message at once; a lossy one, where the scenario asks for it, late, in another order or not at all.
+A channel delivers every message at once; a lossy one, where the scenario asks for it, late, in another order
+or not at all.
 
 Every message opens with the layout's stamp, so that one of another layout, version or robot is
 recognized. A codec takes the values in field order (a vector as its components); decoding returns
-the stamp and the values. All formats carry 64-bit floats exactly. A picture is its bytes, in formats of text in base64.
-`FieldCodec` is what a channel uses: it takes and gives one value per field, and checks the layout.
+the stamp and the values. All formats carry 64-bit floats exactly. A picture is its bytes, in formats of text
+in base64. `FieldCodec` is what a channel uses: it takes and gives one value per field, and checks the layout.
 """
 
 from __future__ import annotations
@@ -42,10 +44,12 @@ DECODING_ERRORS = (ValueError, TypeError, AttributeError, RecursionError, struct
 
 @dataclass(frozen=True)
 class Codec:
-    """`encode(*values)` gives a message; `decode(message)` gives `(stamp, *values)` or raises one of MALFORMED.
+    """`encode(*values)` gives a message; `decode(message)` gives `(stamp, *values)` or raises one of
+    MALFORMED.
 
-    `parts` gives the values of a message that is short, long or of another layout as far as they can be decoded, the stamp first;
-    it raises one of MALFORMED where there are none. They are shown in an error message.
+    `parts` gives the values of a message that is short, long or of another layout as far as they can be
+    decoded, the stamp first; it raises one of MALFORMED where there are none. They are shown in an error
+    message.
     """
 
     encode: Callable[..., Any]
@@ -54,30 +58,36 @@ class Codec:
 
 
 class FieldCodec:
-    """Messages of one layout on their way: `encode` takes one value per field, a vector as a sequence, and `decode` gives them back."""
+    """Messages of one layout on their way: `encode` takes one value per field, a vector as a sequence, and
+    `decode` gives them back."""
 
     encode: Callable[[Sequence[Any]], Any]
 
-    def __init__(self, layout: MessageLayout, format: str, refuse: Callable[[MessageLayout, Any], Exception]) -> None:
-        """`refuse` makes the error for a message that is not of the layout. With `format` none, messages are their values."""
+    def __init__(
+        self, layout: MessageLayout, format: str, refuse: Callable[[MessageLayout, Any], Exception]
+    ) -> None:
+        """`refuse` makes the error for a message that is not of the layout. With `format` none, messages are
+        their values."""
         self.layout = layout
         self._refuse = refuse
         self.silence: Any = _each(value_slots(layout), zero_values(layout))
         if format == "none":
             self.encode = self.decode = lambda message: message  # type: ignore[method-assign]
             return
-        made = codec(layout, format)
+        message_codec = codec(layout, format)
         vectors = [bool(field.components) for field in layout.fields]
-        self._decode = made.decode
+        self._decode = message_codec.decode
         self._count = 1 + len(struct_codes(layout))
-        found = value_slots(layout, 1)
-        self._fields: Callable[[Any], Sequence[Any]] = itemgetter(*found) if len(found) > 1 else partial(_each, found)
+        slots = value_slots(layout, 1)
+        self._fields: Callable[[Any], Sequence[Any]] = (
+            itemgetter(*slots) if len(slots) > 1 else partial(_each, slots)
+        )
 
         def flattened(message: Sequence[Any]) -> Any:
             numbers: list[Any] = []
             for value in message:
                 numbers += value
-            return made.encode(*numbers)
+            return message_codec.encode(*numbers)
 
         def mixed(message: Sequence[Any]) -> Any:
             numbers: list[Any] = []
@@ -86,10 +96,15 @@ class FieldCodec:
                     numbers += value
                 else:
                     numbers.append(value)
-            return made.encode(*numbers)
+            return message_codec.encode(*numbers)
 
-        self.encode = flattened if all(vectors) else mixed if any(vectors) else lambda message: made.encode(*message)
-        self.silence = made.encode(*zero_values(layout))
+        if all(vectors):
+            self.encode = flattened
+        elif any(vectors):
+            self.encode = mixed
+        else:
+            self.encode = lambda message: message_codec.encode(*message)
+        self.silence = message_codec.encode(*zero_values(layout))
 
     def decode(self, message: Any) -> Sequence[Any]:
         """The value of each field.
@@ -108,21 +123,23 @@ class FieldCodec:
 
 def value_slots(layout: MessageLayout, start: int = 0) -> list[int | slice]:
     """The index or slice of each field among the values; the first value has the index `start`."""
-    found: list[int | slice] = []
+    slots: list[int | slice] = []
     for field in layout.fields:
         size = max(1, len(field.components))
-        found.append(slice(start, start + size) if field.components else start)
+        slots.append(slice(start, start + size) if field.components else start)
         start += size
-    return found
+    return slots
 
 
-def _each(found: Sequence[int | slice], values: Sequence[Any]) -> list[Any]:
-    return [values[place] for place in found]
+def _each(slots: Sequence[int | slice], values: Sequence[Any]) -> list[Any]:
+    return [values[place] for place in slots]
 
 
 def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:
     """Name and dtype of every single value in a message, in order: `pole_angle`, `gyro.x` ..."""
-    fields = [(field, [f"{field.name}.{c}" for c in field.components] or [field.name]) for field in layout.fields]
+    fields = [
+        (field, [f"{field.name}.{c}" for c in field.components] or [field.name]) for field in layout.fields
+    ]
     return [(name, field.dtype) for field, names in fields for name in names]
 
 
@@ -138,34 +155,38 @@ def zero_values(layout: MessageLayout) -> list[Any]:
 
 def codec(layout: MessageLayout, format: str) -> Codec:
     """The codec of `format` for `layout`; `none` has no messages and no codec."""
-    made: Codec = import_attribute(FORMATS[format].codec)(layout.layout_hash, struct_codes(layout))
-    pictures = {index: value.shape for index, value in enumerate(zero_values(layout)) if isinstance(value, np.ndarray)}
-    return _with_pictures(made, pictures) if pictures else made
+    plain_codec: Codec = import_attribute(FORMATS[format].codec)(layout.layout_hash, struct_codes(layout))
+    pictures = {
+        index: value.shape for index, value in enumerate(zero_values(layout)) if isinstance(value, np.ndarray)
+    }
+    return _with_pictures(plain_codec, pictures) if pictures else plain_codec
 
 
 def struct_codes(layout: MessageLayout) -> list[str]:
     """How `struct` writes each value."""
     codes = {"bool": "?", "float64": "d"}
-    fields = [(codes.get(field.dtype) or f"{math.prod(field.shape)}s", field.components) for field in layout.fields]
+    fields = [
+        (codes.get(field.dtype) or f"{math.prod(field.shape)}s", field.components) for field in layout.fields
+    ]
     return [code for code, components in fields for _ in components or (None,)]
 
 
-def _with_pictures(made: Codec, shapes: Mapping[int, tuple[int, ...]]) -> Codec:
+def _with_pictures(inner: Codec, shapes: Mapping[int, tuple[int, ...]]) -> Codec:
     """The codec with pictures as arrays of these shapes, by the number of the value, instead of bytes."""
 
     def encode(*values: Any) -> Any:
         plain = list(values)
         for index in shapes:
             plain[index] = plain[index].tobytes()
-        return made.encode(*plain)
+        return inner.encode(*plain)
 
     def decode(message: Any) -> list[Any]:
-        values = list(made.decode(message))
+        values = list(inner.decode(message))
         for index, shape in shapes.items():
             values[index + 1] = np.frombuffer(values[index + 1], np.uint8).reshape(shape)
         return values
 
-    return Codec(encode, decode, made.parts)
+    return Codec(encode, decode, inner.parts)
 
 
 def struct_codec(layout_hash: int, codes: list[str]) -> Codec:
@@ -176,7 +197,11 @@ def struct_codec(layout_hash: int, codes: list[str]) -> Codec:
             head = struct.Struct("<I" + "".join(codes[:count]))
             if head.size <= len(message):
                 values = list(head.unpack_from(message))
-                return values if head.size == len(message) or count < len(codes) else [*values, message[head.size :]]
+                return (
+                    values
+                    if head.size == len(message) or count < len(codes)
+                    else [*values, message[head.size :]]
+                )
         raise ValueError("shorter than a stamp")
 
     return Codec(partial(form.pack, layout_hash), form.unpack, parts)
@@ -218,14 +243,22 @@ def _csv_cell(value: Value) -> str:
     return b64encode(value).decode() if isinstance(value, bytes) else repr(value)
 
 
-_CSV_READERS: dict[str, Callable[[str], Value]] = {"?": _csv_truth, "d": float, "s": partial(b64decode, validate=True)}
+_CSV_READERS: dict[str, Callable[[str], Value]] = {
+    "?": _csv_truth,
+    "d": float,
+    "s": partial(b64decode, validate=True),
+}
 
 
 def _msgspec_codec(library: Any, layout_hash: int, codes: list[str]) -> Codec:
     kinds = {"?": bool, "d": float, "s": bytes}
     checked = GenericAlias(tuple, (int, *(kinds[code[-1]] for code in codes)))
     encoder, decoder = library.Encoder().encode, library.Decoder(checked).decode
-    return Codec(lambda *values: encoder((layout_hash, *values)), decoder, lambda message: list(library.decode(message)))
+    return Codec(
+        lambda *values: encoder((layout_hash, *values)),
+        decoder,
+        lambda message: list(library.decode(message)),
+    )
 
 
 json_codec, msgpack_codec = partial(_msgspec_codec, msgspec.json), partial(_msgspec_codec, msgspec.msgpack)
@@ -233,20 +266,31 @@ json_codec, msgpack_codec = partial(_msgspec_codec, msgspec.json), partial(_msgs
 
 def layout_error(layout: MessageLayout, format: str, message: object, step: int) -> MessageError:
     """Why `message` does not fit `layout`: names robot, direction, step and field."""
-    place = f"robot '{layout.robot}', {'to' if layout.direction == 'to_robot' else 'from'} the robot, step {step}"
+    place = (
+        f"robot '{layout.robot}', {'to' if layout.direction == 'to_robot' else 'from'} the robot, step {step}"
+    )
     expected = scalar_fields(layout)
-    wanted = f"expected {len(expected)} values ({', '.join(name for name, _ in expected) or 'none'}) in {format}"
+    wanted = (
+        f"expected {len(expected)} values ({', '.join(name for name, _ in expected) or 'none'}) in {format}"
+    )
     try:
         values = codec(layout, format).parts(message)
     except DECODING_ERRORS:
-        return MessageError(f"{place}: the message cannot be read as {format}; {wanted}, got {excerpt(message)}")
+        return MessageError(
+            f"{place}: the message cannot be read as {format}; {wanted}, got {excerpt(message)}"
+        )
     if not values or values[0] != layout.layout_hash:
         return MessageError(
-            f"{place}: the message has another layout (stamp {excerpt(values[0] if values else None)}, not {layout.layout_hash}); {wanted}"
+            f"{place}: the message has another layout (stamp {excerpt(values[0] if values else None)}, not"
+            f" {layout.layout_hash}); {wanted}"
         )
     if len(values) - 1 != len(expected):
         missing = [name for name, _ in expected[len(values) - 1 :]]
-        detail = f"the message is too short: field '{missing[0]}' is missing" if missing else "the message has too many values"
+        detail = (
+            f"the message is too short: field '{missing[0]}' is missing"
+            if missing
+            else "the message has too many values"
+        )
         return MessageError(f"{place}: {detail}; {wanted}, got {len(values) - 1}")
     for (name, dtype), value in zip(expected, values[1:], strict=True):
         if not _fits(value, dtype):
@@ -266,7 +310,11 @@ def _number_or_text(cell: str) -> object:
 def _fits(value: object, dtype: str) -> bool:
     if dtype == "uint8":
         return isinstance(value, (bytes, str))
-    return isinstance(value, bool) if dtype == "bool" else isinstance(value, (int, float)) and not isinstance(value, bool)
+    return (
+        isinstance(value, bool)
+        if dtype == "bool"
+        else isinstance(value, (int, float)) and not isinstance(value, bool)
+    )
 
 
 def excerpt(value: object) -> str:
@@ -286,9 +334,9 @@ PositionReader = Callable[[], tuple[Triple, Any]]
 class LossyChannel:
     """Delivers messages late, in another order, or not at all.
 
-    `receive` or `newest` is called once in each timestep, after what is sent in that timestep. A message that was sent in one
-    timestep is delivered in the first that begins at or after its arrival. A lost one leaves a gap, which is
-    treated as the route says when the message would have been delivered.
+    `receive` or `newest` is called once in each timestep, after what is sent in that timestep. A message that
+    was sent in one timestep is delivered in the first that begins at or after its arrival. A lost one leaves
+    a gap, which is treated as the route says when the message would have been delivered.
 
     Losses are a Gilbert-Elliott chain of two states, lost and not: after a lost message the next is lost with
     1 - 1/burst, after another with loss / (burst (1 - loss)), so that the share of losses is `loss`.
@@ -316,9 +364,11 @@ class LossyChannel:
         *,
         first_at_once: bool = False,
     ) -> None:
-        """Each message takes `delay` timesteps besides its latency, but for the first one of an episode where that arrives `first_at_once`.
+        """Each message takes `delay` timesteps besides its latency, but for the first one of an episode where
+        that arrives `first_at_once`.
 
-        `where` gives the position of the robot (m), `wire` encodes and decodes; without, messages go as they are.
+        `where` gives the position of the robot (m), `wire` encodes and decodes; without, messages go as they
+        are.
         """
         self.wire = wire
         self._first_at_once = first_at_once
@@ -379,7 +429,9 @@ class LossyChannel:
             else:
                 chance = 1.0 - 1.0 / burst if self._losing else share / (burst * (1.0 - share))
             lost = self._losing = self._random() < chance
-        return lost or (route.range is not None and self._where is not None and hypot(*self._where()[0]) > self.range)
+        return lost or (
+            route.range is not None and self._where is not None and hypot(*self._where()[0]) > self.range
+        )
 
     def receive(self) -> list[Any]:
         """The messages that the receiver takes in this timestep, in order."""
@@ -387,7 +439,8 @@ class LossyChannel:
         return [self.wire.decode(message) for message in taken] if self.wire else taken
 
     def newest(self) -> Any:
-        """The message that the receiver uses in this timestep. It arrived in this timestep or in an earlier one."""
+        """The message that the receiver uses in this timestep. It arrived in this timestep or in an earlier
+        one."""
         if self._begins:
             self._begins = False
         else:
@@ -422,7 +475,8 @@ class LossyChannel:
 class Channel:
     """Delivers each message in the timestep in which it was sent.
 
-    What is sent is one value per field of the layout, and so is what is received: messages are encoded on the way, decoded and checked.
+    What is sent is one value per field of the layout, and so is what is received: messages are encoded on the
+    way, decoded and checked.
     """
 
     def __init__(self, wire: FieldCodec) -> None:

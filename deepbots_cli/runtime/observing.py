@@ -1,4 +1,5 @@
-"""The observation of a policy from named values in SI units, without a world: what an environment computes in each step."""
+"""The observation of a policy from named values in SI units, without a world: what an environment computes in
+each step."""
 
 from __future__ import annotations
 
@@ -20,8 +21,9 @@ class Observer:
     """Makes observations of one policy.
 
     Attributes:
-        values: The names of the values that an observation is made of: its own numbers, and with a goal what is achieved. What is achieved
-            is computed from the fields of messages (`panda.tip.x`) where the scenario does so, and given (`achieved.x`) elsewhere.
+        values: The names of the values that an observation is made of: its own numbers, and with a goal what
+            is achieved. What is achieved is computed from the fields of messages (`panda.tip.x`) where the
+            scenario does so, and given (`achieved.x`) elsewhere.
     """
 
     def __init__(self, program: Program) -> None:
@@ -33,26 +35,38 @@ class Observer:
         texts = {number: entry.value.text for entry in agent.observation for number, _ in entry.value.numbers}
         if self._goal is not None:
             names = [name.full_name for name in self._goal.names("achieved")]
-            signals = {full: value for entry in program.signals for full, value in entry.numbers if entry.noise is None}
+            signals = {
+                full: value
+                for entry in program.signals
+                for full, value in entry.numbers
+                if entry.noise is None
+            }
             trees = [_from_messages(tree, sent, signals) for tree in self._goal.achieved.scalars]
             computed = [tree for tree in trees if tree is not None]
-            self._achieved = dict(zip(names, computed if len(computed) == len(names) else map(Name, names), strict=True))
+            self._achieved = dict(
+                zip(names, computed if len(computed) == len(names) else map(Name, names), strict=True)
+            )
             texts |= dict.fromkeys(names, self._goal.achieved.text)
         texts |= {full: signal.text for signal in program.signals for full, _ in signal.numbers}
         read = (leaf.full_name for tree in self._achieved.values() for leaf in names_in(tree))
         self.values = tuple(dict.fromkeys((*(value.name for value in self._inputs), *read)))
-        self._computed = {name: texts[name] for name in self.values if name in texts and sent.isdisjoint((name, name.rpartition(".")[0]))}
+        self._computed = {
+            name: texts[name]
+            for name in self.values
+            if name in texts and sent.isdisjoint((name, name.rpartition(".")[0]))
+        }
 
     def observe(self, values: Mapping[str, float], desired: Sequence[float] | None = None) -> Any:
         """The observation, float32: an array, or with a goal a dictionary of arrays.
 
         Args:
-            values: The value of each name of `values`, in its unit. What is beyond its range is clipped, as in an environment.
+            values: The value of each name of `values`, in its unit. What is beyond its range is clipped, as
+                in an environment.
             desired: The goal, a number per component in its unit; only for a policy with a goal.
 
         Raises:
-            UsageError: The policy sees more than present values; a name is missing or unknown; a value is not finite; the goal is missing
-                or has another size.
+            UsageError: The policy sees more than present values; a name is missing or unknown; a value is not
+                finite; the goal is missing or has another size.
         """
         if self._refused:
             raise UsageError(self._refused)
@@ -67,9 +81,13 @@ class Observer:
         vector = np.array(numbers, np.float32)
         if self._goal is None:
             return vector
-        given = {Name(name): np.asarray(float(value)) for name, value in values.items()}
-        achieved = [float(evaluate(tree, given)) for tree in self._achieved.values()]
-        return {"observation": vector, "achieved_goal": self._mapped(achieved), "desired_goal": self._mapped(wanted)}
+        by_name = {Name(name): np.asarray(float(value)) for name, value in values.items()}
+        achieved = [float(evaluate(tree, by_name)) for tree in self._achieved.values()]
+        return {
+            "observation": vector,
+            "achieved_goal": self._mapped(achieved),
+            "desired_goal": self._mapped(wanted),
+        }
 
     def _desired(self, desired: Sequence[float] | None) -> list[float]:
         goal = self._goal
@@ -78,27 +96,34 @@ class Observer:
                 raise UsageError("this policy has no goal; leave out `desired`")
             return []
         size, names = len(goal.low), f" ({', '.join(goal.components)})" if goal.components else ""
-        wanted = f"{size} number{'' if size == 1 else 's'}{names}{f' in {goal.unit}' if goal.unit != '1' else ''}"
+        wanted = (
+            f"{size} number{'' if size == 1 else 's'}{names}{f' in {goal.unit}' if goal.unit != '1' else ''}"
+        )
         if desired is None:
             raise UsageError(f"this policy has a goal; give it as `desired`: {wanted}")
         try:
-            found = np.asarray(desired, float)
+            numbers = np.asarray(desired, float)
         except (TypeError, ValueError):
-            found = np.asarray(None, float)
-        if found.reshape(-1).shape != (size,) or not np.isfinite(found).all():
+            numbers = np.asarray(None, float)
+        if numbers.reshape(-1).shape != (size,) or not np.isfinite(numbers).all():
             raise UsageError(f"`desired` is {str(desired)[:80]}; give {wanted}, all of them finite")
-        return [float(value) for value in found.reshape(-1)]
+        return [float(value) for value in numbers.reshape(-1)]
 
     def _require_complete(self, values: Mapping[str, float]) -> None:
-        missing, unknown = [name for name in self.values if name not in values], [name for name in values if name not in self.values]
+        missing = [name for name in self.values if name not in values]
+        unknown = [name for name in values if name not in self.values]
         if missing:
-            said = [
-                f"{name} (no message holds it; the scenario computes `{self._computed[name]}`)" if name in self._computed else name
+            texts = [
+                f"{name} (no message holds it; the scenario computes `{self._computed[name]}`)"
+                if name in self._computed
+                else name
                 for name in missing
             ]
-            raise UsageError(f"the observation needs {', '.join(self.values)}; missing: {', '.join(said)}")
+            raise UsageError(f"the observation needs {', '.join(self.values)}; missing: {', '.join(texts)}")
         if unknown:
-            raise UsageError(f"the observation needs {', '.join(self.values)}; unknown: {', '.join(map(str, unknown))}")
+            raise UsageError(
+                f"the observation needs {', '.join(self.values)}; unknown: {', '.join(map(str, unknown))}"
+            )
         for name, number in values.items():
             try:
                 is_finite = math.isfinite(number)
@@ -117,13 +142,21 @@ class Observer:
     def _reason(self, program: Program) -> str:
         """Why present values are not enough; empty if they are."""
         if program.agent.images:
-            return f"this policy sees the image '{program.agent.images[0].key}'; take observations from the environment"
+            return (
+                f"this policy sees the image '{program.agent.images[0].key}'; take observations from the"
+                " environment"
+            )
         older = next((value.name for value in self._inputs if value.steps_ago), None)
-        return f"this policy sees older values of {older}; take observations from the environment" if older else ""
+        return (
+            f"this policy sees older values of {older}; take observations from the environment"
+            if older
+            else ""
+        )
 
 
 def _from_messages(tree: Scalar, sent: set[str], signals: Mapping[str, Scalar]) -> Scalar | None:
-    """The tree over full names of the fields that are `sent`, through `signals`; None if it reads something else."""
+    """The tree over full names of the fields that are `sent`, through `signals`; None if it reads something
+    else."""
     match tree:
         case Const():
             return tree
@@ -133,6 +166,8 @@ def _from_messages(tree: Scalar, sent: set[str], signals: Mapping[str, Scalar]) 
                 return Name(full)
             return _from_messages(signals[full], sent, signals) if full in signals else None
         case Op(op=name, args=args):
-            known = [found for arg in args if (found := _from_messages(arg, sent, signals)) is not None]
-            return Op(name, tuple(known)) if len(known) == len(args) else None
+            sent_args = [
+                sent_arg for arg in args if (sent_arg := _from_messages(arg, sent, signals)) is not None
+            ]
+            return Op(name, tuple(sent_args)) if len(sent_args) == len(args) else None
     return None

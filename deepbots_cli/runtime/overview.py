@@ -15,21 +15,32 @@ from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
 from deepbots_cli.runtime.placement import copy_offset
 
-_EYE_DIRECTION = (0.25, -0.94, 0.34)  # the direction of the eye from the middle: the right, a little to the front, above
+_EYE_DIRECTION = (
+    0.25,
+    -0.94,
+    0.34,
+)  # the direction of the eye from the middle: the right, a little to the front, above
 _MIN_FRONT_ASPECT = 2.0  # how many times as long as wide a scene is that is seen from the front
 _FLAT_EYE_RISE = 0.9  # how much higher the eye stands over what is flat
 _VIEW_MARGIN = 1.08
 _SCENE_SPACING = 1.1  # how far apart two scenes stand, as a factor
 _MIN_HALF_SIDE_M = 0.05  # m; half the side of the smallest scene
-_LARGE, _ROOM_IN_THE_LARGE = 15.0, 3.0  # times the side of a robot: what dwarfs it, and what is shown of that on each side
-_LEG_ROOM, _ARM_ROOM = 0.2, 0.12  # of its largest side, around a robot that the view follows, and one with a fixed base
+_LARGE, _ROOM_IN_THE_LARGE = (
+    15.0,
+    3.0,
+)  # times the side of a robot: what dwarfs it, and what is shown of that on each side
+_LEG_ROOM, _ARM_ROOM = (
+    0.2,
+    0.12,
+)  # of its largest side, around a robot that the view follows, and one with a fixed base
 
 Parameters = Mapping[tuple[str, str | None], Scalar]
 """What each component of a parameter is."""
 
 
 def overview(scenario: Program, width: int = 480, height: int = 320) -> View:
-    """A view on the arena or the ground that matters, on objects, and on robots wherever an episode may begin."""
+    """A view on the arena or the ground that matters, on objects, and on robots wherever an episode may
+    begin."""
     return view_around(extent(scenario), width, height)
 
 
@@ -45,24 +56,32 @@ def extent(scenario: Program) -> list[Bounds]:
     }
     world = scenario.world
     robots = list(_robots(scenario, places, parameters))
-    around = [*_surroundings(world), *(box for thing in world.objects for box in _object(thing, world, places, parameters))]
+    around = [
+        *_surroundings(world),
+        *(box for thing in world.objects for box in _object(thing, world, places, parameters)),
+    ]
     if world.arena is None and robots:
         around = list(_near(robots, around))
     boxes = [*robots, *around]
     if world.arena is None:
         return boxes
-    x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)  # what looks for a place stays within the walls
+    x, y = (
+        side / 2 + world.arena.wall_thickness for side in world.arena.size
+    )  # what looks for a place stays within the walls
     return [((max(a[0], -x), max(a[1], -y), a[2]), (min(b[0], x), min(b[1], y), b[2])) for a, b in boxes]
 
 
 def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) -> View:
-    """A view that just holds all boxes, each given by its least and its greatest corner: from the right, above, or from the front where
-    the boxes extend far to the sides.
+    """A view that just holds all boxes, each given by its least and its greatest corner: from the right,
+    above, or from the front where the boxes extend far to the sides.
     """
     middle, (right, up, back) = _axes(boxes)
-    corners = _corners([*boxes, (add(middle, (-_MIN_HALF_SIDE_M,) * 3), add(middle, (_MIN_HALF_SIDE_M,) * 3))])
+    corners = _corners(
+        [*boxes, (add(middle, (-_MIN_HALF_SIDE_M,) * 3), add(middle, (_MIN_HALF_SIDE_M,) * 3))]
+    )
     tall = math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _VIEW_MARGIN
-    # A corner is in the picture if |(corner - eye) * side| <= slope * (eye - corner) * back, for both sides of the picture.
+    # A corner is in the picture if |(corner - eye) * side| <= slope * (eye - corner) * back, for both sides
+    # of the picture.
     eye, distance = ZERO_VECTOR, -math.inf
     for side, slope in ((right, tall * width / height), (up, tall)):
         ahead = max(dot(corner, side) + slope * dot(corner, back) for corner in corners)
@@ -119,7 +138,12 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
 
 def follows_robot(world: WorldModel) -> bool:
     """Whether a view follows the first free robot: nothing else shows where it is."""
-    return world.arena is None and world.terrain is None and not world.lines and any(not robot.fixed_base for robot in world.robots)
+    return (
+        world.arena is None
+        and world.terrain is None
+        and not world.lines
+        and any(not robot.fixed_base for robot in world.robots)
+    )
 
 
 def _robots(scenario: Program, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
@@ -127,28 +151,47 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
     copies = scenario.agent.copies
     shifts = [copy_offset(copies, number) for number in (1, copies.count)] if copies else [ZERO_VECTOR]
     for robot in scenario.world.robots:
-        states = [state for start in scenario.reset.joint_starts if start.robot == robot.name for state in start.states]
+        states = [
+            state
+            for start in scenario.reset.joint_starts
+            if start.robot == robot.name
+            for state in start.states
+        ]
         joints = {joint: sum(_ends(position, parameters)) / 2 for joint, position, _ in states}
         box = robot_bounds(robot.model, joints)
         turns = robot.name in places or robot.pose.rpy[2] != 0.0
         box = _all_round(box) if turns else box
-        if follows_robot(scenario.world) or (robot.fixed_base and robot.model.moving_joints):  # legs and arms swing out
-            room = (_ARM_ROOM if robot.fixed_base else _LEG_ROOM) * max(high - low for low, high in zip(*box, strict=True))
+        if follows_robot(scenario.world) or (
+            robot.fixed_base and robot.model.moving_joints
+        ):  # legs and arms swing out
+            room = (_ARM_ROOM if robot.fixed_base else _LEG_ROOM) * max(
+                high - low for low, high in zip(*box, strict=True)
+            )
             box = add(box[0], (-room, -room, 0.0)), add(box[1], (room, room, room))
         low, high = _placed(box, robot.pose.xyz, places.get(robot.name), scenario.world, places, parameters)
         yield from ((add(low, shift), add(high, shift)) for shift in shifts)
 
 
-def _object(thing: ObjectBody, world: WorldModel, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
+def _object(
+    thing: ObjectBody, world: WorldModel, places: dict[str, Placement], parameters: Parameters
+) -> Iterator[Bounds]:
     """An object in each of its forms, wherever it may stand."""
     place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
     for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
         low, high = bounds_of_shape(shape)
-        yield _placed(_all_round((low, high)) if thing.pose.rpy[2] else (low, high), thing.pose.xyz, place, world, places, parameters)
+        yield _placed(
+            _all_round((low, high)) if thing.pose.rpy[2] else (low, high),
+            thing.pose.xyz,
+            place,
+            world,
+            places,
+            parameters,
+        )
 
 
 def _near(robots: Sequence[Bounds], boxes: Iterable[Bounds]) -> Iterator[Bounds]:
-    """The boxes, of which those that dwarf the robots are cut to the part around them: on a field of 20 m, a robot is a dot."""
+    """The boxes, of which those that dwarf the robots are cut to the part around them: on a field of 20 m, a
+    robot is a dot."""
     side = max(high - low for box in robots for low, high in zip(*box, strict=True))
     low, high = box_around(robots)
     room = (_ROOM_IN_THE_LARGE * side,) * 3
@@ -157,7 +200,9 @@ def _near(robots: Sequence[Bounds], boxes: Iterable[Bounds]) -> Iterator[Bounds]
         cut = tuple(map(max, start, low)), tuple(map(min, end, high))
         is_large = max(b - a for a, b in zip(start, end, strict=True)) > _LARGE * side
         is_cut = is_large and all(a <= b for a, b in zip(*cut, strict=True))
-        yield ((cut[0][0], cut[0][1], cut[0][2]), (cut[1][0], cut[1][1], cut[1][2])) if is_cut else (start, end)
+        yield (
+            ((cut[0][0], cut[0][1], cut[0][2]), (cut[1][0], cut[1][1], cut[1][2])) if is_cut else (start, end)
+        )
 
 
 def _all_round(box: Bounds) -> Bounds:
@@ -168,7 +213,12 @@ def _all_round(box: Bounds) -> Bounds:
 
 
 def _placed(
-    box: Bounds, own_position: Triple, place: Placement | None, world: WorldModel, places: dict[str, Placement], parameters: Parameters
+    box: Bounds,
+    own_position: Triple,
+    place: Placement | None,
+    world: WorldModel,
+    places: dict[str, Placement],
+    parameters: Parameters,
 ) -> Bounds:
     low, high = box
     if place is None:
@@ -197,8 +247,8 @@ def _ends(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
         case Draw(distribution="normal", args=(mean, _)):
             return _ends(mean, parameters)
         case Draw(args=args):
-            found = [end for arg in args for end in _ends(arg, parameters)]
-            return min(found), max(found)
+            ends = [end for arg in args for end in _ends(arg, parameters)]
+            return min(ends), max(ends)
         case Name(name, component) if (name, component) in parameters:
             return _ends(parameters[name, component], parameters)
         case _:

@@ -1,14 +1,14 @@
 """Paths in the plane: along painted lines, and the shortest ones around solid objects.
 
-`Follower` gives the place of a body beside and along a line, `PaintedGround` the reflectance of the ground. Both use plain floats and
-only the segments near by, so that the cost does not grow with the length of a line.
+`Follower` gives the place of a body beside and along a line, `PaintedGround` the reflectance of the ground.
+Both use plain floats and only the segments near by, so that the cost does not grow with the length of a line.
 
-`Ways` hands out readers of lengths. Each pair of bodies has a `DistanceField`, which is computed anew when something in it
-has moved. `path_lengths` fills a field.
+`Ways` hands out readers of lengths. Each pair of bodies has a `DistanceField`, which is computed anew when
+something in it has moved. `path_lengths` fills a field.
 
-scipy's Dijkstra gives the same lengths on the same graph to 1.1e-5 m (10 000 random arenas, tests/benchmarks/ways.py), in 5.0 ms a
-field against 7.3 ms here. It is not used: the last digits of its lengths differ, and with them the rewards of shipped
-scenarios; importing it takes another 0.2 s of CPU.
+scipy's Dijkstra gives the same lengths on the same graph to 1.1e-5 m (10 000 random arenas,
+tests/benchmarks/ways.py), in 5.0 ms a field against 7.3 ms here. It is not used: the last digits of its
+lengths differ, and with them the rewards of shipped scenarios; importing it takes another 0.2 s of CPU.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ class Ways:
         return self._way(one, other).length
 
     def bearing(self, one: Part, other: Part) -> Callable[[], float]:
-        """A reader of the angle from the forward axis to where the shortest path leads, rad; left is positive."""
+        """A reader of the angle from the forward axis to where the shortest path leads, rad; left is
+        positive."""
         return self._way(one, other).bearing
 
     def reachable(self, one: Part, other: Part) -> Callable[[], bool]:
@@ -80,11 +81,14 @@ class Ways:
 
     def _way(self, one: Part, other: Part) -> _PathQuery:
         if (one, other) not in self._ways:
-            self._ways[one, other] = _PathQuery(self, one, other, self._engine.pose(*one), self._engine.pose(*other))
+            self._ways[one, other] = _PathQuery(
+                self, one, other, self._engine.pose(*one), self._engine.pose(*other)
+            )
         return self._ways[one, other]
 
     def last_read_paths(self) -> list[list[Spot]]:
-        """The points of the shortest paths whose lengths were read last, from where the bodies are now; reading them changes nothing."""
+        """The points of the shortest paths whose lengths were read last, from where the bodies are now;
+        reading them changes nothing."""
         return [way.points() for way in self._ways.values()]
 
     def radius(self, part: Part) -> float:
@@ -92,12 +96,18 @@ class Ways:
         return self.forms.footprint(part[0]).radius if part[1] is None else 0.0
 
     def is_fixed(self, part: Part) -> bool:
-        return self.forms.is_fixed(part[0]) or (part[0] in self.forms.things and not self.forms.things[part[0]].solid)
+        return self.forms.is_fixed(part[0]) or (
+            part[0] in self.forms.things and not self.forms.things[part[0]].solid
+        )
 
     def solids(self, *but: str) -> Iterator[tuple[ObjectBody, PoseReader]]:
         """The solid objects of this episode."""
         there = self._bodies.placed if self._bodies else ()
-        return ((thing, pose) for thing, pose in self._solids if thing.name not in but and (not thing.pooled or thing.name in there))
+        return (
+            (thing, pose)
+            for thing, pose in self._solids
+            if thing.name not in but and (not thing.pooled or thing.name in there)
+        )
 
     def patch(self, thing: ObjectBody, pose: tuple[Triple, Quaternion]) -> Patch | None:
         """The patch of an object at a pose; None if it does not rise above the ground."""
@@ -166,11 +176,14 @@ class _PathQuery:
         return self._field
 
     def _renew(self) -> DistanceField:
-        """The field of the world as it is; the last one if it has the same arguments, as in a world whose bodies start where they did."""
+        """The field of the world as it is; the last one if it has the same arguments, as in a world whose
+        bodies start where they did."""
         ways, goal = self._ways, self._there()[0]
         standing = [(thing, read, read()) for thing, read in ways.solids(self._one[0], self._other[0])]
         patches = [patch for thing, _, pose in standing if (patch := ways.patch(thing, pose)) is not None]
-        self._watched = [(read, *pose[0][:2]) for thing, read, pose in standing if not ways.forms.is_fixed(thing.name)]
+        self._watched = [
+            (read, *pose[0][:2]) for thing, read, pose in standing if not ways.forms.is_fixed(thing.name)
+        ]
         if not ways.is_fixed(self._other):
             self._watched.append((self._there, goal[0], goal[1]))
         radius = ways.forms.half_width(self._one[0])
@@ -186,15 +199,19 @@ class _PathQuery:
 class DistanceField:
     """The lengths of ways to a goal, by the place where they start.
 
-    The middle of a disc of `radius` moves along a way, which ends where the disc meets the disc of the goal. A place without
-    any way, such as one where the disc touches an obstacle, has the length of the nearest place with one, and of the straight
-    line there: lengths are finite everywhere.
+    The middle of a disc of `radius` moves along a way, which ends where the disc meets the disc of the goal.
+    A place without any way, such as one where the disc touches an obstacle, has the length of the nearest
+    place with one, and of the straight line there: lengths are finite everywhere.
     """
 
-    def __init__(self, area: Area, radius: float, solids: Iterable[Patch], goal: Spot, goal_radius: float) -> None:
+    def __init__(
+        self, area: Area, radius: float, solids: Iterable[Patch], goal: Spot, goal_radius: float
+    ) -> None:
         """`area` is the inside of the walls, or the box that ways may cross; lengths in m."""
         self.cell = max(area[2] - area[0], area[3] - area[1], 1e-6) / MAX_CELLS
-        (self._left, columns), (self._low, rows) = (_nodes(area[axis] + radius, area[axis + 2] - radius, self.cell) for axis in (0, 1))
+        (self._left, columns), (self._low, rows) = (
+            _nodes(area[axis] + radius, area[axis + 2] - radius, self.cell) for axis in (0, 1)
+        )
         self._x = self._left + self.cell * (np.arange(columns + 2 * MARGIN_CELLS) - MARGIN_CELLS)
         self._y = self._low + self.cell * (np.arange(rows + 2 * MARGIN_CELLS) - MARGIN_CELLS)
         self._outside: Mask = np.ones((len(self._y), len(self._x)), np.bool_)
@@ -206,25 +223,32 @@ class DistanceField:
         away = np.hypot(self._x - goal[0], (self._y - goal[1])[:, None])
         self._unit = max(1.0, self.cell * MAX_CELLS / _WIDE_AREA_M)
         self._step = self.cell / self._unit
-        starts = np.where((away <= max(radius + goal_radius, 1.5 * self.cell)) & ~blocked, away / self._unit, UNREACHABLE_LENGTH)
-        found = path_lengths(blocked, starts, self._step)
-        self._reached: Mask = found < UNREACHABLE_LENGTH
+        starts = np.where(
+            (away <= max(radius + goal_radius, 1.5 * self.cell)) & ~blocked,
+            away / self._unit,
+            UNREACHABLE_LENGTH,
+        )
+        lengths = path_lengths(blocked, starts, self._step)
+        self._reached: Mask = lengths < UNREACHABLE_LENGTH
         if not self._reached.any():  # the goal itself is shut in: as the crow flies
-            found = np.where(self._outside, UNREACHABLE_LENGTH, away / self._unit)
-        self._found = found
+            lengths = np.where(self._outside, UNREACHABLE_LENGTH, away / self._unit)
+        self._found = lengths
         self._filled = False
-        self._lengths: list[list[float]] = found.tolist()
+        self._lengths: list[list[float]] = lengths.tolist()
         self._open: list[list[bool]] = self._reached.tolist()
         self._rows, self._columns = rows, columns
 
     def _fill(self) -> None:
         """Give each node without a way the length of the nearest node with one, and of the line there.
 
-        Lines are so dear that the nearest node counts and not the one with the shortest way, which may be beyond a wall.
+        Lines are so dear that the nearest node counts and not the one with the shortest way, which may be
+        beyond a wall.
         """
         self._filled = True
         line = path_lengths(self._outside, np.where(self._reached, 0.0, UNREACHABLE_LENGTH), self._step)
-        dear = path_lengths(self._outside, np.where(self._reached, self._found, UNREACHABLE_LENGTH), self._step * _BARRED_COST)
+        dear = path_lengths(
+            self._outside, np.where(self._reached, self._found, UNREACHABLE_LENGTH), self._step * _BARRED_COST
+        )
         self._found = np.where(self._reached | self._outside, self._found, dear - (_BARRED_COST - 1.0) * line)
         self._lengths = self._found.tolist()
 
@@ -243,7 +267,8 @@ class DistanceField:
         blocked[rows, columns] |= along * along + across * across < reach * reach
 
     def length(self, x: float, y: float) -> float:
-        """The length from a place to the goal, interpolated between four nodes; beyond the area, the distance to the area is added."""
+        """The length from a place to the goal, interpolated between four nodes; beyond the area, the distance
+        to the area is added."""
         column, row = (x - self._left) / self.cell, (y - self._low) / self.cell
         inside_column = min(max(column, 0.0), self._columns - 1.0)
         inside_row = min(max(row, 0.0), self._rows - 1.0)
@@ -251,7 +276,9 @@ class DistanceField:
         u, v = inside_column - i, inside_row - j
         i, j = i + MARGIN_CELLS, j + MARGIN_CELLS
         here, there = self._lengths[j], self._lengths[j + 1]
-        if not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= UNREACHABLE_LENGTH:  # one of them is reached by no way
+        if (
+            not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= UNREACHABLE_LENGTH
+        ):  # one of them is reached by no way
             self._fill()
             return self.length(x, y)
         low = here[i] + u * (here[i + 1] - here[i])
@@ -261,9 +288,11 @@ class DistanceField:
         return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
 
     def ahead(self, x: float, y: float) -> Spot:
-        """The first place on the way that is farther away than the radius of the disc and a cell, or the goal.
+        """The first place on the way that is farther away than the radius of the disc and a cell, or the
+        goal.
 
-        Where no way begins, such as beside an obstacle that the disc touches, the way is that of the nearest node with one.
+        Where no way begins, such as beside an obstacle that the disc touches, the way is that of the nearest
+        node with one.
         """
         limit = self._radius + self.cell
         points = self.path(x, y, limit)
@@ -274,7 +303,8 @@ class DistanceField:
         return points[-1] if len(points) > 1 else self._goal
 
     def path(self, x: float, y: float, limit: float = float("inf")) -> list[Spot]:
-        """A place, the nodes of a shortest way from it, and the goal, m; the place alone if no way begins there.
+        """A place, the nodes of a shortest way from it, and the goal, m; the place alone if no way begins
+        there.
 
         The way ends with the first node that is farther from the place than `limit`.
         """
@@ -285,8 +315,15 @@ class DistanceField:
             points.append((float(self._x[column]), float(self._y[row])))
             # The length of a node is that of the next node and of the move there.
             here = self._found[row, column]
-            nodes = [(row + sign * up, column + sign * aside, hypot(up, aside)) for up, aside in _MOVES for sign in (1, -1)]
-            misfit, row, column = min((abs(self._found[i, j] + self._step * LENGTH_SCALE * move - here), i, j) for i, j, move in nodes)
+            nodes = [
+                (row + sign * up, column + sign * aside, hypot(up, aside))
+                for up, aside in _MOVES
+                for sign in (1, -1)
+            ]
+            misfit, row, column = min(
+                (abs(self._found[i, j] + self._step * LENGTH_SCALE * move - here), i, j)
+                for i, j, move in nodes
+            )
             if misfit > 1e-6 or self._found[row, column] >= here:
                 return [*points, self._goal]
         return points
@@ -300,7 +337,8 @@ class DistanceField:
 
 
 def _nodes(low: float, high: float, cell: float) -> tuple[float, int]:
-    """The place of the first node between two ends, about their middle, and the number of nodes: two at least."""
+    """The place of the first node between two ends, about their middle, and the number of nodes: two at
+    least."""
     count = max(2, int((high - low) / cell + 1e-6) + 1)
     return (low + high - (count - 1) * cell) / 2, count
 
@@ -318,7 +356,9 @@ class _GridLines:
             broken |= np.roll(blocked, (row, column), (0, 1))  # any blocked cell that a move touches bars it
         step = cell * LENGTH_SCALE * hypot(rows, columns)
         walls = np.cumsum(self.view(broken.ravel().astype(np.float64), 1.0), axis=0)
-        back = np.cumsum(self.view(np.roll(broken.ravel(), -self.stride).astype(np.float64), 1.0)[::-1], axis=0)
+        back = np.cumsum(
+            self.view(np.roll(broken.ravel(), -self.stride).astype(np.float64), 1.0)[::-1], axis=0
+        )
         along = step * np.arange(self.length, dtype=np.float64)[:, None]
         self.forward = along + _OBSTACLE_OFFSET_M * walls
         self.backward = along + _OBSTACLE_OFFSET_M * back
@@ -349,11 +389,13 @@ def _between(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
 
 
 def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
-    """The length of the shortest way from each node to a start, plus the length of that start; FAR where there is none.
+    """The length of the shortest way from each node to a start, plus the length of that start; FAR where
+    there is none.
 
-    A way goes from node to node in 16 directions. Its length differs from the straight line's by less than 3 %; all are scaled
-    so that the error is the same either side. One sweep of numpy (`minimum.accumulate` along every line of the grid) takes
-    straight stretches of any length, so that a field costs a few sweeps per bend of its ways and not one per cell.
+    A way goes from node to node in 16 directions. Its length differs from the straight line's by less than 3
+    %; all are scaled so that the error is the same either side. One sweep of numpy (`minimum.accumulate`
+    along every line of the grid) takes straight stretches of any length, so that a field costs a few sweeps
+    per bend of its ways and not one per cell.
 
     Args:
         blocked: Nodes that no way passes, with a margin of blocked ones all around, shape (rows, columns).
@@ -361,17 +403,17 @@ def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
         cell: The distance of neighboring nodes, m.
     """
     directions = [_GridLines(blocked, rows, columns, cell) for rows, columns in _MOVES]
-    found = starts.ravel().copy()
+    lengths = starts.ravel().copy()
     barred = blocked.ravel()
-    found[barred] = UNREACHABLE_LENGTH
+    lengths[barred] = UNREACHABLE_LENGTH
     for _ in range(_MAX_ROUNDS):
-        before = found
+        before = lengths
         for lines in directions:
-            found = lines.sweep(found)
-            found[barred] = UNREACHABLE_LENGTH
-        if not np.any(before - found > 1e-6):
+            lengths = lines.sweep(lengths)
+            lengths[barred] = UNREACHABLE_LENGTH
+        if not np.any(before - lengths > 1e-6):
             break
-    return found.reshape(blocked.shape)
+    return lengths.reshape(blocked.shape)
 
 
 # Painted lines
@@ -381,7 +423,8 @@ _MOST_CELLS = 100_000
 
 
 class Segment(NamedTuple):
-    """A straight piece: where it begins (m), its direction, its length (m), how far along the line it begins (m)."""
+    """A straight piece: where it begins (m), its direction, its length (m), how far along the line it begins
+    (m)."""
 
     x: float
     y: float
@@ -391,7 +434,8 @@ class Segment(NamedTuple):
     start: float
 
     def nearest_point(self, x: float, y: float) -> tuple[float, float, float]:
-        """The nearest of its points to (x, y): how far along the piece, the distance squared, and the side (left positive)."""
+        """The nearest of its points to (x, y): how far along the piece, the distance squared, and the side
+        (left positive)."""
         dx, dy = x - self.x, y - self.y
         along = min(max(dx * self.along_x + dy * self.along_y, 0.0), self.length)
         off_x, off_y = dx - along * self.along_x, dy - along * self.along_y
@@ -399,13 +443,13 @@ class Segment(NamedTuple):
 
 
 def line_segments(line: Line) -> list[Segment]:
-    found, start = [], 0.0
+    segments, start = [], 0.0
     for (x, y), (end_x, end_y) in line.pieces:
         length = hypot(end_x - x, end_y - y)
         if length > 0.0:
-            found.append(Segment(x, y, (end_x - x) / length, (end_y - y) / length, length, start))
+            segments.append(Segment(x, y, (end_x - x) / length, (end_y - y) / length, length, start))
         start += length
-    return found
+    return segments
 
 
 class Follower:
@@ -429,9 +473,11 @@ class Follower:
         self._cross_track_error = self._arc_length = self._arc = 0.0
 
     def __call__(self, position: Sequence[float]) -> tuple[float, float]:
-        """How far the body is to the left of the line, and how far it has come along it since the reset, in m.
+        """How far the body is to the left of the line, and how far it has come along it since the reset, in
+        m.
 
-        The way along a closed line goes on growing from lap to lap. Calling it twice at one place changes nothing.
+        The way along a closed line goes on growing from lap to lap. Calling it twice at one place changes
+        nothing.
         """
         x, y = position[0], position[1]
         if self._at < 0:
@@ -470,15 +516,26 @@ class Follower:
 
 
 class PaintedGround:
-    """The reflectance of the ground at a position: 1 where nothing is painted. A later line covers an earlier one."""
+    """The reflectance of the ground at a position: 1 where nothing is painted. A later line covers an earlier
+    one."""
 
     def __init__(self, lines: Sequence[Line], spot: float) -> None:
-        """`spot` is the radius (m) of the patch of ground that is looked at, over which the light is a mean."""
+        """`spot` is the radius (m) of the patch of ground that is looked at, over which the light is a
+        mean."""
         self._spot = max(spot, 1e-6)
         self._halves = [0.5 * line.width for line in lines]
         self._reflectances = [line.reflectance for line in lines]
-        strokes = [(number, piece, 0.5 * line.width + self._spot) for number, line in enumerate(lines) for piece in line_segments(line)]
-        self._cell = max(_CELL, sum(piece.length for _, piece, _ in strokes) * 10 / _MOST_CELLS, *(reach for _, _, reach in strokes), 0.0)
+        strokes = [
+            (number, piece, 0.5 * line.width + self._spot)
+            for number, line in enumerate(lines)
+            for piece in line_segments(line)
+        ]
+        self._cell = max(
+            _CELL,
+            sum(piece.length for _, piece, _ in strokes) * 10 / _MOST_CELLS,
+            *(reach for _, _, reach in strokes),
+            0.0,
+        )
         self._cells: dict[tuple[int, int], list[tuple[int, Segment]]] = {}
         for number, piece, reach in strokes:
             for cell in _touched(piece, reach, self._cell):

@@ -1,8 +1,9 @@
 """The poses of bodies at the beginning of an episode.
 
-`Arrangement` takes bodies with coordinates first, then looks for a free spot for each of the others, in order, again and again
-until the start is as required. `Floor` knows the spots that are taken, `Forms` the footprint and the height of each body.
-Looking takes microseconds, since it works in the plane (`deepbots_cli.footprint`); the engine sees only the arrangement found.
+`Arrangement` takes bodies with coordinates first, then looks for a free spot for each of the others, in
+order, again and again until the start is as required. `Floor` knows the spots that are taken, `Forms` the
+footprint and the height of each body. Looking takes microseconds, since it works in the plane
+(`deepbots_cli.footprint`); the engine sees only the arrangement found.
 """
 
 from __future__ import annotations
@@ -86,8 +87,13 @@ class Arrangement:
             finally:
                 streams.member = ""
         spots = [key for key in streams.chosen if key.endswith((".x", ".y"))]
-        is_set = [body for body in lacking if any(key.startswith(f"{body}|") or f".{body}." in key for key in spots)]
-        raise EvaluationError(f"no start was found in {attempts} attempts (seed {streams.root}): {_complaint(lacking, attempts, is_set)}")
+        is_set = [
+            body for body in lacking if any(key.startswith(f"{body}|") or f".{body}." in key for key in spots)
+        ]
+        raise EvaluationError(
+            f"no start was found in {attempts} attempts (seed {streams.root}):"
+            f" {_complaint(lacking, attempts, is_set)}"
+        )
 
     def _forget(self) -> None:
         self._poses.clear()
@@ -111,7 +117,8 @@ class Arrangement:
         return self._streams.take(stream, chosen)
 
     def copies(self, group: str, count: float, at_most: float = inf) -> Iterator[str]:
-        """The names of the copies that take part, and a kind drawn for each; large ones come first, as they need more room."""
+        """The names of the copies that take part, and a kind drawn for each; large ones come first, as they
+        need more room."""
         return self._in_turn(self._present_copies(group, count, at_most))
 
     def _in_turn(self, bodies: Sequence[str]) -> Iterator[str]:
@@ -130,8 +137,11 @@ class Arrangement:
             self.forms.draw(name, self._streams)
         return sorted(names, key=lambda name: -self.forms.footprint(name).radius)
 
-    def cells(self, body: str, count: float, spots: Sequence[Spot], stream: str) -> Iterator[tuple[str, Spot]]:
-        """Copies of a group, or a single body, each with a spot of its own; drawn where there are more spots than bodies."""
+    def cells(
+        self, body: str, count: float, spots: Sequence[Spot], stream: str
+    ) -> Iterator[tuple[str, Spot]]:
+        """Copies of a group, or a single body, each with a spot of its own; drawn where there are more spots
+        than bodies."""
         names = self._present_copies(body, count, len(spots)) if body in self._capacity else [body]
         if len(names) < len(spots):
             order = self._streams[stream].permutation(len(spots))
@@ -144,18 +154,22 @@ class Arrangement:
         for is_chosen in (True, False):
             for body in names:
                 self._streams.member = body if "#" in body else ""
-                given = self._chosen_spot(stream)
-                if body not in taken and (given is not None) is is_chosen:
-                    found = next((spot for spot in spots if given is None or _fits(spot, given)), None)
-                    if found is None:
+                chosen = self._chosen_spot(stream)
+                if body not in taken and (chosen is not None) is is_chosen:
+                    drawn_spot = next((spot for spot in spots if chosen is None or _fits(spot, chosen)), None)
+                    if drawn_spot is None:
                         raise NoPlaceError(body)
-                    spots.remove(found)
-                    taken[body] = found
-                    self._streams.drawn |= {self._streams.key(f"{stream}.{axis}"): value for axis, value in zip("xy", found, strict=True)}
+                    spots.remove(drawn_spot)
+                    taken[body] = drawn_spot
+                    self._streams.drawn |= {
+                        self._streams.key(f"{stream}.{axis}"): value
+                        for axis, value in zip("xy", drawn_spot, strict=True)
+                    }
         return [taken[body] for body in names]
 
     def _chosen_spot(self, stream: str) -> tuple[float | None, float | None] | None:
-        """The coordinates that `options` of `reset` set for a body that looks for a spot; None if it sets neither."""
+        """The coordinates that `options` of `reset` set for a body that looks for a spot; None if it sets
+        neither."""
         chosen, key = self._streams.chosen, self._streams.key(stream)
         x, y = chosen.get(f"{key}.x"), chosen.get(f"{key}.y")
         return None if x is None and y is None else (x, y)
@@ -179,7 +193,9 @@ class Arrangement:
         if spacing != (0.0, 0.0):
             x, y = x + self._rank[body] * spacing[0], y + self._rank[body] * spacing[1]
         patch = self.forms.footprint(body, rpy).at(x, y, rpy[2])
-        self._settle(body, patch, (x, y, z), rpy, (velocity, angular_velocity), rests, clearance, self._height(x, y))
+        self._settle(
+            body, patch, (x, y, z), rpy, (velocity, angular_velocity), rests, clearance, self._height(x, y)
+        )
 
     def find(
         self,
@@ -197,12 +213,13 @@ class Arrangement:
     ) -> None:
         """Place a body on a free spot, drawn uniformly; `pose` draws its height and attitude.
 
-        `on` names the object on whose top it stands, which has its place already; `area` None is then the whole top.
+        `on` names the object on whose top it stands, which has its place already; `area` None is then the
+        whole top.
 
         Raises:
             NoPlaceError: None was found.
         """
-        generator, given = self._streams[stream], self._chosen_spot(stream)
+        generator, chosen = self._streams[stream], self._chosen_spot(stream)
         area, surface, base = area or UNBOUNDED_AREA, None, -inf
         if on:
             surface = self._surface(on, body)
@@ -215,19 +232,27 @@ class Arrangement:
             margin = 0.0 if self.forms.is_fixed(body) else clearance
             within = self._floor.allowed_area(area, covered, rpy[2], margin)
             within = surface.allowed_area(within, covered, rpy[2], margin) if surface else within
-            spots = shuffled_grid_spots(area, within, mesh, generator) if mesh else random_spots(within, TRIES_PER_ROUND, generator)
-            if given is not None and (self._streams.is_follower or not mesh):
-                spots = _moved(spots, given, UNBOUNDED_AREA if self._streams.is_follower else within)
-            elif given is not None:
-                spots = [spot for spot in spots if _fits(spot, given)]
+            spots = (
+                shuffled_grid_spots(area, within, mesh, generator)
+                if mesh
+                else random_spots(within, TRIES_PER_ROUND, generator)
+            )
+            if chosen is not None and (self._streams.is_follower or not mesh):
+                spots = _moved(spots, chosen, UNBOUNDED_AREA if self._streams.is_follower else within)
+            elif chosen is not None:
+                spots = [spot for spot in spots if _fits(spot, chosen)]
             elif number:
                 spots = self._floor.candidate_spots(spots, covered, rpy[2], clearance, base)
             for x, y in spots:
                 patch = covered.at(x, y, rpy[2])
-                is_free = (surface is None or surface.contains(patch, margin)) and self._floor.is_free(patch, clearance, base)
+                is_free = (surface is None or surface.contains(patch, margin)) and self._floor.is_free(
+                    patch, clearance, base
+                )
                 if is_free or self._streams.is_follower:
                     ground = surface.height if surface else self._height(x, y)
-                    self._settle(body, patch, (x, y, z), rpy, (velocity, angular_velocity), rests, clearance, ground)
+                    self._settle(
+                        body, patch, (x, y, z), rpy, (velocity, angular_velocity), rests, clearance, ground
+                    )
                     key = self._streams.key(stream)
                     self._streams.drawn |= {f"{key}.x": float(x), f"{key}.y": float(y)}
                     return
@@ -255,13 +280,23 @@ class Arrangement:
             self._engine.place(body, xyz, quaternion(*rpy), *motion)
 
     def _settle(
-        self, body: str, patch: Patch, xyz: Triple, rpy: Triple, motion: tuple[Triple, Triple], rests: bool, clearance: float, ground: float
+        self,
+        body: str,
+        patch: Patch,
+        xyz: Triple,
+        rpy: Triple,
+        motion: tuple[Triple, Triple],
+        rests: bool,
+        clearance: float,
+        ground: float,
     ) -> None:
         """Note the place of a body whose height counts from `ground` (m)."""
         x, y, z = xyz
         z += ground + (self.forms.resting_height(body, rpy) if rests else 0.0)
         top = self.forms.top(body, z, rpy)
-        if top > ground + TOUCHING_TOLERANCE_M:  # a table top level with the ground is nothing to keep clear of
+        if (
+            top > ground + TOUCHING_TOLERANCE_M
+        ):  # a table top level with the ground is nothing to keep clear of
             self._floor.occupy(patch, clearance, top)
         self._poses[body] = ((x, y, z), rpy, *(() if motion == (ZERO_VECTOR, ZERO_VECTOR) else motion))
 
@@ -269,20 +304,29 @@ class Arrangement:
 def _placed(scenario: Program) -> set[str]:
     """The bodies that some layout places."""
     reset = scenario.reset
-    return {place.body for places in (reset.placements, *(layout.placements for layout in reset.layouts)) for place in places}
+    return {
+        place.body
+        for places in (reset.placements, *(layout.placements for layout in reset.layouts))
+        for place in places
+    }
 
 
 def _complaint(lacking: Counter[str], attempts: int, is_set: Sequence[str]) -> str:
-    """The most frequent failure, and a remedy; the place of bodies of `is_set` is given by the options of `reset`."""
+    """The most frequent failure, and a remedy; the place of bodies of `is_set` is given by the options of
+    `reset`."""
     if lacking:
         body = lacking.most_common(1)[0][0]
         if body in is_set:
             return (
-                f"'{body}' cannot be placed at the position in the reset options: another body is there, or the position is outside its "
+                f"'{body}' cannot be placed at the position in the reset options: another body is there, or"
+                " the position is outside its "
                 "region"
             )
         if 2 * lacking.total() >= attempts:
-            return f"there is no free position for '{body}'; use fewer or smaller bodies, less clearance, or a larger region"
+            return (
+                f"there is no free position for '{body}'; use fewer or smaller bodies, less clearance, or"
+                " a larger region"
+            )
     return "no start met `reset.require`; weaken the condition, or raise `attempts`"
 
 
@@ -302,12 +346,18 @@ class Floor:
         self._taken.append((patch, clearance, top))
 
     def allowed_area(self, area: Area, covered: Footprint, yaw: float, clearance: float) -> Area:
-        """The part of the area in which the origin of a body keeps its clearance from the walls; may be empty."""
+        """The part of the area in which the origin of a body keeps its clearance from the walls; may be
+        empty."""
         at_origin = covered.at(0.0, 0.0, yaw)
         (reach_x, reach_y), (half_x, half_y) = at_origin.half_extents, self._half
         room_x, room_y = half_x - clearance - reach_x, half_y - clearance - reach_y
         x, y = at_origin.x, at_origin.y
-        return max(area[0], -room_x - x), max(area[1], -room_y - y), min(area[2], room_x - x), min(area[3], room_y - y)
+        return (
+            max(area[0], -room_x - x),
+            max(area[1], -room_y - y),
+            min(area[2], room_x - x),
+            min(area[3], room_y - y),
+        )
 
     def is_free(self, patch: Patch, clearance: float, base: float = -inf) -> bool:
         """Whether each body above the height `base` (m) keeps the clearance that it or the patch asks for."""
@@ -321,13 +371,19 @@ class Floor:
                 return False
         return True
 
-    def candidate_spots(self, spots: list[Spot], covered: Footprint, yaw: float, clearance: float, base: float) -> list[Spot]:
-        """The spots where a disc that fits into the body would be free: a cheap test that drops most spots of a crowd."""
+    def candidate_spots(
+        self, spots: list[Spot], covered: Footprint, yaw: float, clearance: float, base: float
+    ) -> list[Spot]:
+        """The spots where a disc that fits into the body would be free: a cheap test that drops most spots of
+        a crowd."""
         taken = [(other, own) for other, own, top in self._taken if top > base + TOUCHING_TOLERANCE_M]
         if not spots or not taken:
             return spots
         at_origin = covered.at(0.0, 0.0, yaw)
-        others = [(o.x, o.y, *(o.half or (0.0, 0.0)), o.cos, o.sin, 0.0 if o.half else o.radius, own) for o, own in taken]
+        others = [
+            (o.x, o.y, *(o.half or (0.0, 0.0)), o.cos, o.sin, 0.0 if o.half else o.radius, own)
+            for o, own in taken
+        ]
         x, y, half_x, half_y, c, s, around, own = np.array(others).T
         dx, dy = np.add(spots, (at_origin.x, at_origin.y)).T[..., None] - np.array((x, y))[:, None]
         along = np.maximum(np.abs(c * dx + s * dy) - half_x, 0.0)
@@ -349,11 +405,14 @@ class Surface(NamedTuple):
         return x - reach_x, y - reach_y, x + reach_x, y + reach_y
 
     def allowed_area(self, area: Area, covered: Footprint, yaw: float, margin: float) -> Area:
-        """The part of the area in which the origin of a body may keep `margin` from the edge; may be empty."""
+        """The part of the area in which the origin of a body may keep `margin` from the edge; may be
+        empty."""
         at_origin, (low_x, low_y, high_x, high_y) = covered.at(0.0, 0.0, yaw), self.area
         reach_x, reach_y = (reach + margin for reach in at_origin.half_extents)
         x, y = at_origin.x, at_origin.y
-        return intersection(area, (low_x + reach_x - x, low_y + reach_y - y, high_x - reach_x - x, high_y - reach_y - y))
+        return intersection(
+            area, (low_x + reach_x - x, low_y + reach_y - y, high_x - reach_x - x, high_y - reach_y - y)
+        )
 
     def contains(self, patch: Patch, margin: float) -> bool:
         return self.patch.contains(patch, margin - TOUCHING_TOLERANCE_M)
@@ -364,15 +423,22 @@ def intersection(one: Area, other: Area) -> Area:
     return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
 
 
-def _fits(spot: Spot, given: tuple[float | None, float | None]) -> bool:
+def _fits(spot: Spot, chosen: tuple[float | None, float | None]) -> bool:
     """Whether a spot has the given coordinates."""
-    return all(wanted is None or abs(value - wanted) <= _SAME_SPOT_M for value, wanted in zip(spot, given, strict=True))
+    return all(
+        wanted is None or abs(value - wanted) <= _SAME_SPOT_M
+        for value, wanted in zip(spot, chosen, strict=True)
+    )
 
 
-def _moved(spots: Iterable[Spot], given: tuple[float | None, float | None], area: Area) -> list[Spot]:
+def _moved(spots: Iterable[Spot], chosen: tuple[float | None, float | None], area: Area) -> list[Spot]:
     """The spots with the given coordinates, if they lie in the area."""
-    x, y = given
-    moved = [(across if x is None else x, along if y is None else y) for across, along in spots] if None in given else [given]
+    x, y = chosen
+    moved = (
+        [(across if x is None else x, along if y is None else y) for across, along in spots]
+        if None in chosen
+        else [chosen]
+    )
     return [(x, y) for x, y in moved if x is not None and y is not None and _contains(area, x, y)]
 
 
@@ -390,10 +456,15 @@ def random_spots(area: Area, count: int, generator: np.random.Generator) -> list
 
 
 def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.random.Generator) -> list[Spot]:
-    """The middles of the cells of size `mesh` that fit into an area, about its middle, and lie within another; in random order."""
+    """The middles of the cells of size `mesh` that fit into an area, about its middle, and lie within
+    another; in random order."""
     columns, rows = (max(1, int((area[axis + 2] - area[axis]) / mesh + 1e-9)) for axis in (0, 1))
     x, y = (area[0] + area[2]) / 2, (area[1] + area[3]) / 2
-    middles = [(x + (i - (columns - 1) / 2) * mesh, y + (j - (rows - 1) / 2) * mesh) for j in range(rows) for i in range(columns)]
+    middles = [
+        (x + (i - (columns - 1) / 2) * mesh, y + (j - (rows - 1) / 2) * mesh)
+        for j in range(rows)
+        for i in range(columns)
+    ]
     drawn = [middles[index] for index in generator.permutation(len(middles))]
     return [(x, y) for x, y in drawn if _contains(within, x, y)]
 
@@ -429,11 +500,15 @@ class Forms:
 
     def footprint(self, body: str, rpy: Triple = _LEVEL_RPY) -> Footprint:
         """The footprint with this attitude; that of a robot does not depend on it."""
-        known = self._robots.get(body)
-        if known is not None:
-            return known
+        cached = self._robots.get(body)
+        if cached is not None:
+            return cached
         shape = self.shape(body)
-        return self._upright[shape] if rpy[0] == rpy[1] == 0.0 else footprint.shape_footprint(shape, rpy[0], rpy[1])
+        return (
+            self._upright[shape]
+            if rpy[0] == rpy[1] == 0.0
+            else footprint.shape_footprint(shape, rpy[0], rpy[1])
+        )
 
     def half_width(self, body: str) -> float:
         """Half the width of the narrowest passage that it fits through, m."""

@@ -1,6 +1,7 @@
 """What each kind of sensor measures; the classes of `scenario.sensors` name these functions as their readers.
 
-In order: joints, poses and velocities, inertial measurements, contacts; distances along rays and how bright the ground is; pictures.
+In order: joints, poses and velocities, inertial measurements, contacts; distances along rays and how bright
+the ground is; pictures.
 """
 
 from __future__ import annotations
@@ -79,7 +80,8 @@ def position(site: Site) -> Instrument:
 
 
 def orientation(site: Site) -> Instrument:
-    """The quaternion (x, y, z, w) that turns the sensor's axes into those of the world, with w not negative."""
+    """The quaternion (x, y, z, w) that turns the sensor's axes into those of the world, with w not
+    negative."""
     read = mounted_pose(site)
 
     def turned() -> Quaternion:
@@ -120,11 +122,14 @@ def gyro(site: Site) -> Instrument:
         (_, turned), (_, angular) = read()
         return frames.rotate_back(turned, angular)
 
-    return Instrument(turning if site.mount[1] == IDENTITY_ROTATION else lambda: frames.rotate(back, turning()))
+    return Instrument(
+        turning if site.mount[1] == IDENTITY_ROTATION else lambda: frames.rotate(back, turning())
+    )
 
 
 def projected_gravity(site: Site) -> Instrument:
-    """The direction of gravity along the axes of the sensor, of length 1; nothing where there is no gravity."""
+    """The direction of gravity along the axes of the sensor, of length 1; nothing where there is no
+    gravity."""
     read = mounted_pose(site)
     down: Triple = (0.0, 0.0, -1.0)
 
@@ -146,10 +151,11 @@ def accelerometer(site: Site) -> Instrument:
 class Accelerometer:
     """The proper acceleration along the axes of the sensor, in m/s^2: 0 in free fall, 9.81 upwards at rest.
 
-    As a real one does, it integrates between two readings: each tick adds its change of velocity less gravity, turned into
-    the frame as it stands halfway through the tick. That is the mean over the tick to a part of a^2 / 24, where a is the angle
-    (rad) by which the sensor turns in it: 1 % at half a radian. Looking after every physics step instead took a tenth of what
-    the physics of a rolling ball takes. The first reading of an episode is as at rest.
+    As a real one does, it integrates between two readings: each tick adds its change of velocity less
+    gravity, turned into the frame as it stands halfway through the tick. That is the mean over the tick to a
+    part of a^2 / 24, where a is the angle (rad) by which the sensor turns in it: 1 % at half a radian.
+    Looking after every physics step instead took a tenth of what the physics of a rolling ball takes. The
+    first reading of an episode is as at rest.
     """
 
     def __init__(self, engine: Engine, robot: str, link: str, mount: Frame, timestep: float) -> None:
@@ -165,13 +171,16 @@ class Accelerometer:
         self._fall = frames.scaled(self._gravity, self._timestep)
         (_, self._turned), (self._before, angular) = self._motion()
         if self._arm is not None:
-            self._before = frames.add(self._before, frames.cross(angular, frames.rotate(self._turned, self._arm)))
+            self._before = frames.add(
+                self._before, frames.cross(angular, frames.rotate(self._turned, self._arm))
+            )
         self._sum: Triple = (0.0, 0.0, 0.0)
         self._ticks = 0
         self._begins = True
 
     def follow(self) -> None:
-        """Add up the change of a tick, along the axes of the link; plain arithmetic, as many scenarios have several ticks per step."""
+        """Add up the change of a tick, along the axes of the link; plain arithmetic, as many scenarios have
+        several ticks per step."""
         (_, turned), (velocity, angular) = self._motion()
         if self._arm is not None:
             velocity = frames.add(velocity, frames.cross(angular, frames.rotate(turned, self._arm)))
@@ -184,7 +193,11 @@ class Accelerometer:
         dx, dy, dz = vx - bx - fx, vy - by - fy, vz - bz - fz
         tx, ty, tz = scale * (dy * z - dz * y), scale * (dz * x - dx * z), scale * (dx * y - dy * x)
         sx, sy, sz = self._sum
-        self._sum = (sx + dx + w * tx - y * tz + z * ty, sy + dy + w * ty - z * tx + x * tz, sz + dz + w * tz - x * ty + y * tx)
+        self._sum = (
+            sx + dx + w * tx - y * tz + z * ty,
+            sy + dy + w * ty - z * tx + x * tz,
+            sz + dz + w * tz - x * ty + y * tx,
+        )
         self._before, self._turned = velocity, turned
         self._ticks += 1
 
@@ -224,7 +237,8 @@ def _part(name: str) -> Part:
 
 
 def ranging(site: Site) -> Instrument:
-    """The free distance along each ray, or one value for all rays, in m; or the reading that the lookup table gives for it."""
+    """The free distance along each ray, or one value for all rays, in m; or the reading that the lookup table
+    gives for it."""
     beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
     rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
     read = _combined(site.engine.rays((site.robot, site.link), rays, beams.reach), beams)
@@ -256,19 +270,20 @@ class LookupTable:
         starts = zip(distance, value, noise, _slopes(distance, value), _slopes(distance, noise), strict=True)
         first = (distance[0], value[0], noise[0], 0.0, 0.0)
         self.rows = [first, *starts]
-        """Distance, value and noise at the start of a stretch, and how value and noise change along it; the first is before the table."""
+        """Distance, value and noise at the start of a stretch, and how value and noise change along it; the
+        first is before the table."""
 
     def restart(self, generator: Any) -> None:
         if self.normals is not None:
             self.normals.restart(generator)
 
     def __call__(self, distances: Values) -> Values:
-        known, rows = self._distances, self.rows
+        table, rows = self._distances, self.rows
         if self.normals is None:
-            return [(row := rows[bisect_right(known, x)])[1] + row[3] * (x - row[0]) for x in distances]
+            return [(row := rows[bisect_right(table, x)])[1] + row[3] * (x - row[0]) for x in distances]
         readings = []
         for x, normal in zip(distances, self.normals.next_row(), strict=True):
-            start, value, noise, slope, growth = rows[bisect_right(known, x)]
+            start, value, noise, slope, growth = rows[bisect_right(table, x)]
             along = x - start
             readings.append((value + slope * along) * (1.0 + (noise + growth * along) * normal))
         return readings
@@ -284,14 +299,17 @@ _DOWN_AXIS: Triple = (0.0, 0.0, -1.0)
 
 
 def reflectance(site: Site) -> Instrument:
-    """The light that the plane z = 0 throws back where -z of each ray's frame meets it; none where it looks level or up.
+    """The light that the plane z = 0 throws back where -z of each ray's frame meets it; none where it looks
+    level or up.
 
     Unpainted ground is 1. A reading is the mean over a spot, so that it goes gradually from ground to line.
     """
     beams, mount, spot = site.sensor.beams or RayConfig((), 0.0), site.mount, site.parameters["spot"]
     rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
     eyes = [(origin, frames.rotate(turned, _DOWN_AXIS)) for origin, turned in rays]
-    read, paint, rotate = site.engine.pose(site.robot, site.link), PaintedGround(site.world.lines, spot / 2), frames.rotate
+    read = site.engine.pose(site.robot, site.link)
+    paint = PaintedGround(site.world.lines, spot / 2)
+    rotate = frames.rotate
 
     def brightness() -> list[float]:
         (x, y, z), turned = read()
@@ -318,7 +336,8 @@ _GRAY_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
 def camera(site: Site) -> Instrument:
     """A picture, uint8 of the shape of the optics; behind it what the engine saw, for `sees`."""
     optics, part = site.sensor.optics or CameraIntrinsics(1, 1, 1.0), (site.robot, site.link)
-    read, taken = site.engine.camera(part, site.mount, optics.width, optics.height, optics.fov), _PICTURES[optics.channels]
+    read = site.engine.camera(part, site.mount, optics.width, optics.height, optics.fov)
+    taken = _PICTURES[optics.channels]
 
     def picture() -> tuple[Image, CameraImage]:
         image = read()
@@ -344,7 +363,8 @@ def _depth(image: CameraImage, optics: CameraIntrinsics) -> Image:
 
 
 def _segmentation(image: CameraImage, _optics: CameraIntrinsics) -> Image:
-    """0 where there is no body, else the place of the body among those of the world, from 1; 255 for all from there on."""
+    """0 where there is no body, else the place of the body among those of the world, from 1; 255 for all from
+    there on."""
     return _bytes(np.clip(image.bodies + 1, 0, 255))
 
 
@@ -362,6 +382,18 @@ _PICTURES: dict[str, Callable[[CameraImage, CameraIntrinsics], Image]] = {
 
 
 ON_COLUMNS = frozenset(
-    {positions, velocities, torques, position, velocity, angular_velocity, gyro, projected_gravity, touch, force, ranging}
+    {
+        positions,
+        velocities,
+        torques,
+        position,
+        velocity,
+        angular_velocity,
+        gyro,
+        projected_gravity,
+        touch,
+        force,
+        ranging,
+    }
 )
 """Readers whose arithmetic is the same with a column of many worlds in the place of each number."""

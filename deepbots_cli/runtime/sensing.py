@@ -50,7 +50,8 @@ class Normals:
         self._rows = []
 
     def scale(self, deviations: Values | float) -> None:
-        """Multiply all further rows by one factor, or by one factor per sample. A block at once costs a tenth of row by row."""
+        """Multiply all further rows by one factor, or by one factor per sample. A block at once costs a tenth
+        of row by row."""
         self._scale = deviations
         if self._rows:
             self._rows = (self.drawn[: len(self._rows)] * deviations).tolist()
@@ -92,16 +93,27 @@ class SensorErrors:
 
     def _settle(self) -> None:
         parameters = self._parameters
-        self._noise, self._share, self._drift = parameters["noise"], parameters["relative_noise"], parameters["drift"]
+        self._noise = parameters["noise"]
+        self._share = parameters["relative_noise"]
+        self._drift = parameters["drift"]
         self._bias = parameters["bias"] or (self._zeros if self._drift else ())
-        self._gain = [1.0 + error for error in parameters["relative_bias"]] or ([1.0] * len(self._zeros) if self._share else [])
+        self._gain = [1.0 + error for error in parameters["relative_bias"]] or (
+            [1.0] * len(self._zeros) if self._share else []
+        )
         self._only_noise = bool(self._noise) and not (self._share or self._gain or self._bias)
         self.normals.scale(self._noise if self._only_noise else 1.0)
 
     @property
     def parameters(self) -> dict[str, Values]:
-        """The values of the faults in this episode, one number per component; empty for a fault that the sensor does not have."""
-        return {"noise": self._noise, "share": self._share, "gain": self._gain, "bias": self._bias, "drift": self._drift}
+        """The values of the faults in this episode, one number per component; empty for a fault that the
+        sensor does not have."""
+        return {
+            "noise": self._noise,
+            "share": self._share,
+            "gain": self._gain,
+            "bias": self._bias,
+            "drift": self._drift,
+        }
 
     def restart(self, generator: Any) -> None:
         """Begin an episode. Its noise is drawn from `generator`."""
@@ -148,7 +160,8 @@ class Lookup(Protocol):
 
     @property
     def rows(self) -> Sequence[tuple[float, float, float, float, float]]:
-        """The start of each interval: distance, value, noise, and by how much value and noise grow; the first lies before the table."""
+        """The start of each interval: distance, value, noise, and by how much value and noise grow; the first
+        lies before the table."""
 
     @property
     def normals(self) -> Normals | None:
@@ -159,9 +172,11 @@ class Lookup(Protocol):
 
 
 class Instrument(NamedTuple):
-    """The measuring part of a sensor: `read` gives the true values at this moment, `restart` begins an episode with a random generator.
+    """The measuring part of a sensor: `read` gives the true values at this moment, `restart` begins an
+    episode with a random generator.
 
-    `update` is called in the ticks without a reading. `lookup` turns what was read into a reading, with noise of its own.
+    `update` is called in the ticks without a reading. `lookup` turns what was read into a reading, with noise
+    of its own.
     """
 
     read: Callable[[], Reading]
@@ -171,7 +186,8 @@ class Instrument(NamedTuple):
 
 
 class Site(NamedTuple):
-    """A sensor in a world: what its kind's `reader` makes an instrument from. `mount` is its frame in its link."""
+    """A sensor in a world: what its kind's `reader` makes an instrument from. `mount` is its frame in its
+    link."""
 
     engine: Engine
     robot: str
@@ -199,12 +215,13 @@ def instrument(sensor: Sensor, robot: str, world: WorldModel, engine: Engine) ->
     Raises:
         EngineError: The robot has no such joint or link, or the engine cannot sense so.
     """
-    made: Instrument = import_attribute(sensor.reader)(Site(engine, robot, sensor, world))
-    return made
+    reader: Instrument = import_attribute(sensor.reader)(Site(engine, robot, sensor, world))
+    return reader
 
 
 class Device:
-    """Called once per timestep. `reading` is the newest that was delivered, `sampled_at` the timestep at which it was taken."""
+    """Called once per timestep. `reading` is the newest that was delivered, `sampled_at` the timestep at
+    which it was taken."""
 
     reading: Reading
     sampled_at: int
@@ -218,13 +235,22 @@ class Device:
         self._stream = f"robots.{robot}.sensors.{sensor.name}"
         self._period = faults.period
         self._latency = faults.latency
-        parameters = (faults.noise, faults.relative_noise, faults.bias, faults.relative_bias, faults.drift, faults.low, faults.resolution)
+        parameters = (
+            faults.noise,
+            faults.relative_noise,
+            faults.bias,
+            faults.relative_bias,
+            faults.drift,
+            faults.low,
+            faults.resolution,
+        )
         self.chain = SensorErrors(faults, max(1, len(sensor.components))) if any(parameters) else None
         self._under_way: deque[tuple[int, int, Reading]] = deque()
         self._followed: Callable[[], Reading] | None = None
 
     def vary(self, fault: str, values: Sequence[float]) -> None:
-        """Set the values of a fault (a field of `NoiseModel`) for this episode, one per component, or the latency in s."""
+        """Set the values of a fault (a field of `NoiseModel`) for this episode, one per component, or the
+        latency in s."""
         if fault == "latency":
             (self._latency,) = values
         elif self.chain is not None:

@@ -1,8 +1,10 @@
-"""What an episode draws: random numbers with one stream per purpose, and values that `reset` is given in place of draws.
+"""What an episode draws: random numbers with one stream per purpose, and values that `reset` is given in
+place of draws.
 
-Each stream is named by its place in the scenario (`parameters.fall_angle#0`), and its seed depends on the root and that name alone. A new
-draw in a scenario therefore changes no other draw. A new name would be a new seed, and so other episodes than those of all results so
-far: streams of `reset.joints` are therefore still called `reset.set`, those of `color` `colour` (`expressions.lower.stream_name`).
+Each stream is named by its place in the scenario (`parameters.fall_angle#0`), and its seed depends on the
+root and that name alone. A new draw in a scenario therefore changes no other draw. A new name would be a new
+seed, and so other episodes than those of all results so far: streams of `reset.joints` are therefore still
+called `reset.set`, those of `color` `colour` (`expressions.lower.stream_name`).
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ Drawn = dict[str, float | str]
 NOTHING_CHOSEN: Mapping[str, Any] = MappingProxyType({})
 
 _ROUNDING = 1e-6
-"""Of the size of a limit, by which a value may lie beyond it and is then the limit: 0.6 as a float32 is 0.60000002."""
+"""Of the size of a limit, by which a value may lie beyond it and is then the limit: 0.6 as a float32 is
+0.60000002."""
 
 
 def derive_seed(root: int, *names: str | int) -> int:
@@ -55,7 +58,8 @@ class Streams:
         self.member = ""
         """The member of a group whose draws are made now, such as `crate#2`."""
         self.is_follower = False
-        """Whether this is a later copy of a robot, for which the first copy drew and placed the other bodies."""
+        """Whether this is a later copy of a robot, for which the first copy drew and placed the other
+        bodies."""
 
     def begin(self, chosen: Mapping[str, Any]) -> None:
         """Begin an episode, whose draws give the `chosen` values."""
@@ -79,13 +83,20 @@ class Streams:
         if generator is None:
             own = f"{self.copy}/" if self.copy and not name.startswith("parameters.") else ""
             digest = hashlib.sha256(f"{self.root}/{own}{name}".encode()).digest()
-            seed = np.random.SeedSequence([int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)])
+            seed = np.random.SeedSequence(
+                [int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)]
+            )
             generator = self._generators[name] = np.random.Generator(np.random.PCG64(seed))
         return generator
 
     def state(self) -> dict[str, Any]:
         """The root and the state of each generator, as JSON can hold them."""
-        return {"root": self.root, "generators": {name: made.bit_generator.state for name, made in self._generators.items()}}
+        return {
+            "root": self.root,
+            "generators": {
+                name: generator.bit_generator.state for name, generator in self._generators.items()
+            },
+        }
 
     @classmethod
     def restored(cls, state: Mapping[str, Any], copy: str = "") -> Self:
@@ -117,42 +128,50 @@ class Streams:
 def chosen_values(
     scenario: Program, options: Mapping[str, Any], fixed: Collection[str] = (), copies: Collection[str] = ()
 ) -> dict[str, dict[str, Any]]:
-    """The values that an episode takes in place of draws, for each of the `copies` of a robot, by the keys of `program.draws`.
+    """The values that an episode takes in place of draws, for each of the `copies` of a robot, by the keys of
+    `program.draws`.
 
-    A name is that of a draw, such as `mark.x`, or that of a vector, such as `mark`. The name of a copy before it, as in
-    `cart#2.reset.joints.cart.pole_hinge`, sets the value of this copy alone. Setting a value changes no other draw: its stream is drawn
-    from all the same, and every other draw has a stream of its own.
+    A name is that of a draw, such as `mark.x`, or that of a vector, such as `mark`. The name of a copy before
+    it, as in `cart#2.reset.joints.cart.pole_hinge`, sets the value of this copy alone. Setting a value
+    changes no other draw: its stream is drawn from all the same, and every other draw has a stream of its
+    own.
 
     Args:
         options: A number or a word for a single value, a sequence with a number per component for a vector.
         fixed: The parameters that no episode draws.
-        copies: The names of the copies, such as `cart#1`; none without copies, where the result has the one name "".
+        copies: The names of the copies, such as `cart#1`; none without copies, where the result has the one
+            name "".
 
     Raises:
-        UsageError: A name is unknown or given twice, or a value has the wrong type or shape, is not finite or outside its range.
+        UsageError: A name is unknown or given twice, or a value has the wrong type or shape, is not finite or
+            outside its range.
     """
     if not isinstance(options, Mapping):
-        raise UsageError(f"options of reset must be a mapping from names to values, not {type(options).__name__}")
-    found: dict[str, dict[str, Any]] = {name: {} for name in copies or ("",)}
+        raise UsageError(
+            f"options of reset must be a mapping from names to values, not {type(options).__name__}"
+        )
+    chosen: dict[str, dict[str, Any]] = {name: {} for name in copies or ("",)}
     of_one: dict[tuple[str, str], Any] = {}
-    for given, value in options.items():
-        copy, name = _split(str(given), copies)
+    for option, value in options.items():
+        copy, name = _split(str(option), copies)
         for full, part in _numbers(name, value, scenario, fixed):
             entry = scenario.draws.by_name.get(full)
             if entry is None:  # a component that is not drawn
                 continue
             if copy and not entry.is_of_copy:
-                raise UsageError(f"reset cannot set {given!r}: all copies share this draw; write {name!r}")
-            if (copy, entry.key) in of_one or (not copy and any(entry.key in values for values in found.values())):
-                raise UsageError(f"reset cannot set {full!r} twice: by {given!r} and by another name")
+                raise UsageError(f"reset cannot set {option!r}: all copies share this draw; write {name!r}")
+            if (copy, entry.key) in of_one or (
+                not copy and any(entry.key in values for values in chosen.values())
+            ):
+                raise UsageError(f"reset cannot set {full!r} twice: by {option!r} and by another name")
             if copy:
                 of_one[copy, entry.key] = part
                 continue
-            for values in found.values():
+            for values in chosen.values():
                 values[entry.key] = part
     for (copy, key), part in of_one.items():
-        found[copy][key] = part
-    return found
+        chosen[copy][key] = part
+    return chosen
 
 
 def _split(name: str, copies: Collection[str]) -> tuple[str, str]:
@@ -167,7 +186,10 @@ def _numbers(name: str, value: Any, scenario: Program, fixed: Collection[str]) -
     entry = draws.by_name.get(name)
     if entry is not None and entry.words:
         if not isinstance(value, str) or value not in entry.words:
-            raise UsageError(f"reset cannot set {name!r} to {str(value)[:80]!r}; use one of {', '.join(map(repr, entry.words))}")
+            raise UsageError(
+                f"reset cannot set {name!r} to {str(value)[:80]!r}; use one of"
+                f" {', '.join(map(repr, entry.words))}"
+            )
         return [(name, value)]
     if entry is not None:
         (number,) = _array(name, value, ())
@@ -176,7 +198,9 @@ def _numbers(name: str, value: Any, scenario: Program, fixed: Collection[str]) -
     if vector is None:
         raise UsageError(f"reset cannot set {name!r}: {_why_not(name, scenario, fixed)}")
     parts = zip(vector.numbers, _array(name, value, vector.components), strict=True)
-    return [(full, _checked(EpisodeDraw(full, full, tree), number, scenario)) for (full, tree), number in parts]
+    return [
+        (full, _checked(EpisodeDraw(full, full, tree), number, scenario)) for (full, tree), number in parts
+    ]
 
 
 _MAX_NAMES = 24
@@ -185,18 +209,34 @@ _MAX_NAMES = 24
 
 def _why_not(name: str, scenario: Program, fixed: Collection[str]) -> str:
     if name in fixed:
-        return f"it is a fixed parameter, the same in all episodes; change it when the environment is made, by overrides=['{name}=...']"
+        return (
+            "it is a fixed parameter, the same in all episodes; change it when the environment is made,"
+            f" by overrides=['{name}=...']"
+        )
     if any(name == entry.name for entry in scenario.parameters):
         return "it is computed from other parameters; set those"
-    of_component = {full: vector.name for vector in scenario.draws.vectors.values() for full, _ in vector.numbers}
-    known = [*dict.fromkeys(part for full in scenario.draws.by_name for part in (of_component.get(full, full), full))]
-    near = nearest_word(name, known)
+    of_component = {
+        full: vector.name for vector in scenario.draws.vectors.values() for full, _ in vector.numbers
+    }
+    drawn_names = [
+        *dict.fromkeys(
+            part for full in scenario.draws.by_name for part in (of_component.get(full, full), full)
+        )
+    ]
+    near = nearest_word(name, drawn_names)
     hint = f"did you mean {near!r}? " if near else ""
-    left = len(known) - _MAX_NAMES
+    left = len(drawn_names) - _MAX_NAMES
     more = f" and {left} more, which `drawn` in the info of a reset lists" if left > 0 else ""
     copies = scenario.agent.copies
-    of_copy = f"; `{copies.robot}#1.` to `{copies.robot}#{copies.count}.` before a name sets one copy" if copies else ""
-    return f"{hint}{scenario.name} draws {', '.join(map(repr, known[:_MAX_NAMES])) or 'nothing that has a name'}{more}{of_copy}"
+    of_copy = (
+        f"; `{copies.robot}#1.` to `{copies.robot}#{copies.count}.` before a name sets one copy"
+        if copies
+        else ""
+    )
+    return (
+        f"{hint}{scenario.name} draws"
+        f" {', '.join(map(repr, drawn_names[:_MAX_NAMES])) or 'nothing that has a name'}{more}{of_copy}"
+    )
 
 
 def _array(name: str, value: Any, components: tuple[str, ...]) -> list[float]:
@@ -220,14 +260,21 @@ def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
     if options:
         near = min(options, key=lambda option: abs(option - number))
         if abs(near - number) > _ROUNDING * abs(near):
-            raise UsageError(f"reset cannot set {full!r} to {number:g}; use one of {', '.join(f'{option:g}' for option in options)}")
+            raise UsageError(
+                f"reset cannot set {full!r} to {number:g}; use one of"
+                f" {', '.join(f'{option:g}' for option in options)}"
+            )
         return near
     low, high = (entry.low, entry.high) if entry.tree is None else _interval(entry.tree, scenario)
     near = min(max(float(number), low), high)
     if abs(near - number) > _ROUNDING * abs(near):
-        raise UsageError(f"reset cannot set {full!r} to {number:g}: it is drawn from {low:g} to {high:g} (SI units)")
+        raise UsageError(
+            f"reset cannot set {full!r} to {number:g}: it is drawn from {low:g} to {high:g} (SI units)"
+        )
     if isinstance(entry.tree, Draw) and entry.tree.distribution == "integer" and not near.is_integer():
-        raise UsageError(f"reset cannot set {full!r} to {number:g}: it is a whole number from {low:g} to {high:g}")
+        raise UsageError(
+            f"reset cannot set {full!r} to {number:g}: it is a whole number from {low:g} to {high:g}"
+        )
     return near
 
 

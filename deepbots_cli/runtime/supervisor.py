@@ -1,7 +1,7 @@
 """The bases of generated classes: the supervisor and the robot controllers.
 
-The supervisor is a Gymnasium environment: it sees and resets the whole world, scores, and exchanges messages with robots. A robot
-controller reads its own sensors and acts on messages.
+The supervisor is a Gymnasium environment: it sees and resets the whole world, scores, and exchanges messages
+with robots. A robot controller reads its own sensors and acts on messages.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ C = TypeVar("C", bound="RobotController")
 M = TypeVar("M", bound=Memory)
 
 TRUE_AT_RESET = "is already true at reset"
-"""Part of the error of an episode that ends before its first step; `deepbots diagnose` recognizes it in the records of a run."""
+"""Part of the error of an episode that ends before its first step; `deepbots diagnose` recognizes it in the
+records of a run."""
 
 _CLOSED = "the environment is closed; make a new one"
 
@@ -63,15 +64,15 @@ class _WithMemories:
 
     def memory(self, kind: type[M], *, on_message: bool = False) -> M:
         """A memory that begins at the reset, or else with the first message (`on_message`)."""
-        made = kind(self._timestep, on_message=on_message)
-        self._memories.append(made)
-        return made
+        memory = kind(self._timestep, on_message=on_message)
+        self._memories.append(memory)
+        return memory
 
     def memories(self, kind: type[Memory], count: int, *, on_message: bool = False) -> Memory | Memories:
         """One memory for each component of a vector."""
-        made = memory_of_vector(kind, count, self._timestep, on_message=on_message)
-        self._memories.append(made)
-        return made
+        memory = memory_of_vector(kind, count, self._timestep, on_message=on_message)
+        self._memories.append(memory)
+        return memory
 
     def clear_memories(self) -> None:
         for memory in self._memories:
@@ -81,10 +82,10 @@ class _WithMemories:
 class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     """Base of the generated supervisor classes.
 
-    A generated class adds `bind` (robots, channels, and readers from the engine), `_begin` (draws and placing at reset),
-    `_start` and `_advance` (the first moment of an episode, and a step), `_observe`, which both of them call and which
-    computes everything once per timestep, and the paper's methods, which only read what that left, so calling one twice
-    changes nothing.
+    A generated class adds `bind` (robots, channels, and readers from the engine), `_begin` (draws and placing
+    at reset), `_start` and `_advance` (the first moment of an episode, and a step), `_observe`, which both of
+    them call and which computes everything once per timestep, and the paper's methods, which only read what
+    that left, so calling one twice changes nothing.
     """
 
     newest: int
@@ -101,10 +102,16 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             UsageError: `render_mode` is neither None nor "rgb_array", or the engine cannot draw.
         """
         if render_mode not in (None, "rgb_array"):
-            window = "; for a window, wrap the environment in `gymnasium.wrappers.HumanRendering`" if render_mode == "human" else ""
+            window = (
+                "; for a window, wrap the environment in `gymnasium.wrappers.HumanRendering`"
+                if render_mode == "human"
+                else ""
+            )
             raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or none{window}")
         if render_mode and "rendering" not in engine.capabilities:
-            raise UsageError(f"the engine '{engine.name}' cannot render; use the engine 'pybullet' for pictures")
+            raise UsageError(
+                f"the engine '{engine.name}' cannot render; use the engine 'pybullet' for pictures"
+            )
         super().__init__(scenario.world.timestep)
         self.scenario = scenario
         self.agent = scenario.agent
@@ -119,12 +126,14 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         self.world = scenario.world
         """What the engine holds: with copies of a robot, each under its own name."""
         self.agents: dict[str, Supervisor] = {self.agent.name: self}
-        """The supervisor of each copy of the agent, by name; without copies this one, under the name of the agent."""
+        """The supervisor of each copy of the agent, by name; without copies this one, under the name of the
+        agent."""
         self.streams = Streams(None)
         self.views = frame_indices(self.agent)
         self.depth = len(self.views)
         self.frame_stacks = {
-            entry.key: FrameStack(entry.shape, entry.ages(self.agent.frame_stack), self.depth) for entry in self.agent.images
+            entry.key: FrameStack(entry.shape, entry.ages(self.agent.frame_stack), self.depth)
+            for entry in self.agent.images
         }
         self.frames = np.zeros(self.depth * len(self.agent.numbers), np.float32)
         self._buffer = self.frames.data
@@ -148,22 +157,28 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def robot(self, name: str, controller: type[C]) -> C:
         """The controller of a robot."""
-        made = controller(self._spec(name), self.scenario, self.engine)
-        self.controllers[name] = made
-        return made
+        robot_controller = controller(self._spec(name), self.scenario, self.engine)
+        self.controllers[name] = robot_controller
+        return robot_controller
 
     def channel(self, name: str, direction: Direction) -> Channel:
         """The path of messages to or from a robot, where it is direct."""
         spec = self._spec(name)
-        made = Channel(FieldCodec(spec.to_robot if direction == "to_robot" else spec.from_robot, self.scenario.format, self._rejected))
-        self.channels[name, direction] = made
-        return made
+        channel = Channel(
+            FieldCodec(
+                spec.to_robot if direction == "to_robot" else spec.from_robot,
+                self.scenario.format,
+                self._rejected,
+            )
+        )
+        self.channels[name, direction] = channel
+        return channel
 
     def lossy_channel(self, name: str, direction: Direction) -> LossyChannel:
         """The path of messages to or from a robot, where messages come late or may be lost."""
         robot, to_robot = self._spec(name), direction == "to_robot"
         route, layout = (robot.to_route, robot.to_robot) if to_robot else (robot.from_route, robot.from_robot)
-        made = LossyChannel(
+        channel = LossyChannel(
             f"{name}.{direction}",
             route,
             self.scenario.world.timestep,
@@ -172,8 +187,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             FieldCodec(layout, self.scenario.format, self._rejected),
             first_at_once=not to_robot,
         )
-        self.channels[name, direction] = made
-        return made
+        self.channels[name, direction] = channel
+        return channel
 
     def _spec(self, name: str) -> Robot:
         return next(robot for robot in self.scenario.robots if robot.name == name)
@@ -186,23 +201,29 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     # Gymnasium
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, Info]:
         """Begin an episode. A seed determines this episode and all following ones until the next seed.
 
         Args:
             seed: The root of all random streams, a whole number from 0.
-            options: Values of this episode in place of draws, by the names of `drawn`: parameters (`mark.x`), poses and joints
-                (`reset.place.block.x`), and all other draws. Numbers are in SI units, a vector (`mark`) is a sequence. Other draws do not
-                change. `options=info["drawn"]` repeats the start of that episode.
+            options: Values of this episode in place of draws, by the names of `drawn`: parameters (`mark.x`),
+                poses and joints (`reset.place.block.x`), and all other draws. Numbers are in SI units, a
+                vector (`mark`) is a sequence. Other draws do not change. `options=info["drawn"]` repeats the
+                start of that episode.
 
         Returns:
-            The observation, float32 in the observation space, and the info of a step. This info also contains `drawn`: the drawn values
-            in SI units, a number or a word for each name. The name of a parameter is its own (`mark.x`), other names are paths in the
-            scenario (`reset.joints.cart.pole_hinge`). Values that change within an episode, and noise, are left out.
+            The observation, float32 in the observation space, and the info of a step. This info also contains
+            `drawn`: the drawn values in SI units, a number or a word for each name. The name of a parameter
+            is its own (`mark.x`), other names are paths in the scenario (`reset.joints.cart.pole_hinge`).
+            Values that change within an episode, and noise, are left out.
 
         Raises:
-            EvaluationError: An expression has no value, or the episode would end before its first step; the message names it.
-            UsageError: `options` contains an unknown name, or a value that the episode cannot draw. The running episode continues.
+            EvaluationError: An expression has no value, or the episode would end before its first step; the
+                message names it.
+            UsageError: `options` contains an unknown name, or a value that the episode cannot draw. The
+                running episode continues.
         """
         if self._closed:
             raise UsageError(_CLOSED)
@@ -224,7 +245,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             raise self._no_value(error) from error
         if self.terminated:
             raise EvaluationError(
-                f"the ending '{self.ended_by}' {TRUE_AT_RESET} (seed {self.streams.root}); change the start or the ending"
+                f"the ending '{self.ended_by}' {TRUE_AT_RESET} (seed {self.streams.root}); change the start"
+                " or the ending"
             )
         self._go_on = self._advance
         return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}
@@ -255,8 +277,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def _noted(self) -> Drawn:
         """What the streams have drawn since the episode began."""
-        found = self.streams.drawn
-        return {entry.name: found[entry.key] for entry in self.scenario.draws.noted if entry.key in found}
+        drawn = self.streams.drawn
+        return {entry.name: drawn[entry.key] for entry in self.scenario.draws.noted if entry.key in drawn}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """One step of the agent: act, advance the world by a timestep, observe and score.
@@ -292,11 +314,13 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return self.engine.render(self.view())
 
     def view(self, width: int = 480, height: int = 320) -> View:
-        """The view of `render` in another size: it shows the whole scene, and follows a robot that may leave it."""
+        """The view of `render` in another size: it shows the whole scene, and follows a robot that may leave
+        it."""
         return moved_view(overview(self.scenario, width, height), self._view_shift())
 
     def _view_shift(self) -> Triple:
-        """How far the view follows: nowhere within an arena or on terrain, else as far as the first free robot went."""
+        """How far the view follows: nowhere within an arena or on terrain, else as far as the first free
+        robot went."""
         world = self.scenario.world
         if not follows_robot(world):
             return ZERO_VECTOR
@@ -312,7 +336,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             self.engine.close()
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Which options may be chosen next: the truth values of all choices in a row, as sb3-contrib wants them.
+        """Which options may be chosen next: the truth values of all choices in a row, as sb3-contrib wants
+        them.
 
         Raises:
             UsageError: The action holds no choice.
@@ -327,9 +352,11 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return mask_of_space(self.action_space, [np.array(mask, np.int8) for mask in self.allowed()])
 
     def reward_for(self, achieved_goal: Any, desired_goal: Any) -> Any:
-        """The reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays (k,) a number.
+        """The reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays (k,) a
+        number.
 
-        Where a scenario has a goal, `compute_reward` gives it; others do not have that method, by which a learner tells them.
+        Where a scenario has a goal, `compute_reward` gives it; others do not have that method, by which a
+        learner tells them.
 
         Raises:
             UsageError: The scenario has no goal, or the arrays do not fit it.
@@ -359,16 +386,17 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         return getattr(self, f"script_{name}")()
 
     def tested(self, test: str, what: Literal["holds", "compared"]) -> tuple[Any, ...]:
-        """Whether each condition of a test holds after the last step, or the values that the conditions compare, in SI units.
+        """Whether each condition of a test holds after the last step, or the values that the conditions
+        compare, in SI units.
 
         Raises:
             EvaluationError: An expression has no value; shows which.
         """
         try:
-            found: tuple[Any, ...] = getattr(self, f"test_{test}_{what}")()
+            values: tuple[Any, ...] = getattr(self, f"test_{test}_{what}")()
         except (ArithmeticError, ValueError, NameError) as error:
             raise self._no_value(error) from error
-        return found
+        return values
 
     def make_action(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
         """An action of these options, by number, and these values from -1 to 1."""
@@ -397,7 +425,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     @abstractmethod
     def get_info(self) -> Info:
-        """`is_success`, `ended_by` (the first ending, or the limit), all `endings` that hold, `reward_terms` by name."""
+        """`is_success`, `ended_by` (the first ending, or the limit), all `endings` that hold, `reward_terms`
+        by name."""
 
     @abstractmethod
     def _begin(self) -> None:
@@ -411,7 +440,8 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
     def _advance(self, action: Any) -> Any:
         """One step: act, advance the world, and observe.
 
-        Where there are copies of the robot it is a generator, which waits where the world goes on (`copies.py`).
+        Where there are copies of the robot it is a generator, which waits where the world goes on
+        (`copies.py`).
         """
 
     # What generated code calls
@@ -440,11 +470,13 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         """The numbers that the policy sees; a copy."""
         return self.frames.copy() if self.depth == 1 else self.frames.take(self.views[self.newest])
 
-    def set_goal_observation(self, achieved: Sequence[float], desired: Sequence[float]) -> tuple[list[float], list[float]]:
+    def set_goal_observation(
+        self, achieved: Sequence[float], desired: Sequence[float]
+    ) -> tuple[list[float], list[float]]:
         """Let the policy see what is achieved and desired, and give both back as it sees them.
 
-        Both are mapped to [-1, 1], clipped and rounded to float32, and mapped back: a reward that is recomputed from what was
-        seen is then the same reward.
+        Both are mapped to [-1, 1], clipped and rounded to float32, and mapped back: a reward that is
+        recomputed from what was seen is then the same reward.
 
         Raises:
             FloatingPointError: A number is not a number.
@@ -454,9 +486,15 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
         middles = [(high + low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
         size = len(halves)
-        mapped = [(value - middle) / half for value, middle, half in zip((*achieved, *desired), middles * 2, halves * 2, strict=True)]
+        mapped = [
+            (value - middle) / half
+            for value, middle, half in zip((*achieved, *desired), middles * 2, halves * 2, strict=True)
+        ]
         self.goal[:] = [x if -1.0 <= x <= 1.0 else clip(x) for x in mapped]
-        meant = [middle + half * seen for middle, half, seen in zip(middles * 2, halves * 2, self.goal.tolist(), strict=True)]
+        meant = [
+            middle + half * seen
+            for middle, half, seen in zip(middles * 2, halves * 2, self.goal.tolist(), strict=True)
+        ]
         return meant[:size], meant[size:]
 
     def episode_value(self, name: str, drawn: float) -> float:
@@ -470,9 +508,13 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         if sensor in controller.devices:
             controller.devices[sensor].vary(fault, values)
 
-    def set_joints(self, robot: str, joints: Sequence[str], positions: Sequence[float], velocities: Sequence[float] = ()) -> None:
+    def set_joints(
+        self, robot: str, joints: Sequence[str], positions: Sequence[float], velocities: Sequence[float] = ()
+    ) -> None:
         """Let joints start at positions (rad or m) and velocities (rad/s or m/s), at rest without them."""
-        for joint, position, velocity in zip(joints, positions, velocities or (0.0,) * len(joints), strict=True):
+        for joint, position, velocity in zip(
+            joints, positions, velocities or (0.0,) * len(joints), strict=True
+        ):
             self.engine.set_joint(robot, joint, position, velocity)
 
     def set_walls(self, bodies: Sequence[str], friction: float) -> None:
@@ -548,12 +590,19 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             raise self._no_value(second) from second
 
     def _no_value(self, error: Exception) -> Exception:
-        """An `EvaluationError` that shows the generated line, or the error itself where it is a fault of ours."""
-        frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.startswith("<deepbots")]
+        """An `EvaluationError` that shows the generated line, or the error itself where it is a fault of
+        ours."""
+        frames = [
+            frame
+            for frame in traceback.extract_tb(error.__traceback__)
+            if frame.filename.startswith("<deepbots")
+        ]
         if not frames or not isinstance(error, (ArithmeticError, ValueError, NameError)):
             return error
         self.engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
-        statement = (frames[-1].line or "").partition("  # ")[0]  # without the text of the scenario, which the comment repeats
+        statement = (frames[-1].line or "").partition("  # ")[
+            0
+        ]  # without the text of the scenario, which the comment repeats
         statement = re.sub(r"\bself\.(term_)?", "", statement)  # the scenario has the names without a prefix
         return EvaluationError(f"step {self.step_count}: no value for `{statement}`: {error}")
 
@@ -581,11 +630,14 @@ class RobotController(_WithMemories):
         self._world, self._engine = scenario.world, engine
         self.bind(engine)
         drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
-        found = [(actuator, drive) for actuator, drive in drives if drive is not None]
+        driven = [(actuator, drive) for actuator, drive in drives if drive is not None]
         self._holds: list[Callable[[], object]] = [
-            drive.hold if hasattr(drive, "hold") else partial(_hold, engine, spec.name, actuator, drive) for actuator, drive in found
+            drive.hold if hasattr(drive, "hold") else partial(_hold, engine, spec.name, actuator, drive)
+            for actuator, drive in driven
         ]
-        self._releases = [drive.reset for _, drive in found if hasattr(drive, "hold")]  # actuators with a state of their own
+        self._releases = [
+            drive.reset for _, drive in driven if hasattr(drive, "hold")
+        ]  # actuators with a state of their own
 
     def bind(self, engine: Engine) -> None:
         """Take readers and writers from the engine; called once."""
@@ -594,15 +646,17 @@ class RobotController(_WithMemories):
         """The device behind a sensor, made when it is first asked for."""
         if name not in self.devices:
             sensor = next(sensor for sensor in self.spec.sensors if sensor.name == name)
-            made = instrument(sensor, self.spec.name, self._world, self._engine)
-            self.devices[name] = Device(sensor, self.spec.name, made, self._world.timestep)
+            device = instrument(sensor, self.spec.name, self._world, self._engine)
+            self.devices[name] = Device(sensor, self.spec.name, device, self._world.timestep)
         return self.devices[name]
 
     def actuator(self, name: str) -> CustomMotor:
         """An actuator of a plug-in's kind."""
         actuator = next(actuator for actuator in self.spec.actuators if actuator.name == name)
         assert isinstance(actuator, CustomActuator)  # generated code asks for no other
-        return CustomMotor(Site(self._engine, self.spec.name, actuator, self._world.timestep / self._world.substeps))
+        return CustomMotor(
+            Site(self._engine, self.spec.name, actuator, self._world.timestep / self._world.substeps)
+        )
 
     def sees(self, sensor: str, body: str) -> Callable[[], bool]:
         """Whether the newest picture of a camera shows the body."""
@@ -622,7 +676,8 @@ class RobotController(_WithMemories):
         """Sample what is sampled once per timestep."""
 
     def release(self) -> None:
-        """Set the values of the actuators for this episode and discard their commands: they exert nothing until `hold`."""
+        """Set the values of the actuators for this episode and discard their commands: they exert nothing
+        until `hold`."""
         for release in self._releases:
             release()
 

@@ -25,28 +25,35 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         self.num_envs = len(batch.singles)
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
         single = batch.singles[0]
-        self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
+        self.single_observation_space = single.observation_space
+        self.single_action_space = single.action_space
         self.observation_space = batch_space(single.observation_space, self.num_envs)
         self.action_space = batch_space(single.action_space, self.num_envs)
         self._begun = False
 
-    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode in all worlds.
 
         Args:
-            seed: World i begins from `seed + i`, or from the i-th seed of a sequence. Without a seed, each world continues its random
-                streams.
+            seed: World i begins from `seed + i`, or from the i-th seed of a sequence. Without a seed, each
+                world continues its random streams.
             options: Values of this episode in place of draws, the same in all worlds; see `Supervisor.reset`.
 
         Returns:
-            The observations, and the info of Gymnasium's vector environments. Its `drawn` contains, for each name, an array with one value
-            per world. If the scenario forbids choices, its `action_mask` has one row per world.
+            The observations, and the info of Gymnasium's vector environments. Its `drawn` contains, for each
+            name, an array with one value per world. If the scenario forbids choices, its `action_mask` has
+            one row per world.
 
         Raises:
-            UsageError: The number of seeds differs from the number of worlds, or a world could not draw `options`. The episodes continue.
+            UsageError: The number of seeds differs from the number of worlds, or a world could not draw
+                `options`. The episodes continue.
         """
         if seed is None or isinstance(seed, (int, np.integer)):
-            seeds: Sequence[int | None] = [None if seed is None else int(seed) + world for world in range(self.num_envs)]
+            seeds: Sequence[int | None] = [
+                None if seed is None else int(seed) + world for world in range(self.num_envs)
+            ]
         else:
             seeds = seed
         if len(seeds) != self.num_envs:
@@ -61,7 +68,8 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         return observations, infos | self._masks()
 
     def _masks(self) -> dict[str, Any]:
-        """The part of an info that says which options may be chosen next; empty where that of a single world does not."""
+        """The part of an info that says which options may be chosen next; empty where that of a single world
+        does not."""
         if not self.batch.forbids_options or self.batch.scenario.agent.copies:
             return {}
         return {"action_mask": self.batch.action_mask(), "_action_mask": np.ones(self.num_envs, bool)}
@@ -70,12 +78,13 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         """One step of all worlds.
 
         Returns:
-            Observations (for ended episodes, those of the next episode), rewards (float64), terminated, truncated, and infos. If episodes
-            ended, infos contain `final_obs`, `final_info` and their masks `_final_obs`, `_final_info` as in Gymnasium's vector
-            environments. `action_mask` is as in `reset`.
+            Observations (for ended episodes, those of the next episode), rewards (float64), terminated,
+            truncated, and infos. If episodes ended, infos contain `final_obs`, `final_info` and their masks
+            `_final_obs`, `_final_info` as in Gymnasium's vector environments. `action_mask` is as in `reset`.
 
         Raises:
-            UsageError: Before the first reset, or an action does not fit the action space; the message names the world.
+            UsageError: Before the first reset, or an action does not fit the action space; the message names
+                the world.
             EvaluationError: An expression has no value.
         """
         if not self._begun:
@@ -93,13 +102,22 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             for world, info in zip(outcome.done, outcome.infos, strict=True):
                 final = self._add_info(final, info, int(world))
             infos = {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
-        return outcome.observations, outcome.rewards, outcome.terminated, outcome.truncated, infos | self._masks()
+        return (
+            outcome.observations,
+            outcome.rewards,
+            outcome.terminated,
+            outcome.truncated,
+            infos | self._masks(),
+        )
 
     def _require_fitting(self, actions: Any) -> None:
-        """Raise: UsageError: An action does not fit the action space. With 256 worlds this takes 6 us, a step of CartPole 15 ms."""
+        """Raise: UsageError: An action does not fit the action space. With 256 worlds this takes 6 us, a step
+        of CartPole 15 ms."""
         fits = fitting_rows(self.single_action_space, actions, self.num_envs)
         if fits is None:
-            raise UsageError(f"actions {excerpt(actions)} do not fit {self.num_envs} worlds of {self.single_action_space}")
+            raise UsageError(
+                f"actions {excerpt(actions)} do not fit {self.num_envs} worlds of {self.single_action_space}"
+            )
         if not fits.all():
             world = int(fits.argmin())
             action = excerpt(by_part(itemgetter(world), actions))

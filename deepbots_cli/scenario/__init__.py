@@ -1,7 +1,9 @@
-"""What a user may write in a scenario: pydantic models, from which validation, JSON Schema, hover and reference pages come.
+"""What a user may write in a scenario: pydantic models, from which validation, JSON Schema, hover and
+reference pages come.
 
 fields.py       field types: what a single value may be, and what the compiler reads of it
-base.py         Section, the base of the models; unions, sizes; the shape of an annotation, and walking a scenario by shapes;
+base.py         Section, the base of the models; unions, sizes; the shape of an annotation, and walking a
+                scenario by shapes;
                 what is said of a key: descriptions, units, defaults, examples
 search.py       the search spaces of `tune`
 world.py sensors.py actuators.py training.py

@@ -1,21 +1,40 @@
 """What a robot can drive: one class per kind.
 
-A class defines its kind: its parameters (fields with docstrings), its effect (its docstring), and the dimension, components and interval of
-commands. Validation, JSON Schema, completion, hover and reference come from it.
+A class defines its kind: its parameters (fields with docstrings), its effect (its docstring), and the
+dimension, components and interval of commands. Validation, JSON Schema, completion, hover and reference come
+from it.
 
-Other packages add a kind by an entry point of the group `deepbots.actuators`, whose name is the word of its `type`: a `JointActuator`
-with the control law `drive`, which gets the fields of the class as SI numbers and words. Generated code drives the kinds of deepbots.
+Other packages add a kind by an entry point of the group `deepbots.actuators`, whose name is the word of its
+`type`: a `JointActuator` with the control law `drive`, which gets the fields of the class as SI numbers and
+words. Generated code drives the kinds of deepbots.
 """
 
 from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
-from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, NUMBER, SPEED, TORQUE, Dimension
+from deepbots_cli.expressions.dimensions import (
+    ANGLE,
+    ANGULAR_VELOCITY,
+    FORCE,
+    LENGTH,
+    NUMBER,
+    SPEED,
+    TORQUE,
+    Dimension,
+)
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import SPACE, Components
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.base import FORMS, KeyCount, Kinds, Section, check_kind_model, kind_of, kind_parameters
+from deepbots_cli.scenario.base import (
+    FORMS,
+    KeyCount,
+    Kinds,
+    Section,
+    check_kind_model,
+    kind_of,
+    kind_parameters,
+)
 from deepbots_cli.scenario.fields import (
     JointName,
     JointNames,
@@ -35,7 +54,9 @@ MaxTorque = Annotated[Scalar, Quantity("torque or force", known="episode", minim
 Stiffness = Annotated[Scalar, Quantity("stiffness", known="episode", minimum=0)]
 Damping = Annotated[Scalar, Quantity("damping", known="episode", minimum=0)]
 JointSpeed = Annotated[Scalar, Quantity("angular speed or speed", minimum=0)]
-JointAcceleration = Annotated[Scalar, Quantity("angular acceleration or acceleration", minimum=0, exclusive=True)]
+JointAcceleration = Annotated[
+    Scalar, Quantity("angular acceleration or acceleration", minimum=0, exclusive=True)
+]
 JointPosition = Annotated[Scalar, Quantity("angle or length")]
 Spin = Annotated[Scalar, Quantity("number", minimum=-1, maximum=1)]
 
@@ -66,7 +87,8 @@ class JointActuator(Actuator):
     sliding: ClassVar[Dimension] = NUMBER
     """The dimension of a command where the joint slides; `dimension` is that where it turns."""
     drive: ClassVar[str] = ""
-    """`module:attribute` of the control law of a plug-in's kind: from a `runtime.actuation.Site` to a `ControlLaw`."""
+    """`module:attribute` of the control law of a plug-in's kind: from a `runtime.actuation.Site` to a
+    `ControlLaw`."""
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("joint", "joints"), min=1),)
 
     joint: JointName | None = None
@@ -107,8 +129,8 @@ class PositionMotor(JointActuator):
     damping: Damping | None = None
     """Torque per angular speed, N*m*s/rad, or force per speed, N*s/m."""
     max_velocity: JointSpeed | None = None
-    """Largest rate of change of the position setpoint. By default it is the velocity limit of the robot file; with `stiffness` it is
-    unlimited."""
+    """Largest rate of change of the position setpoint. By default it is the velocity limit of the robot file;
+    with `stiffness` it is unlimited."""
 
 
 class TorqueMotor(JointActuator):
@@ -137,8 +159,8 @@ class Thrust(Actuator):
     moment_constant: Length = 0
     """Drag torque about z per thrust, N*m/N = m."""
     spin: Annotated[dict[Annotated[str, Pattern("link")], Spin] | Spin, FORMS] = 1
-    """Factor on the drag torque, for all links or by link: 1 for a rotor that turns clockwise seen from above, -1 for one that turns
-    counterclockwise."""
+    """Factor on the drag torque, for all links or by link: 1 for a rotor that turns clockwise seen from
+    above, -1 for one that turns counterclockwise."""
 
 
 class Cartesian(Actuator):
@@ -188,5 +210,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Actuator]]]:
 
 
 _KINDS = (VelocityMotor, PositionMotor, TorqueMotor, Thrust, Cartesian, Gripper)
-ACTUATORS: PluginTable[type[Actuator]] = PluginTable("deepbots.actuators", {kind_of(model): model for model in _KINDS}, _read)
+ACTUATORS: PluginTable[type[Actuator]] = PluginTable(
+    "deepbots.actuators", {kind_of(model): model for model in _KINDS}, _read
+)
 AnyActuator = Annotated[Actuator, Kinds("type", ACTUATORS)]

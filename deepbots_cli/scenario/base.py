@@ -1,6 +1,7 @@
 """The base of the models: sections, unions of them, sizes; and the shape of the value of a key.
 
-A key of a section is one annotated field of its model, with its sentence as a docstring below. `shape_of` reads an annotation:
+A key of a section is one annotated field of its model, with its sentence as a docstring below. `shape_of`
+reads an annotation:
 
     FieldType     a single value (fields.py)
     Section       a mapping with known keys: the model class itself
@@ -11,9 +12,9 @@ A key of a section is one annotated field of its model, with its sentence as a d
 
 The compiler, the language server, the JSON Schema and the reference pages go by these shapes.
 
-The documentation of a key is its sentence, unit, default and example. The sentence is the docstring below the field. It is read from the
-source on demand: `use_attribute_docstrings` of pydantic reads all sources on import, which takes 0.1 s. Examples stand in `examples.yaml`,
-by the names of the models.
+The documentation of a key is its sentence, unit, default and example. The sentence is the docstring below the
+field. It is read from the source on demand: `use_attribute_docstrings` of pydantic reads all sources on
+import, which takes 0.1 s. Examples stand in `examples.yaml`, by the names of the models.
 """
 
 from __future__ import annotations
@@ -29,7 +30,16 @@ from pathlib import Path as FilePath
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, PrivateAttr, TypeAdapter, ValidationError, ValidationInfo, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    PrivateAttr,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from deepbots_cli.diagnostics import Findings, Source
@@ -58,7 +68,8 @@ Many = tuple[T, ...]
 """A list in the file, a tuple in the model."""
 
 LENIENT = "lenient"
-"""Key of the validation context. If it is set, lists and mappings may have too few entries, since faulty ones were removed."""
+"""Key of the validation context. If it is set, lists and mappings may have too few entries, since faulty ones
+were removed."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +82,18 @@ class KeyCount:
 
     def errors(self, data: Mapping[str, object]) -> Iterator[InitErrorDetails]:
         """The errors of the keys of a section."""
-        given = [name for name in self.names if name in data]
-        if len(given) > self.max:
-            refused = error("DB101", f"`{given[-1]}` cannot be combined with `{given[0]}`", "keep one of the two")
-            yield InitErrorDetails(type=refused, loc=(given[-1],), input=data[given[-1]])
-        elif len(given) < self.min:
+        present = [name for name in self.names if name in data]
+        if len(present) > self.max:
+            refused = error(
+                "DB101", f"`{present[-1]}` cannot be combined with `{present[0]}`", "keep one of the two"
+            )
+            yield InitErrorDetails(type=refused, loc=(present[-1],), input=data[present[-1]])
+        elif len(present) < self.min:
             names = " or ".join(f"`{name}`" for name in self.names)
-            yield InitErrorDetails(type=error("DB102", f"missing key {names}", "write one of the two", missing=self.names), input=data)
+            yield InitErrorDetails(
+                type=error("DB102", f"missing key {names}", "write one of the two", missing=self.names),
+                input=data,
+            )
 
 
 class Section(BaseModel):
@@ -99,15 +115,19 @@ class Section(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _check_keys(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
-        own = [found for keys in cls.key_rules for found in keys.errors(data)] if isinstance(data, Mapping) else []
+        own = (
+            [error for keys in cls.key_rules for error in keys.errors(data)]
+            if isinstance(data, Mapping)
+            else []
+        )
         if not own:
             return handler(data)
         try:
             handler(data)
         except ValidationError as others:
-            for found in others.errors(include_url=False):
-                refused = PydanticCustomError(found["type"], found["msg"], found.get("ctx"))
-                own.append(InitErrorDetails(type=refused, loc=found["loc"], input=found["input"]))
+            for error in others.errors(include_url=False):
+                refused = PydanticCustomError(error["type"], error["msg"], error.get("ctx"))
+                own.append(InitErrorDetails(type=refused, loc=error["loc"], input=error["input"]))
         raise ValidationError.from_exception_data(cls.__name__, own)
 
 
@@ -153,7 +173,8 @@ class MappingOf:
 
 @dataclass(frozen=True)
 class Forms:
-    """A union that is discriminated by the form of the value; sections with `identifying_keys` first. `FORMS` is one in an annotation."""
+    """A union that is discriminated by the form of the value; sections with `identifying_keys` first. `FORMS`
+    is one in an annotation."""
 
     options: tuple[Shape, ...] = ()
     annotations: tuple[Any, ...] = ()
@@ -185,13 +206,19 @@ FORMS = Forms()
 
 
 def fits(shape: Shape, value: object) -> bool:
-    """Whether a value, raw or validated, has the form that a shape takes: a single value, a list, a mapping."""
+    """Whether a value, raw or validated, has the form that a shape takes: a single value, a list, a
+    mapping."""
     if isinstance(value, Section):
         return shape is type(value)
     match shape:
         case FieldType():
-            # The field type itself refuses a single value of the wrong type, not the choice between the forms.
-            return shape.has_form(list(value)) if isinstance(value, (list, tuple)) else not isinstance(value, dict)
+            # The field type itself refuses a single value of the wrong type, not the choice between the
+            # forms.
+            return (
+                shape.has_form(list(value))
+                if isinstance(value, (list, tuple))
+                else not isinstance(value, dict)
+            )
         case ListOf():
             return isinstance(value, (list, tuple))
         case MappingOf() | Kinds():
@@ -199,7 +226,9 @@ def fits(shape: Shape, value: object) -> bool:
         case Forms():
             return shape.index(value) is not None
         case type():
-            return isinstance(value, dict) and (not shape.identifying_keys or not shape.identifying_keys.isdisjoint(value))
+            return isinstance(value, dict) and (
+                not shape.identifying_keys or not shape.identifying_keys.isdisjoint(value)
+            )
         case _:
             return False
 
@@ -219,8 +248,9 @@ def _forms_of(annotation: Any) -> Forms:
 class Kinds:
     """A union of sections that is discriminated by the word under `key`.
 
-    `models_by_marker` holds the models that have no such word and are known by another key, `remedies` what to write instead of a key
-    that belongs elsewhere. Without a word, a section is of the kind `default`, if there is one.
+    `models_by_marker` holds the models that have no such word and are known by another key, `remedies` what
+    to write instead of a key that belongs elsewhere. Without a word, a section is of the kind `default`, if
+    there is one.
     """
 
     key: str
@@ -250,12 +280,19 @@ class Kinds:
         word = value.get(self.key, self.default)
         if isinstance(word, str) and word in self.models:
             return self.models[word]
-        return next((model for marker, model in self.models_by_marker.items() if word is None and marker in value), None)
+        return next(
+            (model for marker, model in self.models_by_marker.items() if word is None and marker in value),
+            None,
+        )
 
     def _example(self, value: object) -> str:
         """A section with the required keys, of the kind that a single value names."""
         name = value if isinstance(value, str) and value in self.models else self.names[0]
-        required = [key for key, info in self.models[name].model_fields.items() if info.is_required() and key != self.key]
+        required = [
+            key
+            for key, info in self.models[name].model_fields.items()
+            if info.is_required() and key != self.key
+        ]
         entries = {self.key: name, **{key: example_text(self.models[name], key) for key in required}}
         return f"{{{', '.join(f'{key}: {text}' for key, text in entries.items() if text)}}}"
 
@@ -272,9 +309,15 @@ class Kinds:
             raise error("DB102", f"missing key {wanted}", help, missing=(self.key, *self.models_by_marker))
         word = value[self.key]
         if not isinstance(word, str):
-            raise error_at(self.key, mismatch(f"the name of {with_article(self.key)}", choices_help("", self.names), value=word))
+            raise error_at(
+                self.key,
+                mismatch(f"the name of {with_article(self.key)}", choices_help("", self.names), value=word),
+            )
         unknown = error(
-            "DB104", f"unknown {self.key} `{word[:40]}`", choices_help(word, self.names), replacement=word_replacement(word, self.names)
+            "DB104",
+            f"unknown {self.key} `{word[:40]}`",
+            choices_help(word, self.names),
+            replacement=word_replacement(word, self.names),
         )
         raise error_at(self.key, unknown)
 
@@ -286,7 +329,8 @@ def kind_of(model: type[Section], key: str = "type") -> str:
 
 
 def check_kind_model(name: str, model: type[Section], place: str, key: str = "type") -> None:
-    """Check the model of a kind that a plug-in calls `name`, and whose code for the runtime stands at `place`.
+    """Check the model of a kind that a plug-in calls `name`, and whose code for the runtime stands at
+    `place`.
 
     Raises:
         ValueError: Says what it lacks.
@@ -295,7 +339,9 @@ def check_kind_model(name: str, model: type[Section], place: str, key: str = "ty
     if kind_of(model, key) != name:
         raise ValueError(f'{model.__name__} needs the field `{key}: Literal["{name}"]`')
     if not model.__doc__ or not place.partition(":")[2]:
-        raise ValueError(f"{model.__name__} needs a docstring, and the `module:attribute` of its code for the runtime")
+        raise ValueError(
+            f"{model.__name__} needs a docstring, and the `module:attribute` of its code for the runtime"
+        )
     section_fields(model)
 
 
@@ -305,9 +351,9 @@ def kind_parameters(model: type[Section], *bases: type[Section]) -> Iterator[tup
     Raises:
         ValueError: One of them is not a single value.
     """
-    known = {name for base in bases if issubclass(model, base) for name in base.model_fields}
+    inherited = {name for base in bases if issubclass(model, base) for name in base.model_fields}
     for name, shape in section_fields(model).items():
-        if name not in known:
+        if name not in inherited:
             if not isinstance(shape, FieldType):
                 raise ValueError(f"{model.__name__}.{name} is not a single value")
             yield name, shape
@@ -332,7 +378,9 @@ def noun_of(shape: Shape) -> str:
 @cache
 def section_fields(section: type[Section]) -> Mapping[str, Shape]:
     """The keys of a section, in order, each with its shape."""
-    return {name: shape_of(info.annotation, tuple(info.metadata)) for name, info in section.model_fields.items()}
+    return {
+        name: shape_of(info.annotation, tuple(info.metadata)) for name, info in section.model_fields.items()
+    }
 
 
 def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
@@ -386,8 +434,8 @@ def set_paths(value: object, path: NodePath = ()) -> None:
 def visit_values(section: Section, path: NodePath = ()) -> Iterator[tuple[NodePath, FieldType, object]]:
     """Yield the path, the field type and the written value of every single value in a validated section.
 
-    A key that the user chose comes before the values of its entry, with the path of the entry, the field type of keys, and the key
-    as value. Defaults are not visited.
+    A key that the user chose comes before the values of its entry, with the path of the entry, the field type
+    of keys, and the key as value. Defaults are not visited.
     """
     for name, shape in section_fields(type(section)).items():
         if name in section.model_fields_set:
@@ -440,7 +488,9 @@ def shape_at(shape: Shape, data: object, path: NodePath, *, choose: bool = True)
                 shape, data = item, data[step]
             case (MappingOf(value=value), dict()) if step in data:
                 shape, data = value, data[step]
-            case (type() as section, dict()) if step in data and (below := section_fields(section).get(str(step))) is not None:
+            case (type() as section, dict()) if (
+                step in data and (below := section_fields(section).get(str(step))) is not None
+            ):
                 shape, data = below, data[step]
             case _:
                 return None
@@ -479,14 +529,18 @@ EXAMPLES_FILE = FilePath(__file__).with_name("examples.yaml")
 
 def key_description(section: type[Section], key: str) -> str:
     """The sentence about a key of a section."""
-    found = (_docstrings(model.__module__).get((model.__name__, key)) for model in section.__mro__ if issubclass(model, Section))
-    return next(filter(None, found), "")
+    docstrings = (
+        _docstrings(model.__module__).get((model.__name__, key))
+        for model in section.__mro__
+        if issubclass(model, Section)
+    )
+    return next(filter(None, docstrings), "")
 
 
 @cache
 def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
     """The docstrings below the fields of a module, by class and field."""
-    found = {}
+    docstrings = {}
     try:
         tree = ast.parse(inspect.getsource(sys.modules[module]))
     except OSError:  # a plug-in without source
@@ -495,8 +549,8 @@ def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
         for entry, below in pairwise(section.body):
             match entry, below:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                    found[section.name, name] = " ".join(text.split())
-    return found
+                    docstrings[section.name, name] = " ".join(text.split())
+    return docstrings
 
 
 def section_description(section: type[Section]) -> str:
@@ -523,14 +577,23 @@ def default_of(section: type[Section], key: str) -> str:
     value = info.default
     if info.is_required() or info.default_factory or value is None or value in ("", (), {}):
         return ""
-    return str(value).lower() if isinstance(value, bool) else str(list(value)) if isinstance(value, tuple) else str(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return str(list(value))
+    return str(value)
 
 
 def hover_text(section: type[Section], key: str) -> str:
     """A key in Markdown: its type, sentence, unit, default and example."""
     shape = section_fields(section)[key]
     unit = unit_of(shape)
-    shown = "none, a plain number" if unit == "1" else unit if unit.startswith("of the ") else f"`{unit.replace(' or ', '` or `')}`"
+    if unit == "1":
+        shown = "none, a plain number"
+    elif unit.startswith("of the "):
+        shown = unit
+    else:
+        shown = f"`{unit.replace(' or ', '` or `')}`"
     facts = [f"**Unit:** {shown}"] if unit else []
     if section.model_fields[key].is_required():
         facts.append("**Required**")
@@ -556,13 +619,16 @@ class Example(NamedTuple):
 
 def example_of(section: type[Section], key: str) -> Example | None:
     """The example of a key of a section, or of the nearest base that has one."""
-    return next((found for model in section.__mro__ if (found := examples().get(model.__name__, {}).get(key))), None)
+    return next(
+        (example for model in section.__mro__ if (example := examples().get(model.__name__, {}).get(key))),
+        None,
+    )
 
 
 def example_text(section: type[Section], key: str) -> str:
     """The example of a key as text; of a word, the first one."""
-    if found := example_of(section, key):
-        return found.text
+    if example := example_of(section, key):
+        return example.text
     shape = section_fields(section)[key]
     return shape.words[0] if isinstance(shape, Word) else ""
 
@@ -574,7 +640,10 @@ def examples() -> Mapping[str, Mapping[str, Example]]:
     root = parse(Source(EXAMPLES_FILE.name, EXAMPLES_FILE.read_text(encoding="utf-8")), findings)
     if root is None or list(findings):
         raise ValueError(f"{EXAMPLES_FILE} is broken: {[finding.headline for finding in findings]}")
-    return {section.key.text: {entry.key.text: Example.of(entry) for entry in _entries(section.value)} for section in _entries(root)}
+    return {
+        section.key.text: {entry.key.text: Example.of(entry) for entry in _entries(section.value)}
+        for section in _entries(root)
+    }
 
 
 def _entries(node: nodes.Node) -> tuple[nodes.Entry, ...]:

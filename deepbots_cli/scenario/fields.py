@@ -1,10 +1,12 @@
 """Field types: the type of a single value of a scenario.
 
-A field type stands in the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It checks the form of the value
-(a text, a number, a range) and raises errors with the code, headline and help of a finding. `base.visit_values` hands it to the compiler,
-which reads units, names and expressions inside a text. A value is kept as it is written.
+A field type stands in the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It
+checks the form of the value (a text, a number, a range) and raises errors with the code, headline and help of
+a finding. `base.visit_values` hands it to the compiler, which reads units, names and expressions inside a
+text. A value is kept as it is written.
 
-Aliases at the end name the field types that several sections use. Values of the aliases `Randomizable...` may be drawn in every episode.
+Aliases at the end name the field types that several sections use. Values of the aliases `Randomizable...` may
+be drawn in every episode.
 """
 
 from __future__ import annotations
@@ -16,10 +18,22 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    ValidationInfo,
+)
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, nearest_word, suggest_replacement
+from deepbots_cli.diagnostics.nearest import (
+    MAX_BESIDE,
+    Replacement,
+    is_typo,
+    nearest_word,
+    suggest_replacement,
+)
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components, shortened_list
@@ -28,7 +42,15 @@ from deepbots_cli.scenario.synonyms import word_for
 Scalar = str | int | float
 JsonSchema = dict[str, object]
 
-_JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean", dict: "object", list: "array", tuple: "array"}
+_JSON_TYPES = {
+    str: "string",
+    int: "integer",
+    float: "number",
+    bool: "boolean",
+    dict: "object",
+    list: "array",
+    tuple: "array",
+}
 
 MAX_MAGNITUDE = 1e30
 """Beyond this a number means nothing physical, and arithmetic on it overflows."""
@@ -44,14 +66,21 @@ GROUPED_DIGITS = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 
 
 def error(
-    code: str, headline: str, help: str | None = None, *, missing: tuple[str, ...] = (), replacement: Replacement | None = None
+    code: str,
+    headline: str,
+    help: str | None = None,
+    *,
+    missing: tuple[str, ...] = (),
+    replacement: Replacement | None = None,
 ) -> PydanticCustomError:
     """An error with the parts of a finding: `missing` keys, and a `replacement` of the whole value."""
     context = {"headline": headline, "help": help, "missing": missing, "replacement": replacement}
     return PydanticCustomError(code, "{headline}; {help}" if help else "{headline}", context)
 
 
-def mismatch(expected: str, help: str | None = None, replacement: Replacement | None = None, *, value: object) -> PydanticCustomError:
+def mismatch(
+    expected: str, help: str | None = None, replacement: Replacement | None = None, *, value: object
+) -> PydanticCustomError:
     """An error about a value of the wrong type; `validate` shows how it is written in the file."""
     refused = error("DB103", f"expected {expected}, found {str(value)[:60]!r}", help, replacement=replacement)
     refused.context["expected"] = expected  # type: ignore[index]
@@ -75,12 +104,13 @@ def counted_noun(number: int, noun: str) -> str:
 
 
 def choices_help(word: str, words: Sequence[str]) -> str:
-    """The help for an unknown word: the probable word, and all known words; a long list is left out beside a word that is hardly wrong."""
+    """The help for an unknown word: the probable word, and all known words; a long list is left out beside a
+    word that is hardly wrong."""
     other = word_for(word, words)
     near = other or nearest_word(word, words)
     if near and len(words) > MAX_BESIDE and (other or is_typo(word, near)):
         return f"did you mean `{near}`?"
-    listed = shortened_list((f"`{known}`" for known in words), _MAX_LISTED)
+    listed = shortened_list((f"`{choice}`" for choice in words), _MAX_LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 
 
@@ -90,15 +120,24 @@ def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
     return Replacement(other, safe=False) if other else suggest_replacement(word, words, of_language=True)
 
 
-_ENDS = rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:[ ]?[A-Za-z%][\w*/^%]*)?)\s*"
+_ENDS = (
+    rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:["
+    r" ]?[A-Za-z%][\w*/^%]*)?)\s*"
+)
 
 
 _SCALAR_RANGE = rf"\s*({_NUMBER})\s*\.\.\s*({_NUMBER})((?:\s*[A-Za-z%][\w*/^%]*)?)\s*"
 
 
 def _range_replacement(value: object) -> str | None:
-    """The range that is meant by two numbers in a list or with another sign between them, or by a range for each component."""
-    given = list(value.values()) if isinstance(value, Mapping) else value if isinstance(value, list) else []
+    """The range that is meant by two numbers in a list or with another sign between them, or by a range for
+    each component."""
+    if isinstance(value, Mapping):
+        given = list(value.values())
+    elif isinstance(value, list):
+        given = value
+    else:
+        given = []
     parts = [re.fullmatch(_SCALAR_RANGE, part) if isinstance(part, str) else None for part in given]
     if ranges := [part for part in parts if part and part[3] == (parts[0] or part)[3]]:
         lows, highs = " ".join(part[1] for part in ranges), " ".join(part[2] for part in ranges)
@@ -111,19 +150,24 @@ def _range_replacement(value: object) -> str | None:
 
 def count_replacement(value: object) -> str | None:
     """The whole number that `200k` or `1e5` was meant to be."""
-    if isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15:  # below, a point may have parted thousands
+    if (
+        isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15
+    ):  # below, a point may have parted thousands
         return f"{int(value):_}"
-    found = re.fullmatch(r"([0-9]{1,6})([kKM])", value) if isinstance(value, str) else None
-    return f"{int(found[1]) * (1_000_000 if found[2] == 'M' else 1_000):_}" if found else None
+    match = re.fullmatch(r"([0-9]{1,6})([kKM])", value) if isinstance(value, str) else None
+    return f"{int(match[1]) * (1_000_000 if match[2] == 'M' else 1_000):_}" if match else None
 
 
 def number_replacement(value: object) -> Replacement | None:
-    """The number that a text in quotes, or with a decimal comma, was meant to be; a comma may also group thousands."""
-    text = value.strip() if isinstance(value, str) and len(value) <= _MAX_NUMBER_LENGTH else ""  # the pattern is quadratic in digits
+    """The number that a text in quotes, or with a decimal comma, was meant to be; a comma may also group
+    thousands."""
+    text = (
+        value.strip() if isinstance(value, str) and len(value) <= _MAX_NUMBER_LENGTH else ""
+    )  # the pattern is quadratic in digits
     if re.fullmatch(_NUMBER, text):
         return Replacement(text, safe=True)
-    if found := re.fullmatch(r"([-+]?[0-9]+),([0-9]+(?:[eE][-+]?[0-9]+)?)", text):
-        return Replacement(f"{found[1]}.{found[2]}", safe=len(found[2]) != 3 or found[1].lstrip("+-") == "0")
+    if match := re.fullmatch(r"([-+]?[0-9]+),([0-9]+(?:[eE][-+]?[0-9]+)?)", text):
+        return Replacement(f"{match[1]}.{match[2]}", safe=len(match[2]) != 3 or match[1].lstrip("+-") == "0")
     return None
 
 
@@ -132,14 +176,21 @@ def _number_help(value: object) -> str | None:
     if near is None:
         return None
     is_quoted = isinstance(value, str) and "," not in value
-    return f"write `{near.text}` without quotes" if is_quoted else f"write `{near.text}`: decimals need a point"
+    return (
+        f"write `{near.text}` without quotes" if is_quoted else f"write `{near.text}`: decimals need a point"
+    )
 
 
 # Checks of numbers
 
 
 def check_bounds(
-    value: float, minimum: float | None = None, maximum: float | None = None, *, exclusive: bool = False, is_share: bool = False
+    value: float,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    *,
+    exclusive: bool = False,
+    is_share: bool = False,
 ) -> None:
     """Raise DB105 unless `value` is finite and inside; with `exclusive` the minimum itself is outside."""
     if not -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE:
@@ -156,11 +207,16 @@ def check_bounds(
 
 
 def count_literal(text: str) -> int | None:
-    """How many numbers a literal such as `1 1 m` holds; None if `text` is no literal, as `1 1 scale` with a parameter."""
+    """How many numbers a literal such as `1 1 m` holds; None if `text` is no literal, as `1 1 scale` with a
+    parameter."""
     words = text.split()
     numbers = next((i for i, word in enumerate(words) if not re.fullmatch(_NUMBER, word)), len(words))
     rest = words[numbers:]
-    is_unit = len(rest) == 1 and re.fullmatch(_UNIT, rest[0]) and all(name in UNITS for name in re.findall(r"[A-Za-z%]+", rest[0]))
+    is_unit = (
+        len(rest) == 1
+        and re.fullmatch(_UNIT, rest[0])
+        and all(name in UNITS for name in re.findall(r"[A-Za-z%]+", rest[0]))
+    )
     return numbers if numbers and (not rest or is_unit) else None
 
 
@@ -193,7 +249,9 @@ class FieldType:
 
     def has_form(self, value: object) -> bool:
         """Whether `value` has the right form at all; `check` looks at its content."""
-        return isinstance(value, self.accepted_types) and (bool in self.accepted_types or not isinstance(value, bool))
+        return isinstance(value, self.accepted_types) and (
+            bool in self.accepted_types or not isinstance(value, bool)
+        )
 
     def check(self, value: Any) -> None:
         """Raise an `error` if a value of the right form cannot be meant."""
@@ -211,7 +269,11 @@ class FieldType:
 
     def json_schema(self) -> JsonSchema:
         types = list(
-            dict.fromkeys(_JSON_TYPES[each] for each in self.accepted_types if each is not int or float not in self.accepted_types)
+            dict.fromkeys(
+                _JSON_TYPES[each]
+                for each in self.accepted_types
+                if each is not int or float not in self.accepted_types
+            )
         )
         return {"type": types if len(types) > 1 else types[0]}
 
@@ -227,7 +289,8 @@ class FieldType:
         return core_schema.with_info_plain_validator_function(self._validate)
 
     def _validate(self, value: object, info: ValidationInfo) -> object:
-        """Validation of a file has a context. There the compiler checks the content of texts, and marks the exact place."""
+        """Validation of a file has a context. There the compiler checks the content of texts, and marks the
+        exact place."""
         checked = self.validate(value)
         if info.context is None and isinstance(value, str):
             self.check_text(value)
@@ -255,13 +318,18 @@ class Flag(FieldType):
         return f"write `{near.text}`" if near else None
 
     def replacement_for(self, value: object) -> Replacement | None:
-        near = {"on": "true", "yes": "true", "off": "false", "no": "false"}.get(value.lower()) if isinstance(value, str) else None
+        near = (
+            {"on": "true", "yes": "true", "off": "false", "no": "false"}.get(value.lower())
+            if isinstance(value, str)
+            else None
+        )
         return Replacement(near, safe=True) if near else None
 
 
 @dataclass(frozen=True)
 class Number(FieldType):
-    """A plain number within bounds, or a text that matches `pattern`, whose groups are such numbers or percentages.
+    """A plain number within bounds, or a text that matches `pattern`, whose groups are such numbers or
+    percentages.
 
     With `exclusive` the minimum itself is refused.
     """
@@ -278,12 +346,18 @@ class Number(FieldType):
         return (int, float)
 
     def has_form(self, value: object) -> bool:
-        return re.fullmatch(self.pattern, value) is not None if isinstance(value, str) else super().has_form(value)
+        return (
+            re.fullmatch(self.pattern, value) is not None
+            if isinstance(value, str)
+            else super().has_form(value)
+        )
 
     def check(self, value: Any) -> None:
-        found = re.fullmatch(self.pattern, value) if isinstance(value, str) else None
-        for number in map(read_fraction, found.groups()) if found else [value]:
-            check_bounds(number, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1)
+        match = re.fullmatch(self.pattern, value) if isinstance(value, str) else None
+        for number in map(read_fraction, match.groups()) if match else [value]:
+            check_bounds(
+                number, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1
+            )
 
     def help_for(self, value: object) -> str | None:
         return _number_help(value) or super().help_for(value)
@@ -293,7 +367,9 @@ class Number(FieldType):
 
     def json_schema(self) -> JsonSchema:
         bounds = {"exclusiveMinimum" if self.exclusive else "minimum": self.minimum, "maximum": self.maximum}
-        schema = self._matching(f"^({self.pattern}|{GROUPED_DIGITS})$" if self.pattern else f"^{GROUPED_DIGITS}$")
+        schema = self._matching(
+            f"^({self.pattern}|{GROUPED_DIGITS})$" if self.pattern else f"^{GROUPED_DIGITS}$"
+        )
         schema["type"] = [super().json_schema()["type"], "string"]
         return schema | {word: bound for word, bound in bounds.items() if bound is not None}
 
@@ -322,7 +398,8 @@ class WholeNumber(Number):
 
 @dataclass(frozen=True)
 class Text(FieldType):
-    """A text, which matches `pattern` if there is one; the headline says what another text cannot be: `refused`."""
+    """A text, which matches `pattern` if there is one; the headline says what another text cannot be:
+    `refused`."""
 
     noun: str = "a text"
     pattern: str = ""
@@ -342,7 +419,8 @@ class Text(FieldType):
 
 @dataclass(frozen=True)
 class Word(FieldType):
-    """One of several words: a `Literal`, which pydantic validates itself, or a name of a table with plug-ins."""
+    """One of several words: a `Literal`, which pydantic validates itself, or a name of a table with
+    plug-ins."""
 
     known: Collection[str]
 
@@ -358,11 +436,18 @@ class Word(FieldType):
     def check(self, value: Any) -> None:
         if value not in self.known:
             raise error(
-                "DB104", f"unknown word `{value[:40]}`", choices_help(value, self.words), replacement=word_replacement(value, self.words)
+                "DB104",
+                f"unknown word `{value[:40]}`",
+                choices_help(value, self.words),
+                replacement=word_replacement(value, self.words),
             )
 
     def json_schema(self) -> JsonSchema:
-        summaries = [getattr(entry, "summary", "") for entry in self.known.values()] if isinstance(self.known, Mapping) else []
+        summaries = (
+            [getattr(entry, "summary", "") for entry in self.known.values()]
+            if isinstance(self.known, Mapping)
+            else []
+        )
         return {"enum": list(self.words), **({"enumDescriptions": summaries} if any(summaries) else {})}
 
 
@@ -378,7 +463,11 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
     "speed": ("a speed", "2 m/s", "m/s"),
     "angular speed": ("an angular speed", "5 rad/s", "rad/s"),
     "acceleration": ("an acceleration", "9.81 m/s^2", "m/s^2"),
-    "angular acceleration or acceleration": ("an angular acceleration or an acceleration", "20 rad/s^2", "rad/s^2 or m/s^2"),
+    "angular acceleration or acceleration": (
+        "an angular acceleration or an acceleration",
+        "20 rad/s^2",
+        "rad/s^2 or m/s^2",
+    ),
     "force": ("a force", "0.15 N", "N"),
     "torque": ("a torque", "0.5 N*m", "N*m"),
     "torque or force": ("a torque or a force", "10 N*m", "N*m or N"),
@@ -400,7 +489,8 @@ def measure_dimension(measure: str) -> Dimension | None:
 
 
 def dimension_of(measure: str, own: Dimension, *, second: bool = False) -> Dimension | None:
-    """The dimension of a measure: `own` of a `reading`, None of `any`; of a measure such as `torque or force` the first or the second."""
+    """The dimension of a measure: `own` of a `reading`, None of `any`; of a measure such as `torque or force`
+    the first or the second."""
     if measure in ("reading", "any"):
         return own if measure == "reading" else None
     return _dimension(MEASURES[measure][2].split(" or ")[-1 if second else 0])
@@ -422,7 +512,9 @@ class Parsed(FieldType):
     def tree(text: str) -> syntax.Node | None:
         """The tree of an expression; raises its first syntax error."""
 
-        def report(code: str, start: int, end: int, headline: str, help: str | None = None, *_: object, **__: object) -> None:
+        def report(
+            code: str, start: int, end: int, headline: str, help: str | None = None, *_: object, **__: object
+        ) -> None:
             raise error(code, headline, help)
 
         return parser.parse(text, report)
@@ -483,29 +575,40 @@ class Quantity(Parsed):
     def check(self, value: Any) -> None:
         if self.dimension == "number" and not self.components and (near := number_replacement(value)):
             raise mismatch(self.noun, _number_help(value), near, value=value)
-        found, wanted = count_literal(value) if isinstance(value, str) else 1, self.components or 1
-        if found not in (None, wanted):
-            raise error("DB106", f"expected {counted_noun(wanted, 'number')}, found {found}", self._help_for_count(str(value), found))
+        count, wanted = count_literal(value) if isinstance(value, str) else 1, self.components or 1
+        if count not in (None, wanted):
+            raise error(
+                "DB106",
+                f"expected {counted_noun(wanted, 'number')}, found {count}",
+                self._help_for_count(str(value), count),
+            )
         if not isinstance(value, str):
             if self.dimension == "number" or value == 0:
-                check_bounds(value, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1)
+                check_bounds(
+                    value, self.minimum, self.maximum, exclusive=self.exclusive, is_share=self.maximum == 1
+                )
             else:  # it has no unit, which the compiler reports
                 check_bounds(value)
             if self.whole and value != int(value):
                 raise mismatch(self.noun, value=value)
 
-    def _help_for_count(self, value: str, found: int | None) -> str | None:
+    def _help_for_count(self, value: str, count: int | None) -> str | None:
         """An example in the unit of the literal, which may be one of several that the measure has."""
         words, units = value.split(), MEASURES[self.dimension][2].split(" or ")
-        unit = words[-1] if found and len(words) > found else ""
+        unit = words[-1] if count and len(words) > count else ""
         if self.components or len(units) == 1 or not unit or _dimension(unit) not in map(_dimension, units):
             return self.help_for(None)
         return f"write it like `{words[0]} {unit}`"
 
     def check_text(self, text: str) -> None:
         tree = self.tree(text)
-        unit, known = getattr(tree, "unit", None), MEASURES[self.dimension][2].split(" or ")
-        if unit is not None and not known[0].startswith("of ") and unit.text != "%" and unit.dimension not in map(_dimension, known):
+        unit, unit_names = getattr(tree, "unit", None), MEASURES[self.dimension][2].split(" or ")
+        if (
+            unit is not None
+            and not unit_names[0].startswith("of ")
+            and unit.text != "%"
+            and unit.dimension not in map(_dimension, unit_names)
+        ):
             raise error("DB503", f"`{text[:60]}` is not {self.noun}", self.help_for(None))
         match tree:
             case syntax.Vector(items=(syntax.Number(), syntax.Name(parts=(word,)))) if not self.components:
@@ -514,7 +617,11 @@ class Quantity(Parsed):
     def help_for(self, value: object) -> str | None:
         if isinstance(value, list) and self.components:
             near = self.replacement_for(value)
-            return f"write the numbers in one text: `{near.text}`" if near else f"write the numbers in one text, like `{self.example}`"
+            return (
+                f"write the numbers in one text: `{near.text}`"
+                if near
+                else f"write the numbers in one text, like `{self.example}`"
+            )
         return super().help_for(value)
 
     def replacement_for(self, value: object) -> Replacement | None:
@@ -546,7 +653,8 @@ class Column(FieldType):
 
 @dataclass(frozen=True)
 class Range(Parsed):
-    """Two bounds, `lo .. hi unit`, with `vector` for each component; with `auto` the word `auto` stands for the known interval."""
+    """Two bounds, `lo .. hi unit`, with `vector` for each component; with `auto` the word `auto` stands for
+    the known interval."""
 
     dimension: str
     auto: bool = False
@@ -556,7 +664,11 @@ class Range(Parsed):
 
     @property
     def example(self) -> str:
-        unit = "" if self.dimension == "any" and not self.vector else MEASURES[self.dimension][1].partition(" ")[2]
+        unit = (
+            ""
+            if self.dimension == "any" and not self.vector
+            else MEASURES[self.dimension][1].partition(" ")[2]
+        )
         return f"-1 .. 1 {unit}".strip()
 
     def check(self, value: Any) -> None:
@@ -575,7 +687,11 @@ class Range(Parsed):
         return Replacement(near, safe=False) if near else None
 
     def json_schema(self) -> JsonSchema:
-        return {"type": "string", "pattern": r"\.\.|^auto$" if self.auto else r"\.\.", "patternErrorMessage": self.help_for(None)}
+        return {
+            "type": "string",
+            "pattern": r"\.\.|^auto$" if self.auto else r"\.\.",
+            "patternErrorMessage": self.help_for(None),
+        }
 
 
 @dataclass(frozen=True)
@@ -619,7 +735,10 @@ class Expression(Parsed):
 
     def help_for(self, value: object) -> str | None:
         if isinstance(value, list) and self.context == "apply":
-            return "to set each joint separately, define one actuator for each joint, or use the action `each: robot.actuator`"
+            return (
+                "to set each joint separately, define one actuator for each joint, or use the action"
+                " `each: robot.actuator`"
+            )
         return super().help_for(value)
 
     @property
@@ -649,7 +768,11 @@ class Reference(FieldType):
 
     @property
     def noun(self) -> str:
-        return f"a list of {_SINGULAR[self.kind]} names" if self.several else f"the name of {with_article(self.kind)}"
+        return (
+            f"a list of {_SINGULAR[self.kind]} names"
+            if self.several
+            else f"the name of {with_article(self.kind)}"
+        )
 
     @property
     def plural(self) -> str:
@@ -666,7 +789,9 @@ class Reference(FieldType):
             raise error("DB107", "is empty")
         for index, item in enumerate(value):
             if not isinstance(item, str) or not item.strip():
-                raise error_at(index, mismatch(f"the name of {with_article(_SINGULAR[self.kind])}", value=item))
+                raise error_at(
+                    index, mismatch(f"the name of {with_article(_SINGULAR[self.kind])}", value=item)
+                )
         return tuple(value)
 
     def json_schema(self) -> JsonSchema:
@@ -700,7 +825,17 @@ class FilePath(FieldType):
 
 
 BUILT_IN_NAMES = frozenset(
-    {"time", "step", "episode_return", "previous_action", "previous_reward", "terminated", "truncated", "ended", "goal_reached"}
+    {
+        "time",
+        "step",
+        "episode_return",
+        "previous_action",
+        "previous_reward",
+        "terminated",
+        "truncated",
+        "ended",
+        "goal_reached",
+    }
     | {"ground", "arena", "pi", "true", "false"}
 )
 """Values that every scenario has."""
@@ -712,7 +847,8 @@ MAX_NAME_LENGTH = 64
 
 @dataclass(frozen=True)
 class Name(FieldType):
-    """A name in lower case; a `shared` name is in the flat namespace of the scenario, with units and built-in names."""
+    """A name in lower case; a `shared` name is in the flat namespace of the scenario, with units and built-in
+    names."""
 
     shared: bool = False
 
@@ -720,7 +856,9 @@ class Name(FieldType):
 
     def check(self, value: Any) -> None:
         if not re.fullmatch(NAME_PATTERN, value):
-            suggestion = re.sub(r"[^a-z0-9_]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", value[:MAX_NAME_LENGTH]).lower()).strip("_")
+            suggestion = re.sub(
+                r"[^a-z0-9_]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", value[:MAX_NAME_LENGTH]).lower()
+            ).strip("_")
             help = "a name has only lower-case letters, digits and `_`, and does not begin with a digit"
             if re.fullmatch(NAME_PATTERN, suggestion):
                 help = f"write `{suggestion}`: {help}"
@@ -731,7 +869,11 @@ class Name(FieldType):
             taken = {"a unit": UNITS, "built in": BUILT_IN_NAMES, "a word of the language": GRAMMAR_WORDS}
             for what, names in taken.items():
                 if value in names:
-                    raise error("DB202", f"the name `{value}` is reserved: it is {what}", f"choose another name, such as `{value}_value`")
+                    raise error(
+                        "DB202",
+                        f"the name `{value}` is reserved: it is {what}",
+                        f"choose another name, such as `{value}_value`",
+                    )
 
     def json_schema(self) -> JsonSchema:
         about = "A name of your choice: lower-case letters, digits and `_`, not beginning with a digit."
@@ -778,7 +920,10 @@ class ColorValue(FieldType):
     def json_schema(self) -> JsonSchema:
         words = "|".join(COLORS)
         schema = self._matching(rf"^\s*(#[0-9a-fA-F]{{6}}|choice\(.*\)|{words})\s*$")
-        return schema | {"patternErrorMessage": "expected a color: a word such as `red`, `'#ffa500'`, or `choice(red | green)`"}
+        return schema | {
+            "patternErrorMessage": "expected a color: a word such as `red`, `'#ffa500'`, or `choice(red |"
+            " green)`"
+        }
 
 
 # What a training takes
@@ -790,11 +935,16 @@ _SCHEDULE = rf"\s*({_NUMBER})\s*->\s*({_NUMBER})\s*"
 def read_fraction(value: str | float) -> float:
     """The number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
     percent = re.fullmatch(_PERCENT, value) if isinstance(value, str) else None
-    return float(percent[1].rstrip("%").rstrip()) / 100 if percent else float(value) if isinstance(value, str) else value
+    if percent:
+        return float(percent[1].rstrip("%").rstrip()) / 100
+    if isinstance(value, str):
+        return float(value)
+    return value
 
 
 def read_schedule(value: object) -> tuple[float, float] | None:
-    """`3e-4 -> 0` or a plain number, as its values at the start and at the end of the training; None if it is neither."""
+    """`3e-4 -> 0` or a plain number, as its values at the start and at the end of the training; None if it is
+    neither."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return (float(value), float(value)) if abs(value) < MAX_MAGNITUDE else None
     match = re.fullmatch(_SCHEDULE, value) if isinstance(value, str) else None
@@ -807,7 +957,8 @@ _STEPS = r"\s*([0-9]{1,3}(?:_[0-9]{3}){0,3}|[0-9]{1,12})\s+steps?\s*"
 
 
 def read_until(value: object) -> tuple[str, float, int | None] | None:
-    """`success_rate >= 0.7 over 40 episodes` or `50_000 steps`, as metric, threshold and episodes; None if it is neither.
+    """`success_rate >= 0.7 over 40 episodes` or `50_000 steps`, as metric, threshold and episodes; None if it
+    is neither.
 
     `success_rate >= 0.7 in evaluation` has no number of episodes.
     """
@@ -844,12 +995,17 @@ class Until(FieldType):
     def help_for(self, value: object) -> str | None:
         if isinstance(value, str) and re.fullmatch(_MEAN, value.strip()):
             return f"write how many episodes: `{value.strip()} over 100 episodes`"
-        if isinstance(value, str) and self.has_form(near := value.strip().replace("evaluations", "evaluation")):
+        if isinstance(value, str) and self.has_form(
+            near := value.strip().replace("evaluations", "evaluation")
+        ):
             return f"write `{near}`"
         return ", or ".join((f"write `{self.example}`", *map("`{}`".format, self.other_examples)))
 
     def json_schema(self) -> JsonSchema:
-        return self._matching(r"^\s*((success_rate|mean_return)\s*>=.* (over .* episodes?|in\s+evaluation)|[0-9_]+\s+steps?)\s*$")
+        return self._matching(
+            r"^\s*((success_rate|mean_return)\s*>=.* (over .*"
+            r" episodes?|in\s+evaluation)|[0-9_]+\s+steps?)\s*$"
+        )
 
 
 class Solved(Until):
@@ -860,8 +1016,8 @@ class Solved(Until):
     other_examples = ()
 
     def has_form(self, value: object) -> bool:
-        found = read_until(value)
-        return found is not None and found[0] != "steps" and found[2] is not None
+        criterion = read_until(value)
+        return criterion is not None and criterion[0] != "steps" and criterion[2] is not None
 
     def check(self, value: Any) -> None:
         super().check(value)
@@ -870,9 +1026,16 @@ class Solved(Until):
             check_bounds(episodes, 1, MAX_SOLVED_EPISODES)
 
     def help_for(self, value: object) -> str | None:
-        metrics = [key for key in ("mean_return", "success_rate") if key in value] if isinstance(value, dict) else []
+        metrics = (
+            [key for key in ("mean_return", "success_rate") if key in value]
+            if isinstance(value, dict)
+            else []
+        )
         if isinstance(value, dict) and metrics:
-            lines = [f"{key} >= {str(value[key])[:20]} over {str(value.get('episodes', 100))[:20]} episodes" for key in metrics]
+            lines = [
+                f"{key} >= {str(value[key])[:20]} over {str(value.get('episodes', 100))[:20]} episodes"
+                for key in metrics
+            ]
             return "write " + " or ".join(f"`solved: {line}`" for line in lines)
         return super().help_for(value)
 
@@ -892,14 +1055,23 @@ class Setting(FieldType):
 # Field types that several sections use
 
 
-PLAIN_FIELD_TYPES: Mapping[object, FieldType] = {int: WholeNumber(), float: Number(), bool: Flag(), str: Text()}
+PLAIN_FIELD_TYPES: Mapping[object, FieldType] = {
+    int: WholeNumber(),
+    float: Number(),
+    bool: Flag(),
+    str: Text(),
+}
 """Field types of plain Python types, which pydantic validates itself."""
 
 PositiveInt = Annotated[int, WholeNumber(1, 1_000_000_000)]
 SmallInt = Annotated[int, WholeNumber(1, 1000)]
 Bool = Annotated[bool, Flag()]
 PlainText = Annotated[str, Text()]
-Fraction = Annotated[Scalar, Number(0, 1, pattern=_PERCENT, noun="a number from 0 to 1", example="0.9"), AfterValidator(read_fraction)]
+Fraction = Annotated[
+    Scalar,
+    Number(0, 1, pattern=_PERCENT, noun="a number from 0 to 1", example="0.9"),
+    AfterValidator(read_fraction),
+]
 Schedule = Annotated[Scalar, Number(0, pattern=_SCHEDULE, noun="a number or a schedule", example="3e-4 -> 0")]
 
 Length = Annotated[Scalar, Quantity("length", minimum=0)]
@@ -912,7 +1084,9 @@ Scale = Annotated[Scalar, Quantity("number", components=3)]
 
 RandomizableFactor = Annotated[Scalar, Quantity("number", known="episode", minimum=0)]
 RandomizableShare = Annotated[Scalar, Quantity("number", known="episode", minimum=0, maximum=1)]
-RandomizableDelay = Annotated[Scalar, Quantity("time", known="episode", minimum=0, maximum=60, usual_unit="ms")]
+RandomizableDelay = Annotated[
+    Scalar, Quantity("time", known="episode", minimum=0, maximum=60, usual_unit="ms")
+]
 RandomizableCoordinate = Annotated[Scalar, Quantity("length", known="episode")]
 RandomizableAngle = Annotated[Scalar, Quantity("angle", known="episode", words=("any",))]
 RandomizableCount = Annotated[Scalar, Quantity("number", known="episode", minimum=0, whole=True)]

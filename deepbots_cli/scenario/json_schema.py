@@ -2,17 +2,20 @@
 
     python -m deepbots_cli.scenario.json_schema      writes it to schemas/
 
-It describes a file before `extends` and `include` are resolved, and accepts everything that the compiler accepts. Only keys of the
-top level and of its sections are required, and only if a file extends no other; `lint` checks the other keys after the merge.
+It describes a file before `extends` and `include` are resolved, and accepts everything that the compiler
+accepts. Only keys of the top level and of its sections are required, and only if a file extends no other;
+`lint` checks the other keys after the merge.
 
-Every section is one definition. Of `anyOf` or `oneOf` over several forms an editor shows what is wrong with each of them, and offers
-the keys of all. Unions are therefore `if` and `then`: a form is chosen as the compiler chooses it, by the word under one key, by a key
-that tells the form, or by the shape of the data. Beside the standard, the schema has what the YAML language server knows:
-`enumDescriptions`, `errorMessage`, `patternErrorMessage`, and `defaultSnippets`, which it offers as values. It offers `examples` too,
-but shows them once more below the text of a hover.
+Every section is one definition. Of `anyOf` or `oneOf` over several forms an editor shows what is wrong with
+each of them, and offers the keys of all. Unions are therefore `if` and `then`: a form is chosen as the
+compiler chooses it, by the word under one key, by a key that tells the form, or by the shape of the data.
+Beside the standard, the schema has what the YAML language server knows: `enumDescriptions`, `errorMessage`,
+`patternErrorMessage`, and `defaultSnippets`, which it offers as values. It offers `examples` too, but shows
+them once more below the text of a hover.
 
-For one scenario the schema also lists names. Names from another file (joints and links of a robot file) are listed and checked.
-Names that the scenario itself defines are only offered, since the schema is older than the next name in the file.
+For one scenario the schema also lists names. Names from another file (joints and links of a robot file) are
+listed and checked. Names that the scenario itself defines are only offered, since the schema is older than
+the next name in the file.
 """
 
 from __future__ import annotations
@@ -42,7 +45,18 @@ from deepbots_cli.scenario.base import (
     section_fields,
     unit_of,
 )
-from deepbots_cli.scenario.fields import COLORS, ColorValue, Expression, FieldType, FilePath, Name, Pattern, Range, Reference, Word
+from deepbots_cli.scenario.fields import (
+    COLORS,
+    ColorValue,
+    Expression,
+    FieldType,
+    FilePath,
+    Name,
+    Pattern,
+    Range,
+    Reference,
+    Word,
+)
 from deepbots_cli.scenario.scenario import VERSION, Robot, Scenario
 from deepbots_cli.scenario.training import Training
 
@@ -57,25 +71,27 @@ INCLUDE: Json = {"$ref": "#/$defs/include"}
 
 @dataclass(frozen=True)
 class OfferedNames:
-    """Names for one kind of value, each with a description; with `is_complete`, other names are errors unless they are patterns."""
+    """Names for one kind of value, each with a description; with `is_complete`, other names are errors unless
+    they are patterns."""
 
     names: Mapping[str, str]
     is_complete: bool = False
 
     def added_to(self, schema: Json, noun: str) -> Json:
-        """The schema of a value called `noun`, with the names as an enumeration beside whatever else may stand there.
+        """The schema of a value called `noun`, with the names as an enumeration beside whatever else may
+        stand there.
 
-        Where anything else may, one of the two forms always holds. Both have titles, or the YAML language server would show the
-        texts of both.
+        Where anything else may, one of the two forms always holds. Both have titles, or the YAML language
+        server would show the texts of both.
         """
         if not self.names:
             return schema
-        known: Json = {"title": "a known name", "enum": list(self.names)}
+        offered: Json = {"title": "a known name", "enum": list(self.names)}
         if any(self.names.values()):
-            known["enumDescriptions"] = list(self.names.values())
+            offered["enumDescriptions"] = list(self.names.values())
         if self.is_complete:
-            return {"anyOf": [known, {"title": "a pattern", "type": "string", "pattern": r"[*?\[]"}]}
-        return schema | {"anyOf": [known, {"title": noun, "not": {"enum": list(self.names)}}]}
+            return {"anyOf": [offered, {"title": "a pattern", "type": "string", "pattern": r"[*?\[]"}]}
+        return schema | {"anyOf": [offered, {"title": noun, "not": {"enum": list(self.names)}}]}
 
 
 Names = Mapping[str, OfferedNames]
@@ -119,10 +135,17 @@ def names_key_of(shape: Shape) -> str:
 
 def json_schema(known: ScenarioNames | None = None) -> Json:
     """The schema (draft 2020-12), in stable order; without names of a scenario it is the committed schema."""
-    sentence = "A file with the value of this mapping; its other keys are merged over it.\n\nExample: include: parts/arena.yaml"
+    sentence = (
+        "A file with the value of this mapping; its other keys are merged over it.\n\nExample:"
+        " include: parts/arena.yaml"
+    )
     definitions: Json = {"include": {"type": "string", "description": sentence}}
-    _Writer(definitions, known or ScenarioNames(), {**_LANGUAGE, **(known.shared if known else {})}).reference(Scenario)
-    below = {name: _required(shape) for name, shape in section_fields(Scenario).items() if isinstance(shape, type)}
+    _Writer(
+        definitions, known or ScenarioNames(), {**_LANGUAGE, **(known.shared if known else {})}
+    ).reference(Scenario)
+    below = {
+        name: _required(shape) for name, shape in section_fields(Scenario).items() if isinstance(shape, type)
+    }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **({} if known else {"$id": FILE_NAME}),
@@ -152,10 +175,13 @@ def schema_text(known: ScenarioNames | None = None) -> str:
 
 
 _ACROSS_FILES: Json = {
-    "extends": OfferedNames(dict.fromkeys(shipped.scenario_names(), "a scenario that comes with deepbots")).added_to(
+    "extends": OfferedNames(
+        dict.fromkeys(shipped.scenario_names(), "a scenario that comes with deepbots")
+    ).added_to(
         {
             "type": "string",
-            "description": "The scenario that this one changes: a path relative to this file, or the name of a shipped scenario."
+            "description": "The scenario that this one changes: a path relative to this file, or the name of"
+            " a shipped scenario."
             "\n\nExample: extends: cartpole",
         },
         "a path",
@@ -163,7 +189,8 @@ _ACROSS_FILES: Json = {
     "remove": {
         "type": "array",
         "items": {"type": "string"},
-        "description": "Paths to remove from the extended scenario.\n\nExample: remove: [observation.tip_speed]",
+        "description": "Paths to remove from the extended scenario.\n\nExample: remove:"
+        " [observation.tip_speed]",
     },
 }
 
@@ -171,13 +198,15 @@ _ACROSS_FILES: Json = {
 class _Writer:
     """Writes shapes as schemas; `definitions` holds those of the sections that were met.
 
-    `names` are listed where they may stand. Within a robot they are those of that robot, whose sections are definitions of their
-    own, told apart by `suffix`.
+    `names` are listed where they may stand. Within a robot they are those of that robot, whose sections are
+    definitions of their own, told apart by `suffix`.
     """
 
-    def __init__(self, definitions: Json, known: ScenarioNames, names: Names, suffix: str = "") -> None:
+    def __init__(
+        self, definitions: Json, scenario_names: ScenarioNames, names: Names, suffix: str = ""
+    ) -> None:
         self.definitions = definitions
-        self._known = known
+        self._known = scenario_names
         self._names = names
         self._suffix = suffix
 
@@ -215,7 +244,10 @@ class _Writer:
             return self._shared("color", offer.added_to(schema, shape.noun))
         if isinstance(shape, Reference) and shape.several:
             one = offer.added_to({"type": "string"}, shape.noun)
-            return schema | {"items": one, "anyOf": [{"title": shape.noun, "type": "array"}, *one.get("anyOf", ())]}
+            return schema | {
+                "items": one,
+                "anyOf": [{"title": shape.noun, "type": "array"}, *one.get("anyOf", ())],
+            }
         return offer.added_to(schema, shape.noun)
 
     def _shared(self, name: str, schema: Json) -> Json:
@@ -230,18 +262,33 @@ class _Writer:
         properties: Json = {"include": INCLUDE}
         if shape.value is Robot and not self._suffix:
             for robot, names in self._known.robots.items():
-                properties[robot] = _Writer(self.definitions, self._known, {**self._names, **names}, f".{robot}").reference(Robot)
-        return {"type": "object", "properties": properties, "propertyNames": key, "additionalProperties": self.schema(shape.value)}
+                properties[robot] = _Writer(
+                    self.definitions, self._known, {**self._names, **names}, f".{robot}"
+                ).reference(Robot)
+        return {
+            "type": "object",
+            "properties": properties,
+            "propertyNames": key,
+            "additionalProperties": self.schema(shape.value),
+        }
 
     def _forms(self, shape: Forms) -> Json:
-        """A union as `if` and `then`. The YAML language server offers names and words that are listed beside the forms.
+        """A union as `if` and `then`. The YAML language server offers names and words that are listed beside
+        the forms.
 
         It completes a key with a colon only if the schema has a type, words or properties.
         """
-        plain = [option.json_schema() if isinstance(option, FieldType) else self.schema(option) for option in shape.options]
+        plain = [
+            option.json_schema() if isinstance(option, FieldType) else self.schema(option)
+            for option in shape.options
+        ]
         schema = plain.pop()
         for option, form in zip(reversed(shape.options[:-1]), reversed(plain), strict=True):
-            schema = {"if": _form_of(option), "then": form, "else": self._with_identifying_keys(option, schema)}
+            schema = {
+                "if": _form_of(option),
+                "then": form,
+                "else": self._with_identifying_keys(option, schema),
+            }
         types = (
             {}
             if any(isinstance(option, FieldType) for option in shape.options)
@@ -249,32 +296,50 @@ class _Writer:
         )
         if len(types) > 1:
             schema = {"type": list(types), **schema}
-        offers = [self._names[topic] for option in shape.options if (topic := names_key_of(option)) in self._names]
-        offers += [OfferedNames(dict.fromkeys(option.words, "")) for option in shape.options if isinstance(option, Word)]
+        offers = [
+            self._names[topic] for option in shape.options if (topic := names_key_of(option)) in self._names
+        ]
+        offers += [
+            OfferedNames(dict.fromkeys(option.words, ""))
+            for option in shape.options
+            if isinstance(option, Word)
+        ]
         return schema | (offers[0].added_to({}, noun_of(shape)) if offers else {})
 
     def _with_identifying_keys(self, form: Shape, other: Json) -> Json:
         """The schema of the other forms, with the marks of this form as completions."""
         if not isinstance(form, type) or not form.identifying_keys:
             return other
-        identifying_keys = {key: self._property(form, key) for key in section_fields(form) if key in form.identifying_keys}
+        identifying_keys = {
+            key: self._property(form, key) for key in section_fields(form) if key in form.identifying_keys
+        }
         return other | {"properties": identifying_keys | other.get("properties", {})}
 
     def _kinds(self, shape: Kinds) -> Json:
         key = shape.key
         branches: list[Json] = [
             {
-                "if": {"properties": {key: {"const": name}}, **({} if name == shape.default else {"required": [key]})},
+                "if": {
+                    "properties": {key: {"const": name}},
+                    **({} if name == shape.default else {"required": [key]}),
+                },
                 "then": self.reference(model),
             }
             for name, model in shape.models.items()
         ]
         for marker, model in shape.models_by_marker.items():
-            branches.append({"if": {"required": [marker], "not": {"required": [key]}}, "then": self.reference(model)})
-        kinds = {"enum": list(shape.models), "enumDescriptions": [section_description(shape.models[name]) for name in shape.models]}
+            branches.append(
+                {"if": {"required": [marker], "not": {"required": [key]}}, "then": self.reference(model)}
+            )
+        kinds = {
+            "enum": list(shape.models),
+            "enumDescriptions": [section_description(shape.models[name]) for name in shape.models],
+        }
         first = shape.models[shape.default or shape.names[0]]
         properties: Json = {key: kinds | {"description": _text(first, key, shape.names[0])}}
-        properties |= {marker: {"description": _text(model, marker)} for marker, model in shape.models_by_marker.items()}
+        properties |= {
+            marker: {"description": _text(model, marker)} for marker, model in shape.models_by_marker.items()
+        }
         return {"type": "object", "properties": properties | {"include": INCLUDE}, "allOf": branches}
 
     def _section(self, section: type[Section]) -> Json:
@@ -289,28 +354,48 @@ class _Writer:
             "properties": properties | {"include": INCLUDE},
             "additionalProperties": False,
         }
-        excluding = [pair for keys in section.key_rules if keys.max == 1 for pair in combinations(keys.names, 2)]
+        excluding = [
+            pair for keys in section.key_rules if keys.max == 1 for pair in combinations(keys.names, 2)
+        ]
         return schema | ({"allOf": list(map(_excluding, excluding))} if excluding else {})
 
     def _of_algorithm(self, key: str, schema: Json) -> Json:
-        """The schema of a key, by reference to an algorithm that has the same: the pattern of a number takes most of its text."""
-        home = next((name for name, written in self.definitions.items() if written.get("properties", {}).get(key) == schema), None)
+        """The schema of a key, by reference to an algorithm that has the same: the pattern of a number takes
+        most of its text."""
+        home = next(
+            (
+                name
+                for name, written in self.definitions.items()
+                if written.get("properties", {}).get(key) == schema
+            ),
+            None,
+        )
         short = {"$ref": f"#/$defs/{home}/properties/{key}", "description": schema["description"]}
         return short if home is not None and len(json.dumps(short)) < len(json.dumps(schema)) else schema
 
     def _property(self, section: type[Section], key: str) -> Json:
         shape = section_fields(section)[key]
         schema = self.schema(shape)
-        own = next(iter(offer.names), "") if (offer := self._names.get(names_key_of(shape))) and offer.is_complete else ""
-        for keyword in ("additionalProperties", "items"):  # entries have no sentence of their own, unless they are sections
+        own = (
+            next(iter(offer.names), "")
+            if (offer := self._names.get(names_key_of(shape))) and offer.is_complete
+            else ""
+        )
+        for keyword in (
+            "additionalProperties",
+            "items",
+        ):  # entries have no sentence of their own, unless they are sections
             entries = schema.get(keyword)
             if isinstance(entries, dict) and not entries.keys() & {"$ref", "allOf"}:
                 schema = schema | {keyword: entries | {"description": key_description(section, key)}}
-        schema = schema | {"description": _text(section, key, own)}  # `joint: left_wheel` is no example for an arm
+        schema = schema | {
+            "description": _text(section, key, own)
+        }  # `joint: left_wheel` is no example for an arm
         default = section.model_fields[key].default
         if isinstance(default, (str, int, float)) and default != "":
             schema["default"] = default
-        example, listed = example_of(section, key), isinstance(shape, (Word, ColorValue)) or "anyOf" in schema or own
+        example = example_of(section, key)
+        listed = isinstance(shape, (Word, ColorValue)) or "anyOf" in schema or own
         if example and type(example.data) in (str, int, float) and example.data != default and not listed:
             escaped = re.sub(r"([\\$}])", r"\\\1", example.text)
             schema["defaultSnippets"] = [{"label": example.text, "body": f"${{1:{escaped}}}"}]
@@ -318,9 +403,14 @@ class _Writer:
 
 
 def definition_of(section: type[Section]) -> type[Section]:
-    """The section whose definition also describes this one: the nearest base that differs only in the word of `type`."""
+    """The section whose definition also describes this one: the nearest base that differs only in the word of
+    `type`."""
     base = section.__base__
-    while base is not None and "type" in getattr(base, "model_fields", ()) and vars(section).get("__annotations__", {}).keys() == {"type"}:
+    while (
+        base is not None
+        and "type" in getattr(base, "model_fields", ())
+        and vars(section).get("__annotations__", {}).keys() == {"type"}
+    ):
         section, base = base, base.__base__
     return section
 
@@ -329,16 +419,24 @@ def _text(section: type[Section], key: str, example: str = "") -> str:
     """The sentence about a key, its unit, default and example; `example` overrides the example of the key."""
     unit, default = unit_of(section_fields(section)[key]), default_of(section, key)
     facts = [f"Unit: {'none, a plain number' if unit == '1' else unit}."] if unit else []
-    facts += ["Required."] if section.model_fields[key].is_required() else [f"Default: {default}."] if default else []
+    if section.model_fields[key].is_required():
+        facts.append("Required.")
+    elif default:
+        facts.append(f"Default: {default}.")
     shown = example or example_text(section, key)
-    return "\n\n".join([key_description(section, key), " ".join([*facts, *([f"Example: {key}: {shown}"] if shown else [])])]).strip()
+    return "\n\n".join(
+        [key_description(section, key), " ".join([*facts, *([f"Example: {key}: {shown}"] if shown else [])])]
+    ).strip()
 
 
 def _excluding(pair: tuple[str, str]) -> Json:
     first, second = pair
     return {
         "if": {"required": [first, second]},
-        "then": {"properties": {second: False}, "errorMessage": f"`{second}` cannot be combined with `{first}`"},
+        "then": {
+            "properties": {second: False},
+            "errorMessage": f"`{second}` cannot be combined with `{first}`",
+        },
     }
 
 
@@ -350,7 +448,10 @@ def _form_of(shape: Shape) -> Json:
         case FieldType():
             return {"type": ["string", "number", "boolean"]}
         case type() if shape.identifying_keys:
-            return {"type": "object", "anyOf": [{"required": [marker]} for marker in sorted(shape.identifying_keys)]}
+            return {
+                "type": "object",
+                "anyOf": [{"required": [marker]} for marker in sorted(shape.identifying_keys)],
+            }
         case _:
             return {"type": "object"}
 

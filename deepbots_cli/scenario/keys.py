@@ -1,7 +1,8 @@
 """What findings say about keys: the sentence about a key, and what to write for an unknown one.
 
-An unknown key is, in this order: a word that people write for a key of the section (`synonyms.yaml`), a key with a slip of the pen, a key
-of the section one level up or down, a name that belongs one level down, a word like a key, or a key of another section.
+An unknown key is, in this order: a word that people write for a key of the section (`synonyms.yaml`), a key
+with a slip of the pen, a key of the section one level up or down, a name that belongs one level down, a word
+like a key, or a key of another section.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ _MAX_HOLDERS = 3
 
 
 class Suggestion(NamedTuple):
-    """What to do about an unknown key: in words, and as the key that is meant; `is_fix` says whether the key alone can be replaced."""
+    """What to do about an unknown key: in words, and as the key that is meant; `is_fix` says whether the key
+    alone can be replaced."""
 
     help: str | None
     replacement: Replacement | None = None
@@ -76,7 +78,8 @@ def about_key(data: object, path: NodePath) -> str | None:
 
 
 def replacement_for(data: object, path: NodePath) -> Replacement | None:
-    """The probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the language."""
+    """The probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the
+    language."""
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
         return None
@@ -101,18 +104,26 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
         return Suggestion(SET_ELSEWHERE_HELP[key])
     kinds = shape_at(Scenario, data, path[:-1], choose=False)
     if isinstance(kinds, Kinds):
-        others = [name for name, model in kinds.models.items() if key in model.model_fields and name != kinds.default]
+        others = [
+            name
+            for name, model in kinds.models.items()
+            if key in model.model_fields and name != kinds.default
+        ]
         if others:
             only = f"only {listed(others)} {'uses' if len(others) == 1 else 'use'} this key"
             kept = to_data(descend(root, (*path[:-1], kinds.key))[0])
             to_keep = f" to keep `{kinds.key}: {kept}`" if isinstance(kept, str) else ""
             return Suggestion(_beside(f"remove this line{to_keep}: {only}", section))
     if near and is_typo(key, near.text):
-        return Suggestion(_beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near)
+        return Suggestion(
+            _beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near
+        )
     if (home := _home_next_to(path[:-1], key)) is not None:
         return Suggestion(_beside(_moved(root, path, home), section))
     node = descend(root, path)[0]
-    if node.span.end - node.span.start <= _MAX_VALUE_CHARACTERS and (holders := _holders(section, key, to_data(node))):
+    if node.span.end - node.span.start <= _MAX_VALUE_CHARACTERS and (
+        holders := _holders(section, key, to_data(node))
+    ):
         return Suggestion(_beside(_further_in(root, path, holders, section.model_fields), section))
     if near:
         return Suggestion(f"did you mean `{near.text}`? {keys_of(section)}", near)
@@ -128,7 +139,9 @@ def _beside(help: str, section: type[Section]) -> str:
     return f"{help}; {keys_of(section)}"
 
 
-def _renamed(root: nodes.MappingNode, data: object, path: NodePath, section: type[Section], key: str) -> Suggestion:
+def _renamed(
+    root: nodes.MappingNode, data: object, path: NodePath, section: type[Section], key: str
+) -> Suggestion:
     """The line with the key that a synonym stands for, if the value fits it."""
     value = to_data(descend(root, path)[0])
     shape, near = section_fields(section)[key], replacement_for(data, path)
@@ -139,7 +152,9 @@ def _renamed(root: nodes.MappingNode, data: object, path: NodePath, section: typ
     elsewhere = SET_ELSEWHERE_HELP.get(written) if issubclass(section, Training) else None
     if elsewhere and not (isinstance(shape, type) and fits(shape, value)):
         return Suggestion(elsewhere, near, is_fix=False)
-    meant = shape.replacement_for(value) if isinstance(shape, FieldType) and not shape.has_form(value) else None
+    meant = (
+        shape.replacement_for(value) if isinstance(shape, FieldType) and not shape.has_form(value) else None
+    )
     if meant is not None:
         return Suggestion(f"write `{key}: {meant.text}`", near, is_fix=False)
     if not fits(shape, value):
@@ -178,12 +193,16 @@ def _moved(root: nodes.MappingNode, path: NodePath, home: NodePath) -> str:
     """Where the entry at `path` belongs, and the line to write there."""
     line = _line(root, path, str(path[-1]))
     if line.startswith("--set"):
-        return f"write `--set {'.'.join(map(str, (*home, path[-1])))}{line.removeprefix(f'--set {path[-1]}')}`"
+        return (
+            f"write `--set {'.'.join(map(str, (*home, path[-1])))}{line.removeprefix(f'--set {path[-1]}')}`"
+        )
     if not home:
         return f"move this line to the top level, without spaces before it: `{line}`"
     section, key, steps = descend(root, home)
     if steps < len(home):
-        return f"replace this line by `{home[-1]}: {{{line}}}`{f' under `{home[0]}`' if len(home) > 1 else ''}"
+        return (
+            f"replace this line by `{home[-1]}: {{{line}}}`{f' under `{home[0]}`' if len(home) > 1 else ''}"
+        )
     where = f"`{'.'.join(map(str, home))}`"
     if key is None or not _is_block(section):
         return f"remove this line, and write `{line}` inside the braces of {where}"
@@ -192,15 +211,20 @@ def _moved(root: nodes.MappingNode, path: NodePath, home: NodePath) -> str:
     return f"move this line: remove it here, and write `{_indentation(first)}{line}` below {at}"
 
 
-def _further_in(root: nodes.MappingNode, path: NodePath, holders: Sequence[str], known: Container[str]) -> str:
+def _further_in(
+    root: nodes.MappingNode, path: NodePath, holders: Sequence[str], taken: Container[str]
+) -> str:
     """The line that is missing above an entry whose name the user chooses."""
     why = "a name that you choose stands one level further in"
     section, (_, key, _) = descend(root, path[:-1])[0], descend(root, path)
-    line, names = _line(root, path, str(path[-1])), tuple(section.entries) if isinstance(section, nodes.MappingNode) else ()
+    line = _line(root, path, str(path[-1]))
+    names = tuple(section.entries) if isinstance(section, nodes.MappingNode) else ()
     present = [holder for holder in holders if holder in names]
-    first = next((name for name in names if name not in known), None)
+    first = next((name for name in names if name not in taken), None)
     if key is None or line.startswith("--set"):
-        assignments = " or ".join(f"`--set {'.'.join(map(str, (*path[:-1], holder, path[-1])))}=...`" for holder in holders)
+        assignments = " or ".join(
+            f"`--set {'.'.join(map(str, (*path[:-1], holder, path[-1])))}=...`" for holder in holders
+        )
         return f"{why}: write {assignments}"
     if present:
         return f"{why}: move this line below {' or '.join(f'`{holder}:`' for holder in present)}"
@@ -223,16 +247,19 @@ def _validator_of(section: type[Section], key: str) -> TypeAdapter[Any]:
 
 
 def _holders(section: type[Section], name: str, value: object) -> list[str]:
-    """The mappings of a section whose names the user chooses and which take this value; none if there are many."""
-    found = []
+    """The mappings of a section whose names the user chooses and which take this value; none if there are
+    many."""
+    holders = []
     for key, shape in section_fields(section).items():
-        if isinstance(shape, MappingOf) and not (isinstance(shape.value, FieldType) and not fits(shape.value, value)):
+        if isinstance(shape, MappingOf) and not (
+            isinstance(shape.value, FieldType) and not fits(shape.value, value)
+        ):
             try:
                 _validator_of(section, key).validate_python({name: value}, context={LENIENT: True})
             except ValidationError:
                 continue
-            found.append(key)
-    return found if len(found) <= _MAX_HOLDERS else []
+            holders.append(key)
+    return holders if len(holders) <= _MAX_HOLDERS else []
 
 
 # Where else a key exists
@@ -241,15 +268,17 @@ def _holders(section: type[Section], name: str, value: object) -> list[str]:
 @cache  # a file may hold thousands of unknown keys, and the walk takes a millisecond
 def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
     """The paths of the sections that have each key; `*` stands for a name that the user chooses."""
-    found: dict[str, set[tuple[str, ...]]] = {}
+    homes: dict[str, set[tuple[str, ...]]] = {}
     for home, section, _ in walk_sections(Scenario):
         for key in section.model_fields if isinstance(section, type) else ():
-            found.setdefault(key, set()).add(home)
-    return {key: frozenset(places) for key, places in found.items()}
+            homes.setdefault(key, set()).add(home)
+    return {key: frozenset(places) for key, places in homes.items()}
 
 
 def _pattern_matches(pattern: tuple[str, ...], steps: tuple[str, ...]) -> bool:
-    return len(pattern) == len(steps) and all(known in ("*", step) for known, step in zip(pattern, steps, strict=True))
+    return len(pattern) == len(steps) and all(
+        expected in ("*", step) for expected, step in zip(pattern, steps, strict=True)
+    )
 
 
 def _home_next_to(parent: NodePath, key: str) -> NodePath | None:
@@ -270,10 +299,14 @@ def _home_elsewhere(parent: NodePath, key: str) -> str | None:
 
     def shared(home: tuple[str, ...]) -> int:
         pairs = list(zip(home, here, strict=False))
-        return next((i for i, (known, written) in enumerate(pairs) if known not in ("*", written)), len(pairs))
+        return next(
+            (i for i, (expected, written) in enumerate(pairs) if expected not in ("*", written)), len(pairs)
+        )
 
-    found = sorted(_homes().get(key, ()), key=lambda home: (-shared(home), len(home), home))
-    if not found or len(found) > _MAX_HOMES:
+    homes = sorted(_homes().get(key, ()), key=lambda home: (-shared(home), len(home), home))
+    if not homes or len(homes) > _MAX_HOMES:
         return None
-    best = found[0]
-    return f"of `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "of the top level"
+    best = homes[0]
+    return (
+        f"of `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "of the top level"
+    )

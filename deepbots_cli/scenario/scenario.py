@@ -55,9 +55,11 @@ class LinkOverride(Section):
     mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, urdf=True)] | None = None
     """Mass, kg; it also scales the inertia. `urdf * 1.2` is 1.2 times the mass in the robot file."""
     density: Annotated[Scalar, Quantity("density", minimum=0, exclusive=True)] | None = None
-    """Density, kg/m^3, in place of `mass`: the link gets the mass, center of mass and inertia of a homogeneous body of its shape."""
+    """Density, kg/m^3, in place of `mass`: the link gets the mass, center of mass and inertia of a
+    homogeneous body of its shape."""
     scale: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
-    """Scale factors along x, y and z for shapes, center of mass and child joints. The mass scales with the volume."""
+    """Scale factors along x, y and z for shapes, center of mass and child joints. The mass scales with the
+    volume."""
     friction: Annotated[Scalar, Quantity("number", known="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None
@@ -75,7 +77,9 @@ class JointOverride(Section):
 
     damping: Annotated[Scalar, Quantity("damping", known="episode", minimum=0, urdf=True)] | None = None
     """Viscous damping, N*m*s/rad or N*s/m."""
-    friction: Annotated[Scalar, Quantity("torque or force", known="episode", minimum=0, urdf=True)] | None = None
+    friction: Annotated[Scalar, Quantity("torque or force", known="episode", minimum=0, urdf=True)] | None = (
+        None
+    )
     """Dry friction, N*m or N."""
     range: Annotated[str, Range("angle or length")] | None = None
     """Lower and upper limit, such as `-90 .. 90 deg`."""
@@ -85,14 +89,18 @@ class JointOverride(Section):
     """Velocity limit, rad/s or m/s."""
 
 
-Emitted = Annotated[Many[Annotated[str, Reference("sensor")]] | dict[LocalName, Annotated[Scalar, Expression("emit")]], FORMS]
+Emitted = Annotated[
+    Many[Annotated[str, Reference("sensor")]] | dict[LocalName, Annotated[Scalar, Expression("emit")]], FORMS
+]
 
 
 class Robot(Section):
-    """A robot from a robot file, with sensors, actuators, and a controller that exchanges messages with the supervisor."""
+    """A robot from a robot file, with sensors, actuators, and a controller that exchanges messages with the
+    supervisor."""
 
     urdf: Annotated[str, FilePath("robot file")]
-    """The robot file: a path relative to the scenario file in which it is written, the name of a shipped robot, or `package://name/path`."""
+    """The robot file: a path relative to the scenario file in which it is written, the name of a shipped
+    robot, or `package://name/path`."""
     base: Literal["free", "fixed"] = "free"
     """Whether the root link moves or is fixed to the world."""
     pose: Pose = Field(default_factory=Pose)
@@ -100,7 +108,8 @@ class Robot(Section):
     count: RandomizableCount = 1
     """Number of copies. With more than one, the name refers to the group of all copies."""
     spacing: Annotated[Scalar, Quantity("length", components=3)] | None = None
-    """Offset from each copy to the next along x, y and z. The row is centered on the position of the robot."""
+    """Offset from each copy to the next along x, y and z. The row is centered on the position of the
+    robot."""
     links: dict[Annotated[str, Pattern("link")], LinkOverride] = {}
     """Changes to links, by name or by a pattern such as `wheel_*`."""
     joints: dict[JointPattern, JointOverride] = {}
@@ -116,28 +125,35 @@ class Robot(Section):
     receive: dict[LocalName, Annotated[Scalar, Expression("receive")]] | None = None
     """Further values that the supervisor sends with the action: names with expressions."""
     emit: Emitted | None = None
-    """Values that the robot sends in each timestep: sensors, or names with expressions. Default: the sensors that the supervisor uses."""
-    apply: dict[Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]] = {}
+    """Values that the robot sends in each timestep: sensors, or names with expressions. Default: the sensors
+    that the supervisor uses."""
+    apply: dict[
+        Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]
+    ] = {}
     """The command of each actuator, from received values and sensors."""
 
 
 class Route(Section):
     """Transmission of messages in one direction."""
 
-    latency: Annotated[Scalar, Quantity("time", known="step", minimum=0, maximum=60, usual_unit="ms")] = "0 ms"
+    latency: Annotated[Scalar, Quantity("time", known="step", minimum=0, maximum=60, usual_unit="ms")] = (
+        "0 ms"
+    )
     """Time from sending to arrival."""
     loss: Annotated[Scalar, Quantity("number", known="step", minimum=0, maximum=1)] = 0
     """Probability that a message is lost, 0 to 1."""
     burst: Annotated[Scalar, Quantity("number", minimum=1)] | None = None
     """Mean number of messages that are lost in a row. By default, losses are independent of each other."""
     range: Annotated[Scalar, Quantity("length", known="episode", minimum=0)] | None = None
-    """Range of the channel, m: no message arrives while the root link of the robot is farther from the origin of the world. By default
-    unlimited."""
+    """Range of the channel, m: no message arrives while the root link of the robot is farther from the origin
+    of the world. By default unlimited."""
     order: Literal["sent", "arrival", "newest"] = "sent"
-    """Order of delivery. `sent`: in the order of sending, so a late message delays the following ones. `arrival`: in the order of arrival.
-    `newest`: as `arrival`, but without messages that are older than one already delivered."""
+    """Order of delivery. `sent`: in the order of sending, so a late message delays the following ones.
+    `arrival`: in the order of arrival. `newest`: as `arrival`, but without messages that are older than one
+    already delivered."""
     on_loss: Literal["hold", "zero", "skip"] = "hold"
-    """What the receiver does for a lost message. `hold`: it uses the last message again. `zero`: it uses zeros. `skip`: it does nothing."""
+    """What the receiver does for a lost message. `hold`: it uses the last message again. `zero`: it uses
+    zeros. `skip`: it does nothing."""
 
 
 class Messages(Section):
@@ -146,8 +162,8 @@ class Messages(Section):
     format: Annotated[str, Word(FORMATS)] = "struct"
     """Encoding of messages. With `none`, the supervisor controls the robots without messages."""
     timing: Literal["immediate", "delayed"] = "immediate"
-    """`immediate`: an action takes effect in the same timestep. `delayed`: it takes effect one timestep later, and messages from robots
-    arrive one timestep later."""
+    """`immediate`: an action takes effect in the same timestep. `delayed`: it takes effect one timestep
+    later, and messages from robots arrive one timestep later."""
     to_robot: Route = Field(default_factory=Route)
     """The channel from the supervisor to the robots."""
     from_robot: Route = Field(default_factory=Route)
@@ -169,16 +185,21 @@ ROS_TYPES = (
     "nav_msgs/Odometry",
     "std_msgs/Float64MultiArray",
 )
-"""The types that `PARTS` of `deepbots_robot.topics` describes: the language has them also where deepbots-robot is not installed."""
+"""The types that `PARTS` of `deepbots_robot.topics` describes: the language has them also where
+deepbots-robot is not installed."""
 ROS_TOPIC = Text("a topic of ROS 2", r"/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*", "/joint_states")
-PYTHON_PATH = Text("a function as `package.module:function`", r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", "package.module:function")
+PYTHON_PATH = Text(
+    "a function as `package.module:function`",
+    r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*",
+    "package.module:function",
+)
 Choice = Annotated[Scalar, Quantity("any")]
 Noise = Annotated[Scalar, Quantity("any", known="episode", relative=True, minimum=0)]
 
 
 class PythonTerm(Section):
-    """A term that a Python function of an installed package computes. deepbots runs it only with `--allow-code`
-    (`Permissions(code=True)`)."""
+    """A term that a Python function of an installed package computes. deepbots runs it only with
+    `--allow-code` (`Permissions(code=True)`)."""
 
     python: Annotated[str, PYTHON_PATH]
     """The function, `package.module:function`."""
@@ -198,9 +219,11 @@ class DiscreteAction(Section):
 
     identifying_keys: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
 
-    choices: Annotated[dict[LocalName, Annotated[dict[SharedName, Choice] | Choice, FORMS]], Size(2, "choice")]
-    """The options by name. Each option has a number, or sets several variables: `{ahead: {left: 1, right: 1}, stop: {left: 0, right:
-    0}}`."""
+    choices: Annotated[
+        dict[LocalName, Annotated[dict[SharedName, Choice] | Choice, FORMS]], Size(2, "choice")
+    ]
+    """The options by name. Each option has a number, or sets several variables: `{ahead: {left: 1, right: 1},
+    stop: {left: 0, right: 0}}`."""
     forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = {}
     """Conditions by option: while its condition is true, the policy must not choose the option."""
 
@@ -223,8 +246,8 @@ class Observed(Section):
     """One entry of the observation, with further settings besides its range."""
 
     range: Annotated[str, Range("any", auto=True, vector=True)]
-    """The range that deepbots maps to [-1, 1], such as `-0.4 .. 0.4 m`. `auto` uses the range that deepbots derives, for example from joint
-    limits."""
+    """The range that deepbots maps to [-1, 1], such as `-0.4 .. 0.4 m`. `auto` uses the range that deepbots
+    derives, for example from joint limits."""
     history: SmallInt = 1
     """Number of consecutive values that the policy gets at once, newest last."""
     noise: Noise = 0
@@ -245,7 +268,8 @@ class Goal(Section):
     range: Annotated[str, Range("any", vector=True)]
     """Range of `achieved` and `desired`, which is mapped to [-1, 1] in the observation."""
     noise: Noise = 0
-    """Standard deviation of the noise on `achieved`: in the unit of `achieved`, such as `5 mm`, or as `2 %` of the value."""
+    """Standard deviation of the noise on `achieved`: in the unit of `achieved`, such as `5 mm`, or as `2 %`
+    of the value."""
 
 
 Condition = Annotated[PythonTerm | Annotated[str, Expression("ending", boolean=True)], FORMS]
@@ -257,7 +281,8 @@ class Termination(Section):
     success: dict[SharedName, Condition] = {}
     """Conditions under which the agent has succeeded, each under a name that you choose."""
     failure: dict[SharedName, Condition] = {}
-    """Conditions under which the agent has failed, each under a name that you choose. Failure has precedence over success."""
+    """Conditions under which the agent has failed, each under a name that you choose. Failure has precedence
+    over success."""
 
 
 class Truncation(Section):
@@ -272,14 +297,20 @@ class Truncation(Section):
 
 
 Decision = Annotated[
-    Annotated[dict[Annotated[str, Reference("choice")], Annotated[Scalar | bool, Expression("script")]], Size(1, "option")]
+    Annotated[
+        dict[Annotated[str, Reference("choice")], Annotated[Scalar | bool, Expression("script")]],
+        Size(1, "option"),
+    ]
     | Annotated[Scalar, Expression("script", boolean=False)],
     FORMS,
 ]
 Script = Annotated[dict[Annotated[str, Reference("action")], Decision], Size(1, "action")]
 
 
-Settings = dict[Annotated[str, Reference("setting")], Annotated[str | int | float | bool | dict[str, object] | list[object], Setting()]]
+Settings = dict[
+    Annotated[str, Reference("setting")],
+    Annotated[str | int | float | bool | dict[str, object] | list[object], Setting()],
+]
 
 
 class Stage(Section):
@@ -290,8 +321,9 @@ class Stage(Section):
     set: Settings = {}
     """Changes: parameters by name, or other values by path, such as `reset.layout: paper`."""
     until: Annotated[str, Until()] | None = None
-    """When this stage ends: `success_rate >= 0.7 over 40 episodes` (training episodes), `success_rate >= 0.7 in evaluation` (without
-    exploration), or `50_000 steps` (of this stage). `mean_return` can replace `success_rate`."""
+    """When this stage ends: `success_rate >= 0.7 over 40 episodes` (training episodes), `success_rate >= 0.7
+    in evaluation` (without exploration), or `50_000 steps` (of this stage). `mean_return` can replace
+    `success_rate`."""
 
 
 class Case(Section):
@@ -313,11 +345,15 @@ class Evaluation(Section):
 
 
 class Tune(Section):
-    """A search for better values, for `deepbots tune`. An option of the command replaces the key of the same name."""
+    """A search for better values, for `deepbots tune`. An option of the command replaces the key of the same
+    name."""
 
-    search: Annotated[dict[Annotated[str, Reference("setting")], Annotated[str | Many[Any], SearchField()]], Size(1, "key")]
-    """The values to try: parameters by name, or other values by path. Each has a range, such as `0.5 .. 1.5 m`, or choices, such as
-    `64 | 128` or `[[64, 64], [10, 10]]`. Values of `1e-4 .. 1e-2 :log` are drawn by their logarithm."""
+    search: Annotated[
+        dict[Annotated[str, Reference("setting")], Annotated[str | Many[Any], SearchField()]], Size(1, "key")
+    ]
+    """The values to try: parameters by name, or other values by path. Each has a range, such as `0.5 .. 1.5
+    m`, or choices, such as `64 | 128` or `[[64, 64], [10, 10]]`. Values of `1e-4 .. 1e-2 :log` are drawn by
+    their logarithm."""
     trials: Annotated[int, WholeNumber(1, 100_000)] = 40
     """Number of trials. A trial trains the scenario with one set of values, once for each seed."""
     seeds: Annotated[int, WholeNumber(1, 1000)] = 3
@@ -325,15 +361,20 @@ class Tune(Section):
     timesteps: Annotated[int, WholeNumber(1, 10**12)] | None = None
     """Number of steps of each training. Default: `train.total_timesteps`."""
     objective: Literal["solved", "success_rate", "mean_return"] | None = None
-    """What makes a trial good. `solved`: few steps until the task is solved. `success_rate`, `mean_return`: those of the evaluation of the
-    best models. Default: `solved` where the scenario has the key `solved`, else `success_rate` where it defines success."""
+    """What makes a trial good. `solved`: few steps until the task is solved. `success_rate`, `mean_return`:
+    those of the evaluation of the best models. Default: `solved` where the scenario has the key `solved`,
+    else `success_rate` where it defines success."""
     prune: Bool = True
-    """Whether a trial ends early while its evaluations are worse than the median of other trials after as many steps."""
+    """Whether a trial ends early while its evaluations are worse than the median of other trials after as
+    many steps."""
 
 
 # Tests
 
-FixedAction = dict[Annotated[str, Reference("action")], Annotated[dict[Annotated[str, Reference("choice")], Choice] | Choice, FORMS]]
+FixedAction = dict[
+    Annotated[str, Reference("action")],
+    Annotated[dict[Annotated[str, Reference("choice")], Choice] | Choice, FORMS],
+]
 Requirement = Annotated[str, Expression("test", boolean=True)]
 Requirements = Annotated[Annotated[Many[Requirement], Size(1, "condition")] | Requirement, FORMS]
 EndingName = Annotated[str, Reference("ending")]
@@ -343,7 +384,9 @@ class Expectation(Section):
     """Results that a test expects. The test passes if all of them are met."""
 
     key_rules: ClassVar[tuple[KeyCount, ...]] = (
-        KeyCount(("success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"), min=1, max=6),
+        KeyCount(
+            ("success_rate", "failure_rate", "mean_return", "ends_by", "always", "eventually"), min=1, max=6
+        ),
     )
 
     success_rate: Annotated[Scalar, Bounds()] | None = None
@@ -363,10 +406,14 @@ class Expectation(Section):
 class ScenarioTest(Section):
     """Episodes without a trained policy, and their expected result."""
 
-    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("driver", "actions"), min=1), KeyCount(("case", "stage")))
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (
+        KeyCount(("driver", "actions"), min=1),
+        KeyCount(("case", "stage")),
+    )
 
     driver: Annotated[str, Reference("driver")] | None = None
-    """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each choice)."""
+    """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each
+    choice)."""
     actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
     """Actions of the first steps; the episode stops after the last of them."""
     episodes: Annotated[int, WholeNumber(1, 1000)] = 1
@@ -386,7 +433,8 @@ class ScenarioTest(Section):
 
 
 class Measured(Section):
-    """A value that the supervisor measures with noise. Every expression that uses the name reads the same noisy value."""
+    """A value that the supervisor measures with noise. Every expression that uses the name reads the same
+    noisy value."""
 
     value: Signal
     """The exact value."""
@@ -398,7 +446,8 @@ class Deploy(Section):
     """What a real robot needs that has no supervisor; `deepbots export` writes it into the bundle."""
 
     supplied_by: dict[Annotated[str, Reference("reading")], PlainText] = {}
-    """What supplies each reading of the world that the policy needs and no robot measures, such as `position(ball): motion capture`."""
+    """What supplies each reading of the world that the policy needs and no robot measures, such as
+    `position(ball): motion capture`."""
 
 
 class RosTopic(Section):
@@ -407,16 +456,23 @@ class RosTopic(Section):
     topic: Annotated[str, ROS_TOPIC]
     """Name of the topic, such as `/joint_states`."""
     type: Annotated[str, Word(ROS_TYPES)]
-    """Type of its messages. The message must have a part with the unit and the number of values of the sensor, reading or actuator."""
+    """Type of its messages. The message must have a part with the unit and the number of values of the
+    sensor, reading or actuator."""
     part: PlainText | None = None
-    """Part of the message, such as `velocity` or `linear.x`. Default: the part whose unit and number of values fit."""
+    """Part of the message, such as `velocity` or `linear.x`. Default: the part whose unit and number of
+    values fit."""
 
 
 Augmentation = Annotated[
-    Many[Annotated[str, Reference("parameter or signal")]] | dict[SharedName, Annotated[Measured | Signal, FORMS]], FORMS
+    Many[Annotated[str, Reference("parameter or signal")]]
+    | dict[SharedName, Annotated[Measured | Signal, FORMS]],
+    FORMS,
 ]
 Reward = dict[LocalName, Annotated[PythonTerm | Annotated[Scalar, Expression("reward")], FORMS]]
-Observation = dict[Annotated[str, Reference("value")], Annotated[Observed | Annotated[str, Range("any", auto=True, vector=True)], FORMS]]
+Observation = dict[
+    Annotated[str, Reference("value")],
+    Annotated[Observed | Annotated[str, Range("any", auto=True, vector=True)], FORMS],
+]
 
 
 # The beginning of an episode
@@ -454,12 +510,14 @@ class Placement(Pose):
     )
 
     region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = None
-    """Region in which deepbots draws a free position: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1 m}`."""
+    """Region in which deepbots draws a free position: `arena`, or a rectangle `{x: -1 .. 1 m, y: -1 .. 1
+    m}`."""
     on: Annotated[str, Reference("object")] | None = None
-    """A box or a cylinder on whose flat top deepbots draws a free position: on the whole top, or on its part within `region`."""
+    """A box or a cylinder on whose flat top deepbots draws a free position: on the whole top, or on its part
+    within `region`."""
     clearance: Length = 0
-    """Minimum distance to other bodies, m. For a movable body it is also the minimum distance to the arena walls and to the edge of the
-    surface below it."""
+    """Minimum distance to other bodies, m. For a movable body it is also the minimum distance to the arena
+    walls and to the edge of the surface below it."""
     grid: Thickness | None = None
     """Spacing, m, of a grid from which deepbots draws the position."""
     line: Annotated[str, Reference("line")] | None = None
@@ -467,7 +525,8 @@ class Placement(Pose):
     at_most: PositiveInt | None = None
     """Maximum number of copies of a group that are placed; the others are absent."""
     spacing: Annotated[Scalar, Quantity("length", 2)] | None = None
-    """Offset from each copy of a group to the next, along x and y, such as `0 1.5 m`. The row is centered on the position."""
+    """Offset from each copy of a group to the next, along x and y, such as `0 1.5 m`. The row is centered on
+    the position."""
     velocity: Annotated[Scalar, Quantity("speed", 3, "episode")] | None = None
     """Velocity at the start, m/s, in the world frame."""
     angular_velocity: Annotated[Scalar, Quantity("angular speed", 3, "episode")] | None = None
@@ -500,17 +559,18 @@ class Reset(Section):
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("layout", "place")),)
 
     place: Places = {}
-    """Start poses of robots and objects. Bodies with coordinates are placed first; the others follow in the order of the file, and avoid
-    the bodies placed before."""
+    """Start poses of robots and objects. Bodies with coordinates are placed first; the others follow in the
+    order of the file, and avoid the bodies placed before."""
     joints: dict[Annotated[str, Reference("joints")], Annotated[JointState | JointAngle, FORMS]] = {}
     """Start positions of joints or of groups of joints, such as `cart.pole_hinge: uniform(-1 .. 1 deg)`."""
     layout: Annotated[Mixture | LayoutName, FORMS] | None = None
-    """The layout to use, or several layouts with their probabilities, such as `{scattered: 88 %, paper: 12 %}`."""
+    """The layout to use, or several layouts with their probabilities, such as `{scattered: 88 %, paper: 12
+    %}`."""
     layouts: dict[SharedName, Annotated[MapLayout | Places, FORMS]] = {}
     """Layouts, each under a name that you choose: a start pose for each body, or a map of letters."""
     require: Annotated[str, Expression("require", boolean=True)] | None = None
-    """A condition that each start must meet. If it is false, deepbots draws the layout, the positions and the joints again;
-    parameters keep their values."""
+    """A condition that each start must meet. If it is false, deepbots draws the layout, the positions and the
+    joints again; parameters keep their values."""
     attempts: Annotated[int, WholeNumber(1, 100_000)] = 100
     """Maximum number of draws per reset. If none gives a valid start, the reset fails."""
     settle: Annotated[Scalar, Quantity("time", minimum=0)] = "0 s"
@@ -520,7 +580,10 @@ class Reset(Section):
 class Disturbance(Section):
     """A force or a torque that acts on a body for a short time."""
 
-    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("force", "torque"), min=1, max=2), KeyCount(("every", "at"), min=1, max=2))
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (
+        KeyCount(("force", "torque"), min=1, max=2),
+        KeyCount(("every", "at"), min=1, max=2),
+    )
 
     body: Annotated[str, Reference("body or link")]
     """The robot, link or object that is pushed."""
@@ -529,7 +592,8 @@ class Disturbance(Section):
     torque: Annotated[Scalar, Quantity("torque", 3, "step")] | None = None
     """Torque in the world frame, N*m, drawn for each push."""
     every: Annotated[Scalar, Quantity("time", known="step", minimum=0, exclusive=True)] | None = None
-    """Time from the beginning of one push to the beginning of the next. It is also the time before the first push, unless `at` is given."""
+    """Time from the beginning of one push to the beginning of the next. It is also the time before the first
+    push, unless `at` is given."""
     at: Annotated[Scalar, Quantity("time", known="episode", minimum=0)] | None = None
     """Start time of the first push. Without `every`, there is only this push."""
     duration: Annotated[Scalar, Quantity("time", known="step", minimum=0)]
@@ -553,8 +617,9 @@ TITLE = Text(
 class Scenario(Section):
     """One task: world, robots, messages, observation, reward, endings, resets, training.
 
-    You can build a scenario in Python from nested models, mappings and plain values. An unknown key, or a value of the wrong type or form,
-    raises `pydantic.ValidationError`. `deepbots_cli.api.lint` and `deepbots_cli.compile` check the scenario as a whole.
+    You can build a scenario in Python from nested models, mappings and plain values. An unknown key, or a
+    value of the wrong type or form, raises `pydantic.ValidationError`. `deepbots_cli.api.lint` and
+    `deepbots_cli.compile` check the scenario as a whole.
     """
 
     deepbots: PositiveInt
@@ -564,7 +629,8 @@ class Scenario(Section):
     summary: PlainText = ""
     """One sentence about the task."""
     parameters: dict[SharedName, Annotated[Scalar, Expression("parameter")]] = {}
-    """Values, each under a name that you choose: constants, or draws such as `uniform(0 .. 1 m)` that are new in every episode."""
+    """Values, each under a name that you choose: constants, or draws such as `uniform(0 .. 1 m)` that are new
+    in every episode."""
     world: World
     """The simulated world: timestep, physics engine, gravity, ground, arena."""
     objects: dict[SharedName, AnyObject] = {}
@@ -580,14 +646,16 @@ class Scenario(Section):
     augment: Augmentation = {}
     """Values from the supervisor that the policy may observe, in addition to values that robots send."""
     signals: dict[SharedName, Signal] = {}
-    """Helper values for reward, endings and scripts. The policy cannot observe them; list values for the policy under `augment`."""
+    """Helper values for reward, endings and scripts. The policy cannot observe them; list values for the
+    policy under `augment`."""
     goal: Goal | None = None
     """The goal of an episode: a value to reach."""
     observation: Annotated[Observation, Size(1, "entry")]
-    """Entries of the observation: for each, the name of a value and the range that deepbots maps to [-1, 1]. The policy gets them in
-    the order of the file."""
+    """Entries of the observation: for each, the name of a value and the range that deepbots maps to [-1, 1].
+    The policy gets them in the order of the file."""
     reward: Annotated[Reward, Size(1, "term")]
-    """Terms of the reward, each under a name that you choose. Each term is a plain number; the reward is their sum."""
+    """Terms of the reward, each under a name that you choose. Each term is a plain number; the reward is
+    their sum."""
     termination: Termination = Field(default_factory=Termination)
     """Endings of the task: success and failure."""
     truncation: Truncation | None = None
@@ -597,7 +665,8 @@ class Scenario(Section):
     disturbances: dict[SharedName, Disturbance] = {}
     """Pushes and gusts, each under a name that you choose."""
     scripts: dict[LocalName, Script] = {}
-    """Hand-written policies, each under a name that you choose: an expression for every part of the action."""
+    """Hand-written policies, each under a name that you choose: an expression for every part of the
+    action."""
     curriculum: Annotated[Many[Stage], Size(1, "stage")] = ()
     """Stages of increasing difficulty."""
     evaluation: Evaluation = Field(default_factory=Evaluation)
@@ -609,11 +678,12 @@ class Scenario(Section):
     tune: Tune | None = None
     """A search for better values of the scenario."""
     deploy: Deploy | None = None
-    """What a real robot needs; with this section, `lint` reports readings of the world that nothing supplies (DB617)."""
+    """What a real robot needs; with this section, `lint` reports readings of the world that nothing supplies
+    (DB617)."""
     ros: dict[Annotated[str, Reference("sensor, reading or actuator")], RosTopic] = {}
-    """ROS 2 topics, for `deepbots serve --ros`: of sensors and actuators (`cart.pole_angle`), and of readings of the world that no robot
-    measures (`position(ball)`). `deepbots inspect --ros` prints this section with a topic for each of them; it is used where there is no
-    entry."""
+    """ROS 2 topics, for `deepbots serve --ros`: of sensors and actuators (`cart.pole_angle`), and of readings
+    of the world that no robot measures (`position(ball)`). `deepbots inspect --ros` prints this section with
+    a topic for each of them; it is used where there is no entry."""
     tests: dict[LocalName, ScenarioTest] = {}
     """Tests for `deepbots test`, each under a name that you choose: who acts, and the expected result."""
 
@@ -621,12 +691,14 @@ class Scenario(Section):
 
     @property
     def pruned(self) -> frozenset[NodePath]:
-        """The paths that `validate` removed because they had findings; their names are known, their values are not."""
+        """The paths that `validate` removed because they had findings; their names are known, their values
+        are not."""
         return self._pruned
 
     @classmethod
     def from_yaml(cls, path: str | pathlib.Path) -> Self:
-        """Load a scenario from a file, including the files that it extends and includes. Paths of other files become absolute.
+        """Load a scenario from a file, including the files that it extends and includes. Paths of other files
+        become absolute.
 
         Raises:
             ScenarioError: The file has findings at error level.
@@ -638,11 +710,11 @@ class Scenario(Section):
 
         document = load(path)
         root = document.root
-        found = validate(root, document.findings) if root is not None else None
-        if root is None or found is None or document.findings.errors:
+        scenario = validate(root, document.findings) if root is not None else None
+        if root is None or scenario is None or document.findings.errors:
             raise ScenarioError(list(document.findings))
         data: Any = to_data(root)
-        for place, kind, value in visit_values(found):
+        for place, kind, value in visit_values(scenario):
             node = descend(root, place)[0]
             file = document.directory_of(node.span) / str(value)
             if isinstance(kind, FilePath) and value not in shipped.robot_names() and file.exists():
@@ -656,7 +728,9 @@ class Scenario(Section):
         """The scenario as YAML text, without the values that were not set."""
         import yaml
 
-        return yaml.safe_dump(self.model_dump(mode="json", exclude_unset=True), sort_keys=False, allow_unicode=True, width=120)
+        return yaml.safe_dump(
+            self.model_dump(mode="json", exclude_unset=True), sort_keys=False, allow_unicode=True, width=120
+        )
 
     @classmethod
     def model_json_schema(cls, *args: Any, **kwargs: Any) -> dict[str, Any]:

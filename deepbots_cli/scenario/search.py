@@ -23,13 +23,15 @@ from deepbots_cli.scenario.fields import FieldType, JsonSchema, Parsed, error, m
 
 MAX_CHOICES = 64
 _DIGITS = 4
-"""Significant digits of a value that a trial tries, relative to the width of its range. They keep a file readable that is written later."""
+"""Significant digits of a value that a trial tries, relative to the width of its range. They keep a file
+readable that is written later."""
 _LOG = re.compile(r"(.*?)\s*:\s*log\s*", re.DOTALL)
 _BETWEEN_CHOICES = re.compile(r"\|(?![^\[\](){}]*[\])}])")  # outside brackets
 
 
 class SearchSpace(BaseModel):
-    """The values that a key may take: `choices` as they are written, or else numbers from `low` to `high` in `unit`."""
+    """The values that a key may take: `choices` as they are written, or else numbers from `low` to `high` in
+    `unit`."""
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
@@ -61,7 +63,11 @@ class SearchSpace(BaseModel):
         if not isinstance(tree, Number) or not isinstance(unit, Number):
             return None
         value = _converted(tree, unit.unit or ONE)
-        return value if value is not None and self.low <= value <= self.high and (value.is_integer() or not self.whole) else None
+        return (
+            value
+            if value is not None and self.low <= value <= self.high and (value.is_integer() or not self.whole)
+            else None
+        )
 
     @property
     def middle(self) -> float:
@@ -92,12 +98,20 @@ def read_range(text: str) -> SearchSpace:
     low, high = tree.low, tree.high
     start = _converted(low, high.unit or ONE)
     if start is None:
-        raise error("DB503", f"the ends of `{text[:60]}` have different units", "write one unit behind both: `0.5 .. 1.5 m`")
+        raise error(
+            "DB503",
+            f"the ends of `{text[:60]}` have different units",
+            "write one unit behind both: `0.5 .. 1.5 m`",
+        )
     if start >= high.value:
         raise error("DB105", f"the range `{text[:60]}` is empty", "write the low end first")
     if marked and start <= 0:
-        raise error("DB105", f"`{text[:60]}` has no logarithm at its low end", "begin above 0, or leave out `:log`")
-    return SearchSpace(low=start, high=float(high.value), unit=high.unit.text if high.unit else "", log=marked is not None)
+        raise error(
+            "DB105", f"`{text[:60]}` has no logarithm at its low end", "begin above 0, or leave out `:log`"
+        )
+    return SearchSpace(
+        low=start, high=float(high.value), unit=high.unit.text if high.unit else "", log=marked is not None
+    )
 
 
 def _converted(number: Number, unit: Unit) -> float | None:
@@ -127,4 +141,9 @@ class SearchField(FieldType):
             raise error("DB106", f"{count} choices", f"write 2 to {MAX_CHOICES} choices")
 
     def json_schema(self) -> JsonSchema:
-        return {"type": ["string", "array"], "pattern": r"\.\.|\|", "patternErrorMessage": self.help_for(None), "minItems": 2}
+        return {
+            "type": ["string", "array"],
+            "pattern": r"\.\.|\|",
+            "patternErrorMessage": self.help_for(None),
+            "minItems": 2,
+        }

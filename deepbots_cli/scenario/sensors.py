@@ -1,11 +1,12 @@
 """What a robot can sense: one class per kind.
 
-A class defines its kind: its parameters (fields with docstrings), the measured value (its docstring), the dimension, components and
-interval of readings, and the `reader` that takes readings in a running world. Validation, JSON Schema, completion, hover, reference
-and runtime use it. The bases are `JointSensor`, `LinkSensor`, `ContactSensor`, `RayScan`, `RaySensor` and `Camera`.
+A class defines its kind: its parameters (fields with docstrings), the measured value (its docstring), the
+dimension, components and interval of readings, and the `reader` that takes readings in a running world.
+Validation, JSON Schema, completion, hover, reference and runtime use it. The bases are `JointSensor`,
+`LinkSensor`, `ContactSensor`, `RayScan`, `RaySensor` and `Camera`.
 
-Other packages add a kind by an entry point of the group `deepbots.sensors`, whose name is the word of its `type`. Its own fields reach
-its reader as SI numbers and words.
+Other packages add a kind by an entry point of the group `deepbots.sensors`, whose name is the word of its
+`type`. Its own fields reach its reader as SI numbers and words.
 """
 
 from collections.abc import Iterator
@@ -29,7 +30,16 @@ from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.types import QUATERNION, SPACE, Components
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.base import FORMS, KeyCount, Kinds, Section, Size, check_kind_model, kind_of, kind_parameters
+from deepbots_cli.scenario.base import (
+    FORMS,
+    KeyCount,
+    Kinds,
+    Section,
+    Size,
+    check_kind_model,
+    kind_of,
+    kind_parameters,
+)
 from deepbots_cli.scenario.fields import (
     Column,
     JointName,
@@ -63,9 +73,11 @@ class Sensor(Section):
     boolean: ClassVar[bool] = False
     """Whether a reading is true or false."""
     reader: ClassVar[str] = ""
-    """`module:attribute` of a function that takes a `runtime.sensing.Site`, a sensor in a world, and returns an `Instrument`."""
+    """`module:attribute` of a function that takes a `runtime.sensing.Site`, a sensor in a world, and returns
+    an `Instrument`."""
     world_function: ClassVar[str | None] = None
-    """The function of the language, such as `joint_position`, with the same value as a sensor without faults in the origin of its link.
+    """The function of the language, such as `joint_position`, with the same value as a sensor without faults
+    in the origin of its link.
 
     Such a sensor is compiled to this function, and needs no `reader` in a running world.
     """
@@ -79,9 +91,11 @@ class Sensor(Section):
     latency: RandomizableDelay = "0 ms"
     """Time from the measurement until the robot gets the reading."""
     noise: Annotated[Scalar, Quantity("reading", known="episode", minimum=0, relative=True)] = 0
-    """Standard deviation of the noise on each reading: in the unit of the sensor, or as `2 %` of the value."""
+    """Standard deviation of the noise on each reading: in the unit of the sensor, or as `2 %` of the
+    value."""
     bias: Annotated[Scalar, Quantity("reading", known="episode", relative=True)] = 0
-    """Error that stays the same for an episode: an offset in the unit of the sensor, or a share of the value, such as `2 %`."""
+    """Error that stays the same for an episode: an offset in the unit of the sensor, or a share of the value,
+    such as `2 %`."""
     drift: Annotated[Scalar, Quantity("any", known="episode")] = 0
     """Growth of the bias, in the unit of the sensor per second."""
     resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
@@ -263,7 +277,8 @@ class Touch(ContactSensor):
 
     type: Literal["touch"]
     against: Annotated[str | tuple[str, ...], Reference("bodies or links")] | None = None
-    """Bodies, links or `ground`: contacts with anything else are ignored. By default, all contacts are measured."""
+    """Bodies, links or `ground`: contacts with anything else are ignored. By default, all contacts are
+    measured."""
 
 
 class Force(ContactSensor):
@@ -294,8 +309,8 @@ class RayScan(LinkSensor):
     """Measures along rays: rays with names, or a fan of equally spaced rays."""
 
     rays: Annotated[NamedRays | Annotated[int, WholeNumber(1, 4096)], FORMS] | None = None
-    """Rays by name, each with its pose on the sensor; or the number of rays, spread evenly over `angle_range` and named `r0`, `r1`, ...
-    By default there is one ray."""
+    """Rays by name, each with its pose on the sensor; or the number of rays, spread evenly over `angle_range`
+    and named `r0`, `r1`, ... By default there is one ray."""
     angle_range: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
 
@@ -308,7 +323,8 @@ class RaySensor(RayScan):
     perceives = True
 
     measure: Literal["each", "nearest", "mean"] = "each"
-    """What the sensor returns: `each` ray by its name, the `nearest` distance of all rays, or their `mean`."""
+    """What the sensor returns: `each` ray by its name, the `nearest` distance of all rays, or their
+    `mean`."""
     lookup: CalibrationTable | None = None
     """Table of readings by distance; without it, the reading is the distance."""
 
@@ -355,7 +371,9 @@ class Camera(LinkSensor):
     perceives = True
 
     type: Literal["camera"]
-    resolution: Annotated[Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True, example_text="64 48")]
+    resolution: Annotated[
+        Scalar, Quantity("number", components=2, minimum=1, maximum=1024, whole=True, example_text="64 48")
+    ]
     """Columns and rows, such as `64 48`."""
     fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
     """Vertical field of view."""
@@ -385,5 +403,7 @@ _KINDS = (
     *(Gyro, Accelerometer, ProjectedGravity, Compass, Position, Velocity, Orientation, AngularVelocity),
     *(Touch, Force, Infrared, Sonar, Laser, Lidar, Reflectance, Camera),
 )
-SENSORS: PluginTable[type[Sensor]] = PluginTable("deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read)
+SENSORS: PluginTable[type[Sensor]] = PluginTable(
+    "deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read
+)
 AnySensor = Annotated[Sensor, Kinds("type", SENSORS)]

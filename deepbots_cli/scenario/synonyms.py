@@ -1,4 +1,5 @@
-"""What people write instead of the words of the language: the table `synonyms.yaml`, read on the way to a finding."""
+"""What people write instead of the words of the language: the table `synonyms.yaml`, read on the way to a
+finding."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ SYNONYMS_FILE = Path(__file__).with_name("synonyms.yaml")
 
 
 class Synonyms(NamedTuple):
-    """For each key (`xyz`, or `Model.key` for the sections of one model), and for each word that a key takes, what is written for it."""
+    """For each key (`xyz`, or `Model.key` for the sections of one model), and for each word that a key takes,
+    what is written for it."""
 
     keys: Mapping[str, frozenset[str]]
     words: Mapping[str, frozenset[str]]
@@ -28,11 +30,17 @@ def synonyms() -> Synonyms:
     tables = to_data(root) if root is not None else None
     if not isinstance(tables, dict) or list(findings):
         raise ValueError(f"{SYNONYMS_FILE} is broken: {[finding.headline for finding in findings]}")
-    return Synonyms(*({word: frozenset(others.split()) for word, others in tables[name].items()} for name in Synonyms._fields))
+    return Synonyms(
+        *(
+            {word: frozenset(others.split()) for word, others in tables[name].items()}
+            for name in Synonyms._fields
+        )
+    )
 
 
 def key_for(word: str, keys: Iterable[str], models: Iterable[str] = ()) -> str | None:
-    """The one of the `keys` of a section for which `word` is written; `models` are the names of the section's classes.
+    """The one of the `keys` of a section for which `word` is written; `models` are the names of the section's
+    classes.
 
     A word of British spelling stands for the American one.
     """
@@ -42,7 +50,9 @@ def key_for(word: str, keys: Iterable[str], models: Iterable[str] = ()) -> str |
     if american != word and american in own:
         return american
     plain = word.lower().replace("-", "_")
-    qualified = next((key for key in own if any(plain in table.get(f"{name}.{key}", ()) for name in names)), None)
+    qualified = next(
+        (key for key in own if any(plain in table.get(f"{name}.{key}", ()) for name in names)), None
+    )
     return qualified or next((key for key in own if plain in table.get(key, ())), None)
 
 

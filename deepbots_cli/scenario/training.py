@@ -1,7 +1,8 @@
-"""Training of the policy: one model per algorithm, whose hyperparameters have the names of Stable-Baselines3 and sb3-contrib.
+"""Training of the policy: one model per algorithm, whose hyperparameters have the names of Stable-Baselines3
+and sb3-contrib.
 
-A test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out; `SET_ELSEWHERE_HELP` says where
-they are set instead.
+A test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out;
+`SET_ELSEWHERE_HELP` says where they are set instead.
 """
 
 from collections import ChainMap
@@ -12,7 +13,16 @@ from pydantic import Field
 
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.scenario.base import FORMS, Kinds, Many, Section, check_kind_model
-from deepbots_cli.scenario.fields import Bool, Fraction, Number, PlainText, PositiveInt, Scalar, Schedule, WholeNumber
+from deepbots_cli.scenario.fields import (
+    Bool,
+    Fraction,
+    Number,
+    PlainText,
+    PositiveInt,
+    Scalar,
+    Schedule,
+    WholeNumber,
+)
 
 MAX_SHARDS = 256
 AUTO = "auto"
@@ -21,7 +31,11 @@ Weight = Annotated[float, Number(0)]
 Positive = Annotated[float, Number(0, exclusive=True)]
 StepsOrAll = Annotated[int, WholeNumber(-1, 1_000_000_000)]
 StepsOrEpisodes = WholeNumber(
-    1, 1_000_000_000, pattern="[1-9][0-9]{0,8} (?:step|episode)s?", noun="a number of steps or episodes", example="1 episode"
+    1,
+    1_000_000_000,
+    pattern="[1-9][0-9]{0,8} (?:step|episode)s?",
+    noun="a number of steps or episodes",
+    example="1 episode",
 )
 
 
@@ -44,8 +58,8 @@ class Hindsight(Section):
     n_sampled_goal: PositiveInt = 4
     """Number of additional transitions with a sampled goal for each real transition."""
     goal_selection_strategy: Literal["future", "final", "episode"] = "future"
-    """Which achieved goals of the same episode are sampled: of this or a later step (`future`), of the last step (`final`), or of any step
-    (`episode`)."""
+    """Which achieved goals of the same episode are sampled: of this or a later step (`future`), of the last
+    step (`final`), or of any step (`episode`)."""
 
 
 class Teacher(Section):
@@ -54,7 +68,8 @@ class Teacher(Section):
     script: PlainText
     """Name of a script of the scenario. It may use values that the policy does not observe."""
     share: Fraction = 0.3
-    """Largest share of the timesteps in which the policy only imitates the script. With DQN, the script drives for a third of it."""
+    """Largest share of the timesteps in which the policy only imitates the script. With DQN, the script
+    drives for a third of it."""
 
 
 class PolicyNetwork(Section):
@@ -70,12 +85,14 @@ class Training(Section):
     """Keys of all algorithms; each adds its hyperparameters."""
 
     import_path: ClassVar[str] = ""
-    """`module:attribute` of its class, imported when it is used: an algorithm of the library where the model is a built-in one or derived
-    from one, else a `deepbots_cli.learning.learner.Learner`."""
+    """`module:attribute` of its class, imported when it is used: an algorithm of the library where the model
+    is a built-in one or derived from one, else a `deepbots_cli.learning.learner.Learner`."""
     on_policy: ClassVar[bool] = False
     imitates: ClassVar[bool] = False
     """Whether its policy can be fitted to the actions of a script."""
-    acts_by: ClassVar[frozenset[Literal["choice", "choices", "ranges"]]] = frozenset({"choice", "choices", "ranges"})
+    acts_by: ClassVar[frozenset[Literal["choice", "choices", "ranges"]]] = frozenset(
+        {"choice", "choices", "ranges"}
+    )
     """The actions that it can take: one choice, several choices, ranges."""
     uses_masks: ClassVar[bool] = False
     """Whether the policy never takes a choice that `forbid` excludes."""
@@ -89,17 +106,21 @@ class Training(Section):
     shards: Annotated[int, WholeNumber(1, MAX_SHARDS)] = 1
     """Number of groups of environments, each with a copy of the policy."""
     staleness: Annotated[int, WholeNumber(0, 1)] = 0
-    """Age of the weights with which shards collect, in updates. With 1, shards on workers collect the next steps during an update."""
+    """Age of the weights with which shards collect, in updates. With 1, shards on workers collect the next
+    steps during an update."""
     network: PolicyNetwork = Field(default_factory=PolicyNetwork)
     """The network of the policy."""
     patience: Annotated[int, WholeNumber(1, 10**12)] | None = None
-    """Number of timesteps without a better evaluation after which the training ends. Default: it does not end before the last."""
+    """Number of timesteps without a better evaluation after which the training ends. Default: it does not end
+    before the last."""
     normalize: Literal["reward"] | None = None
-    """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show the original rewards."""
+    """`reward` divides rewards by a running standard deviation of the return, for learning only; logs show
+    the original rewards."""
     teacher: Annotated[Teacher | PlainText, FORMS] | None = None
     """A script that teaches the policy."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
-    """Device of the networks. `auto` is `cuda` (a GPU) if there is one, otherwise `cpu`. Small networks train faster on the CPU."""
+    """Device of the networks. `auto` is `cuda` (a GPU) if there is one, otherwise `cpu`. Small networks train
+    faster on the CPU."""
 
     @classmethod
     def hyperparameter_names(cls) -> tuple[str, ...]:
@@ -108,7 +129,8 @@ class Training(Section):
 
     @classmethod
     def base(cls) -> str:
-        """The built-in algorithm that it is, or is derived from; its own name if it brings its own learner."""
+        """The built-in algorithm that it is, or is derived from; its own name if it brings its own
+        learner."""
         return next((model.__name__ for model in cls.__mro__ if model in _BUILT_IN), cls.__name__)
 
     @classmethod
@@ -118,9 +140,14 @@ class Training(Section):
 
     @property
     def hyperparameters(self) -> Mapping[str, Any]:
-        """The hyperparameters that the user set, or that the model of a plug-in has a default for, in the order of the model."""
+        """The hyperparameters that the user set, or that the model of a plug-in has a default for, in the
+        order of the model."""
         names = self.hyperparameter_names()
-        return {name: getattr(self, name) for name in names if name in self.model_fields_set or getattr(self, name) is not None}
+        return {
+            name: getattr(self, name)
+            for name in names
+            if name in self.model_fields_set or getattr(self, name) is not None
+        }
 
 
 class _OnPolicy(Training):
@@ -157,12 +184,14 @@ class _Proximal(_OnPolicy):
     clip_range_vf: Schedule | None = None
     """Limit on the change of the value function in one update: a number or a schedule."""
     target_kl: Positive | None = None
-    """Limit on the KL divergence between the old and the new policy: an update stops early beyond 1.5 times this value."""
+    """Limit on the KL divergence between the old and the new policy: an update stops early beyond 1.5 times
+    this value."""
 
 
 class _StateDependentExploration(Section):
     use_sde: Bool | None = None
-    """Whether to explore with noise that depends on the state (gSDE) instead of independent noise in each step."""
+    """Whether to explore with noise that depends on the state (gSDE) instead of independent noise in each
+    step."""
     sde_sample_freq: StepsOrAll | None = None
     """Steps between two draws of the noise of `use_sde`; -1 draws once per rollout."""
 
@@ -204,11 +233,13 @@ class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     use_sde_at_warmup: Bool | None = None
     """Whether to use state-dependent noise (`use_sde`) also before learning starts."""
     ent_coef: Annotated[Scalar, Number(0, pattern=r"auto(?:_[0-9]+(?:\.[0-9]+)?)?")] | None = None
-    """Weight of the entropy in the loss. `auto` learns it; `auto_0.1` learns it from the initial value 0.1."""
+    """Weight of the entropy in the loss. `auto` learns it; `auto_0.1` learns it from the initial value
+    0.1."""
     target_update_interval: PositiveInt | None = None
     """Steps between two updates of the target network."""
     target_entropy: Annotated[Scalar, Number(pattern="auto")] | None = None
-    """The entropy that `ent_coef: auto` aims at. `target_entropy: auto` is minus the number of action components."""
+    """The entropy that `ent_coef: auto` aims at. `target_entropy: auto` is minus the number of action
+    components."""
     stats_window_size: PositiveInt | None = None
     """Episodes in the moving averages that Stable-Baselines3 logs."""
 
@@ -335,14 +366,16 @@ def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
         ValueError: It is no model of an algorithm, or lacks something.
     """
     if not (isinstance(model, type) and issubclass(model, Training)):
-        known = ", ".join(known.__name__ for known in _BUILT_IN)
-        raise ValueError(f"{model!r} is derived from none of {known}, nor from Training itself")
+        built_in = ", ".join(built_in.__name__ for built_in in _BUILT_IN)
+        raise ValueError(f"{model!r} is derived from none of {built_in}, nor from Training itself")
     check_kind_model(name, model, model.import_path, "algorithm")
     yield name, model
 
 
 _BUILT_IN = (PPO, A2C, DQN, SAC, TD3, DDPG, MaskablePPO, RecurrentPPO, TQC)
-ALGORITHMS: PluginTable[type[Training]] = PluginTable("deepbots.algorithms", {model.__name__: model for model in _BUILT_IN}, _read)
+ALGORITHMS: PluginTable[type[Training]] = PluginTable(
+    "deepbots.algorithms", {model.__name__: model for model in _BUILT_IN}, _read
+)
 AnyTraining = Annotated[Training, Kinds("algorithm", ChainMap({AUTO: Auto}, ALGORITHMS), default=AUTO)]
 
 SET_ELSEWHERE_HELP: Mapping[str, str] = {
@@ -356,6 +389,7 @@ SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
     "lstm_hidden_size": "write `lstm: 64`",
     "episodes": "write `total_timesteps: 100_000`: deepbots counts the steps of a training, not its episodes",
-    "n_episodes": "write `total_timesteps: 100_000`: deepbots counts the steps of a training, not its episodes",
+    "n_episodes": "write `total_timesteps: 100_000`: deepbots counts the steps of a training, not its"
+    " episodes",
 }
 """Hyperparameters of other tools, and where they are set here."""

@@ -1,7 +1,8 @@
-"""Nodes to a validated scenario: pydantic's errors become findings, each at its exact place and in the words of the language.
+"""Nodes to a validated scenario: pydantic's errors become findings, each at its exact place and in the words
+of the language.
 
-The first round reports. Faulty entries are then taken out and the rest is validated again, until it passes: later passes see
-everything that is sound, and nothing is reported twice.
+The first round reports. Faulty entries are then taken out and the rest is validated again, until it passes:
+later passes see everything that is sound, and nothing is reported twice.
 """
 
 from __future__ import annotations
@@ -63,8 +64,9 @@ class _Problem:
 def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
     """Validate `root`; errors go to `findings`.
 
-    Returns the scenario. If there are findings, faulty entries are removed from it (`Scenario.pruned` has the paths), and stand-ins
-    fill required sections. None if the file is written for another version of the language.
+    Returns the scenario. If there are findings, faulty entries are removed from it (`Scenario.pruned` has the
+    paths), and stand-ins fill required sections. None if the file is written for another version of the
+    language.
 
     Raises:
         TooManyFindings: There are more than `findings` takes.
@@ -86,12 +88,21 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
             return scenario
         problems = [_problem(root, data, error) for error in errors]
         if round_number == 0:
-            new = [problem for problem in problems if not (_is_follow_up(root, problem) or _is_misspelled(problem, problems))]
-            found = [problem.finding for problem in _merge_missing_sections(root, _merge_misplaced_section(root, data, new))]
-            for one in found:
+            new = [
+                problem
+                for problem in problems
+                if not (_is_follow_up(root, problem) or _is_misspelled(problem, problems))
+            ]
+            outcome = [
+                problem.finding
+                for problem in _merge_missing_sections(root, _merge_misplaced_section(root, data, new))
+            ]
+            for one in outcome:
                 findings.append(one)
-            if findings.limit is not None and len(problems) >= findings.limit:  # the rest would be in the way of later passes
-                raise TooManyFindings(found[-1])
+            if (
+                findings.limit is not None and len(problems) >= findings.limit
+            ):  # the rest would be in the way of later passes
+                raise TooManyFindings(outcome[-1])
         for problem in problems:
             _prune(data, problem.path, pruned, problem.missing)
     return None
@@ -102,7 +113,10 @@ def _is_readable(root: nodes.MappingNode, findings: Findings) -> bool:
     version = node.value if isinstance(node, ScalarNode) else None
     if node is None or not isinstance(version, int) or version <= VERSION:
         return True
-    headline = f"this file uses version {node.span.text[:9]} of the language, but this deepbots reads version {VERSION}"
+    headline = (
+        f"this file uses version {node.span.text[:9]} of the language, but this deepbots reads"
+        f" version {VERSION}"
+    )
     findings.add("DB105", node.span, headline, "install a newer version of deepbots")
     return False
 
@@ -137,18 +151,29 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     if kind == "missing":
         *_, key = path
         path = path[:-1]
-        finding = Finding("DB102", _key_span(root, path), f"missing key `{key}` {_place(path)}", about_key(data, (*path, key)))
+        finding = Finding(
+            "DB102",
+            _key_span(root, path),
+            f"missing key `{key}` {_place(path)}",
+            about_key(data, (*path, key)),
+        )
         return _Problem(path, finding, (str(key),))
     if kind == "extra_forbidden":
         headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
         meant = suggestion_for(root, data, path)
         fix = _fix(descend(root, path)[1], meant.replacement) if meant.is_fix else None
-        finding = Finding("DB101", _key_span(root, path), headline, meant.help or about_key(data, path), fix=fix)
+        finding = Finding(
+            "DB101", _key_span(root, path), headline, meant.help or about_key(data, path), fix=fix
+        )
         return _Problem(path, finding, replacement=meant.replacement)
     node, key_node, _ = descend(root, path)
     at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.MappingNode) and "[key]" in node.entries)
     path = path[:-1] if at_key else path
-    context = error["ctx"] if kind.startswith("DB") else _reworded(shape_at(Scenario, data, path), to_data(node), error["msg"])
+    context = (
+        error["ctx"]
+        if kind.startswith("DB")
+        else _reworded(shape_at(Scenario, data, path), to_data(node), error["msg"])
+    )
     kind = context.get("code", kind)
     headline, help, near = context["headline"], context["help"], context["replacement"]
     if expected := context.get("expected"):
@@ -158,13 +183,23 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
             help, near = hint[0], near or hint[1]
     elif kind == "DB102":
         headline = f"{headline} {_place(path)}"
-        help = ". ".join(filter(None, (help, about_key(data, (*path, context["missing"][0])) if context["missing"] else None)))
+        help = ". ".join(
+            filter(
+                None, (help, about_key(data, (*path, context["missing"][0])) if context["missing"] else None)
+            )
+        )
     elif kind == "DB107":
         headline = f"{'a key' if at_key else f'`{_name_of(path)}`'} {headline}"
     at_key = at_key or kind in ("DB101", "DB102", "DB107")
-    span = _key_span(root, path) if at_key or node.span.start_position.line != node.span.end_position.line else node.span
+    span = (
+        _key_span(root, path)
+        if at_key or node.span.start_position.line != node.span.end_position.line
+        else node.span
+    )
     fix = _fix(key_node if at_key else node, near)
-    return _Problem(path, Finding(kind, span, headline, help or about_key(data, path), fix=fix), context["missing"])
+    return _Problem(
+        path, Finding(kind, span, headline, help or about_key(data, path), fix=fix), context["missing"]
+    )
 
 
 def _key_span(root: nodes.MappingNode, path: NodePath) -> Span:
@@ -180,7 +215,9 @@ def _key_span(root: nodes.MappingNode, path: NodePath) -> Span:
 def _fix(word: Node | None, near: Replacement | None) -> Fix | None:
     if near is None or not isinstance(word, ScalarNode):
         return None
-    if word.style in ("single", "double") and resolve_plain_scalar(near.text) != near.text:  # a number loses its quotes
+    if (
+        word.style in ("single", "double") and resolve_plain_scalar(near.text) != near.text
+    ):  # a number loses its quotes
         return Fix((Edit(word.span, near.text),), near.safe)
     return Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe)
 
@@ -219,7 +256,9 @@ def _typing_hint(node: Node, data: object, path: NodePath) -> tuple[str, Replace
             return f"put a space after the colon: `{glued[1]}: {glued[2][:60]}`", None
         case ScalarNode(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
             return f"remove the comma at the end of the line: `{bare[:60]}`", Replacement(bare, safe=True)
-        case nodes.SequenceNode(items=items) if items and all(isinstance(item, nodes.MappingNode) for item in items):
+        case nodes.SequenceNode(items=items) if items and all(
+            isinstance(item, nodes.MappingNode) for item in items
+        ):
             return ". ".join(filter(None, (_without_dashes(items[0]), about_key(data, path)))), None
     return None
 
@@ -245,7 +284,9 @@ def _is_follow_up(root: nodes.MappingNode, problem: _Problem) -> bool:
 
 def _is_misspelled(problem: _Problem, problems: list[_Problem]) -> bool:
     """Whether a key that is reported as unknown is the missing one, misspelled."""
-    misspelled = (other.replacement for other in problems if problem.missing and other.path[:-1] == problem.path)
+    misspelled = (
+        other.replacement for other in problems if problem.missing and other.path[:-1] == problem.path
+    )
     return any(near is not None and near.text in problem.missing for near in misspelled)
 
 
@@ -256,7 +297,13 @@ def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[
     for problem in problems:
         if path := _displaced(root, data, problem.path):
             moved[path] = _Problem(
-                path, Finding("DB101", _key_span(root, path), f"`{path[-1]}` cannot be {_place(path[:-1])}", _OWN_SECTION_HELP)
+                path,
+                Finding(
+                    "DB101",
+                    _key_span(root, path),
+                    f"`{path[-1]}` cannot be {_place(path[:-1])}",
+                    _OWN_SECTION_HELP,
+                ),
             )
         else:
             kept.append(problem)
@@ -268,7 +315,11 @@ def _displaced(root: nodes.MappingNode, data: object, path: NodePath) -> NodePat
     """The first key on the path that is a section which the file lacks, where its name is no key."""
     for depth in range(1, len(path)):
         key, here = path[depth], path[: depth + 1]
-        if key in Scenario.model_fields and key not in root.entries and isinstance(descend(root, here)[0], nodes.MappingNode):
+        if (
+            key in Scenario.model_fields
+            and key not in root.entries
+            and isinstance(descend(root, here)[0], nodes.MappingNode)
+        ):
             holder = shape_at(Scenario, data, path[:depth])
             if not isinstance(holder, type) or key not in holder.model_fields:
                 return here
@@ -276,14 +327,17 @@ def _displaced(root: nodes.MappingNode, data: object, path: NodePath) -> NodePat
 
 
 def _merge_missing_sections(root: nodes.MappingNode, problems: list[_Problem]) -> list[_Problem]:
-    """Replace the problems of missing sections by a single one: a new file lacks many. Its notes explain all but the first."""
+    """Replace the problems of missing sections by a single one: a new file lacks many. Its notes explain all
+    but the first."""
     lacking = [problem for problem in problems if problem.finding.code == "DB102" and not problem.path]
     if len(lacking) < 2:
         return problems
     missing = tuple(key for problem in lacking for key in problem.missing)
     headline = f"missing keys {listed(missing)} {_place(())}"
     help, *notes = (problem.finding.help or "" for problem in lacking)
-    together = _Problem((), Finding("DB102", _key_span(root, ()), headline, help, notes=tuple(filter(None, notes))), missing)
+    together = _Problem(
+        (), Finding("DB102", _key_span(root, ()), headline, help, notes=tuple(filter(None, notes))), missing
+    )
     return [together, *(problem for problem in problems if problem not in lacking)]
 
 
@@ -292,11 +346,15 @@ def _merge_missing_sections(root: nodes.MappingNode, problems: list[_Problem]) -
 
 def _advise(root: nodes.MappingNode, data: Any, findings: Findings) -> None:
     """Add help to the findings about keys without a value; the parser does not know the language."""
-    vague = {found.span: found for found in findings if found.code == "DB107" and found.help == GIVE_A_VALUE}
+    vague = {
+        finding.span: finding
+        for finding in findings
+        if finding.code == "DB107" and finding.help == GIVE_A_VALUE
+    }
     for path, node in walk(root) if vague else ():
         for key in node.keys_without_value if isinstance(node, nodes.MappingNode) else ():
-            if found := vague.get(key.span):
-                findings.replace_help(found, _help_for_missing_value(data, (*path, key.text)))
+            if finding := vague.get(key.span):
+                findings.replace_help(finding, _help_for_missing_value(data, (*path, key.text)))
 
 
 def _help_for_missing_value(data: object, path: NodePath) -> str:

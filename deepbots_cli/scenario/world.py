@@ -1,4 +1,5 @@
-"""The world: time, gravity, ground, arena, walls, terrain, painted lines; poses, and bodies other than robots."""
+"""The world: time, gravity, ground, arena, walls, terrain, painted lines; poses, and bodies other than
+robots."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -111,7 +112,8 @@ class Pit(Terrain):
     radius: Thickness | None = None
     """Radius of the rim, m; by default 3.18 m."""
     noise: Share = 0
-    """Unevenness, 0 to 1: random bumps lower each point by at most this fraction of its height. The bumps are the same in every world."""
+    """Unevenness, 0 to 1: random bumps lower each point by at most this fraction of its height. The bumps are
+    the same in every world."""
 
 
 class Heightfield(Terrain):
@@ -146,7 +148,12 @@ class MeshTerrain(Terrain):
     """Scale factors along x, y and z."""
 
 
-TERRAINS: dict[str, type[Terrain]] = {"pit": Pit, "heightfield": Heightfield, "formula": Formula, "mesh": MeshTerrain}
+TERRAINS: dict[str, type[Terrain]] = {
+    "pit": Pit,
+    "heightfield": Heightfield,
+    "formula": Formula,
+    "mesh": MeshTerrain,
+}
 
 
 class World(Section):
@@ -155,12 +162,15 @@ class World(Section):
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("ground", "terrain")),)
 
     timestep: Timestep
-    """Duration of one control step, such as `32 ms`. Robots read their sensors and act once in each timestep."""
+    """Duration of one control step, such as `32 ms`. Robots read their sensors and act once in each
+    timestep."""
     substeps: Annotated[int, WholeNumber(1, 10_000)] = 1
     """Number of physics steps in one timestep."""
     engine: Annotated[str, Word(ENGINES)] | None = None
     """Physics engine; by default `pybullet`. `--engine` on the command line overrides it."""
-    gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", example_text="0 0 -9.81 m/s^2")] = "0 0 -9.81 m/s^2"
+    gravity: Annotated[Scalar, Quantity("acceleration", 3, "episode", example_text="0 0 -9.81 m/s^2")] = (
+        "0 0 -9.81 m/s^2"
+    )
     """Gravity in the world frame, m/s^2."""
     ground: Ground = Field(default_factory=Ground)
     """The plane on which bodies stand."""
@@ -178,7 +188,11 @@ class World(Section):
 
 # Poses
 
-_POSE_KEY_RULES = tuple(KeyCount((whole, part)) for whole, parts in (("xyz", "xyz"), ("rpy", ("roll", "pitch", "yaw"))) for part in parts)
+_POSE_KEY_RULES = tuple(
+    KeyCount((whole, part))
+    for whole, parts in (("xyz", "xyz"), ("rpy", ("roll", "pitch", "yaw")))
+    for part in parts
+)
 
 Coordinate = Annotated[Scalar, Quantity("length")]
 Angle = Annotated[Scalar, Quantity("angle")]
@@ -237,7 +251,8 @@ class Material(Section):
     """Material of a body; a variant of `one_of` overrides it."""
 
     mass: Annotated[Scalar, Quantity("mass", known="episode", minimum=0, exclusive=True)] | None = None
-    """Mass, kg. By default, the mass of a body of this shape with the density of water. A mesh that can move requires a mass."""
+    """Mass, kg. By default, the mass of a body of this shape with the density of water. A mesh that can move
+    requires a mass."""
     color: Color | None = None
     """Color: a word, `'#rrggbb'`, or `choice(red | green)`."""
     friction: RandomizableFactor | None = None
@@ -307,7 +322,13 @@ class Mesh(ShapedBody):
     """Scale factors along x, y and z."""
 
 
-SHAPES: dict[str, type[ShapedBody]] = {"box": Box, "sphere": Sphere, "cylinder": Cylinder, "capsule": Capsule, "mesh": Mesh}
+SHAPES: dict[str, type[ShapedBody]] = {
+    "box": Box,
+    "sphere": Sphere,
+    "cylinder": Cylinder,
+    "capsule": Capsule,
+    "mesh": Mesh,
+}
 
 
 class PlacedBody(Section):
@@ -353,5 +374,10 @@ OBJECTS: dict[str, type[PlacedBody]] = {
     "capsule": CapsuleObject,
     "mesh": MeshObject,
 }
-_ARTICULATED = "move this body to `robots`: every body with a robot file is a robot, even without sensors and actuators"
-AnyObject = Annotated[PlacedBody, Kinds("shape", OBJECTS, models_by_marker={"one_of": VariedObject}, remedies={"urdf": _ARTICULATED})]
+_ARTICULATED = (
+    "move this body to `robots`: every body with a robot file is a robot, even without sensors and actuators"
+)
+AnyObject = Annotated[
+    PlacedBody,
+    Kinds("shape", OBJECTS, models_by_marker={"one_of": VariedObject}, remedies={"urdf": _ARTICULATED}),
+]

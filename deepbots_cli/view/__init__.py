@@ -1,4 +1,5 @@
-"""Everything that is seen: a page in the browser, pictures, clips and recordings, made of the same frames; and plots of trainings.
+"""Everything that is seen: a page in the browser, pictures, clips and recordings, made of the same frames;
+and plots of trainings.
 
 frames.py      what is drawn of an environment at one moment, read by the engine port
 episodes.py    what is opened, who acts, and the frames of an episode

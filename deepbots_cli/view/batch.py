@@ -1,4 +1,5 @@
-"""A batch of worlds on the page: all of them are stepped together on arrays, and one at a time is read and shown."""
+"""A batch of worlds on the page: all of them are stepped together on arrays, and one at a time is read and
+shown."""
 
 from __future__ import annotations
 
@@ -25,12 +26,14 @@ from deepbots_cli.view.frames import AgentFrame, FrameReader, ReceivedMessage, W
 class BatchPlayer(Player):
     """Steps a batch of worlds, and reads frames of one of them, `world`.
 
-    World k begins as episode `episode + k` of an evaluation does, and lives the episode of a single world. A world whose episode has ended
-    rests until the next episodes begin.
+    World k begins as episode `episode + k` of an evaluation does, and lives the episode of a single world. A
+    world whose episode has ended rests until the next episodes begin.
     """
 
     def _make(self, program: Program) -> Supervisor:
-        self.batch = api.build_batch(program, self.opened.shown.worlds, engine=self.opened.shown.engine or "mujoco")
+        self.batch = api.build_batch(
+            program, self.opened.shown.worlds, engine=self.opened.shown.engine or "mujoco"
+        )
         self.worlds = len(self.batch.singles)
         self._readers: dict[int, FrameReader] = {}
         return self.batch.singles[0]
@@ -52,7 +55,10 @@ class BatchPlayer(Player):
             each = [self._make_driver(single, name) for single in self.batch.singles]
             self.driver = Driver(lambda _: self.batch.by_row(joined([driver.act(None) for driver in each])))
         else:
-            raise UsageError(f"'{name}' cannot drive a batch of worlds; use {', '.join(self.opened.drivers)}, or leave out --worlds")
+            raise UsageError(
+                f"'{name}' cannot drive a batch of worlds; use {', '.join(self.opened.drivers)}, or leave"
+                " out --worlds"
+            )
         self.driver_name = name
 
     def choose(self, world: int) -> WorldFrame:
@@ -82,7 +88,9 @@ class BatchPlayer(Player):
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
         if by_hand:
-            self.action = self.batch.by_row(joined([action_from_values(self.env, self.manual_values)] * self.worlds))
+            self.action = self.batch.by_row(
+                joined([action_from_values(self.env, self.manual_values)] * self.worlds)
+            )
         else:
             self.action = self.driver.act(self.observation)
         acting = (~self._running.resting).repeat(self.batch.copies)
@@ -101,7 +109,9 @@ class BatchPlayer(Player):
         """How many worlds run, and how others have ended."""
         running = self.worlds - len(self._endings)
         ended = Counter(str(ending["ended_by"]) for ending in self._endings.values())
-        counts = [f"running {running}"] * (running > 0) + [f"{name} {count}" for name, count in ended.most_common()]
+        counts = [f"running {running}"] * (running > 0) + [
+            f"{name} {count}" for name, count in ended.most_common()
+        ]
         state = f"world {self.world} of {self.worlds} ({', '.join(counts)})"
         return f"{state}; {self.driver.note}" if self.driver.note else state
 
@@ -109,11 +119,16 @@ class BatchPlayer(Player):
         self.batch.close()
 
     def _read(self) -> WorldFrame:
-        """The frame of the world: poses, rays and contacts of its own, and what the batch holds as a column per number."""
+        """The frame of the world: poses, rays and contacts of its own, and what the batch holds as a column
+        per number."""
         batch, world = self.batch, self.world
         action = None if self.action is None else batch.by_world(self.action)
-        frame = self.reader.read(value_of_row(batch.by_world(self.observation), world), value_of_row(action, world))
-        if step := int(batch.step_count[world * batch.copies]):  # before the first step, the single world has all of it
+        frame = self.reader.read(
+            value_of_row(batch.by_world(self.observation), world), value_of_row(action, world)
+        )
+        if step := int(
+            batch.step_count[world * batch.copies]
+        ):  # before the first step, the single world has all of it
             frame = replace(
                 frame,
                 step=step,
@@ -155,4 +170,8 @@ class BatchPlayer(Player):
         if not isinstance(channel, BatchChannel):
             return message
         columns = [columns_array(value, self.batch.count) for value in channel.receive()]
-        return ReceivedMessage(tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self._row(name)])), 0.0, True)
+        return ReceivedMessage(
+            tuple(float(x) for column in columns for x in np.atleast_1d(column[..., self._row(name)])),
+            0.0,
+            True,
+        )

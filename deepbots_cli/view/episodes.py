@@ -1,4 +1,5 @@
-"""Episodes to show: what is opened (a scenario or a run), who acts, and the frames of an episode step by step."""
+"""Episodes to show: what is opened (a scenario or a run), who acts, and the frames of an episode step by
+step."""
 
 from __future__ import annotations
 
@@ -17,11 +18,21 @@ from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.learning.episodes import read_log
-from deepbots_cli.learning.run import ModelName, ModelRef, Run, RunRecord
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout import Driver, Start, Step, steps
-from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, RECORDED, ROBOT, ZERO, action_from_values, named_driver
+from deepbots_cli.rollout.drivers import (
+    HAND,
+    POLICY,
+    RANDOM,
+    RECORDED,
+    ROBOT,
+    ZERO,
+    action_from_values,
+    named_driver,
+)
 from deepbots_cli.rollout.robot_logs import RobotLog, is_robot_log
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime import Supervisor
@@ -48,7 +59,8 @@ class Showing:
     start: Mapping[str, Any] = field(default_factory=dict, hash=False)
     """The `options` of every reset."""
     model: ModelName = "best"
-    """Of a run that has ended, which model acts; while it is trained, the newest one does. A model that `reference` names acts always."""
+    """Of a run that has ended, which model acts; while it is trained, the newest one does. A model that
+    `reference` names acts always."""
     deterministic: bool = True
     """Whether the policy takes its likeliest action, or samples."""
 
@@ -68,15 +80,21 @@ class Showing:
         else:
             overrides = with_engine(overrides, self.engine)
         checked = source.checked(overrides=overrides)
-        files = frozenset({checked.document.path, *checked.document.files}) if run is None else frozenset[Path]()
+        files = (
+            frozenset({checked.document.path, *checked.document.files}) if run is None else frozenset[Path]()
+        )
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
             return ShowingState(None, error.findings, files, shown, run)
         files |= frozenset(checked.inputs.names) if run is None else files
-        parameters = {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
+        parameters = (
+            {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
+        )
         chosen = compiled.program.variant(self.case, self.stage)
-        return ShowingState(chosen, compiled.findings, files, shown, run, compiled=compiled, parameters=parameters)
+        return ShowingState(
+            chosen, compiled.findings, files, shown, run, compiled=compiled, parameters=parameters
+        )
 
     def _open_recording(self, path: Path, *, is_log: bool) -> ShowingState:
         from deepbots_cli.rollout.recordings import Recording
@@ -88,10 +106,20 @@ class Showing:
             )
         recording = RobotLog.read(path) if is_log else Recording.read(path)
         compiled = api.compile(Source.kept(recording.folder, self.permissions))
-        known = recording.metadata
-        shown = replace(self, engine=known.get("engine") or None, case=known.get("case") or None, stage=known.get("stage") or None)
+        metadata = recording.metadata
+        shown = replace(
+            self,
+            engine=metadata.get("engine") or None,
+            case=metadata.get("case") or None,
+            stage=metadata.get("stage") or None,
+        )
         return ShowingState(
-            compiled.program.variant(shown.case, shown.stage), (), frozenset(), shown, recording=recording, compiled=compiled
+            compiled.program.variant(shown.case, shown.stage),
+            (),
+            frozenset(),
+            shown,
+            recording=recording,
+            compiled=compiled,
         )
 
 
@@ -119,7 +147,11 @@ class ShowingState:
             return (ROBOT,)
         if self.recording is not None:
             return (RECORDED,)
-        scripts = [script.name for script in self.program.agent.scripts] if self.program and not self.shown.worlds else []
+        scripts = (
+            [script.name for script in self.program.agent.scripts]
+            if self.program and not self.shown.worlds
+            else []
+        )
         return (*([POLICY] if self.run else []), *scripts, RANDOM, ZERO, HAND)
 
     def checked(self) -> api.Compiled:
@@ -156,7 +188,8 @@ class ShowingState:
 
 
 class RunDriver(Driver):
-    """The policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each episode."""
+    """The policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each
+    episode."""
 
     def __init__(
         self,
@@ -175,7 +208,9 @@ class RunDriver(Driver):
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error
         if differences := identity.differences(run.program, env.scenario):
-            raise RunError(f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences))
+            raise RunError(
+                f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences)
+            )
         self._load, self._driver = evaluation.load_model, PolicyDriver
         self._steps_of = steps_of
         self._run, self._env, self._batch = run, env, batch
@@ -187,17 +222,31 @@ class RunDriver(Driver):
     def begin(self, start: Start) -> None:
         running = RunRecord.read(self._run.path).status == "running"
         names = {"best": ("best", "last"), "last": ("last", "best")}.get(self._model, (self._model,))
-        found = {name: stamp for name in names if (stamp := file_stamps([path := self._run.model(name)])[path]) is not None}
-        name = next(iter(found if not running else sorted(found, key=found.__getitem__, reverse=True)), None)
-        if name is not None and found[name] != self._stamp:
+        stamps = {
+            name: stamp
+            for name in names
+            if (stamp := file_stamps([path := self._run.model(name)])[path]) is not None
+        }
+        name = next(
+            iter(stamps if not running else sorted(stamps, key=stamps.__getitem__, reverse=True)), None
+        )
+        if name is not None and stamps[name] != self._stamp:
             model = self._load(self._run, name, self._env)
             acting = self._driver(model, self._env, batch=self._batch, deterministic=self._deterministic)
-            self._policy, self._stamp = acting, found[name]
-            self.note = f"policy after {self._steps_of(self._run.model(name)):,} steps{self._stage()}" if running else ""
+            self._policy, self._stamp = acting, stamps[name]
+            self.note = (
+                f"policy after {self._steps_of(self._run.model(name)):,} steps{self._stage()}"
+                if running
+                else ""
+            )
         if self._policy is not None:
             self._policy.begin(start)
         elif running:
-            self._space = batch_space(self._batch.action_space, self._batch.count) if self._batch else self._env.action_space
+            self._space = (
+                batch_space(self._batch.action_space, self._batch.count)
+                if self._batch
+                else self._env.action_space
+            )
             self.note = "the training has saved no policy yet: random actions"
         else:
             raise RunError(f"{self._run.path} has no model yet; continue its training, or show its scenario")
@@ -250,7 +299,11 @@ class Player:
 
     def _make(self, program: Program) -> Supervisor:
         run, shown = self.opened.run, self.opened.shown
-        return api.build(program, engine=shown.engine or (run.engine_for(program) if run else None), permissions=shown.permissions)
+        return api.build(
+            program,
+            engine=shown.engine or (run.engine_for(program) if run else None),
+            permissions=shown.permissions,
+        )
 
     def _reader(self) -> FrameReader:
         return FrameReader(self.env, self.opened.checked().units)
@@ -267,11 +320,17 @@ class Player:
             raise UsageError("only a run has a policy")
         else:
             shown = self.opened.shown
-            self.driver = RunDriver(self.opened.run, self.env, model=shown.model, deterministic=shown.deterministic)
+            self.driver = RunDriver(
+                self.opened.run, self.env, model=shown.model, deterministic=shown.deterministic
+            )
         self.driver_name = name
 
     def _make_driver(self, env: Supervisor, name: str) -> Driver:
-        return Driver(lambda _: action_from_values(env, self.manual_values)) if name == HAND else named_driver(env, name)
+        return (
+            Driver(lambda _: action_from_values(env, self.manual_values))
+            if name == HAND
+            else named_driver(env, name)
+        )
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """Reset to an episode; its first frame."""
@@ -285,7 +344,11 @@ class Player:
         return self._next_frame()
 
     def _act(self, observation: Any) -> Any:
-        return action_from_values(self.env, self.manual_values) if self._by_hand else self.driver.act(observation)
+        return (
+            action_from_values(self.env, self.manual_values)
+            if self._by_hand
+            else self.driver.act(observation)
+        )
 
     def _next_frame(self) -> WorldFrame:
         step = next(self._steps)
@@ -298,7 +361,8 @@ class Player:
         return episode + 1
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
-        """The frame after the next step of an episode that has not ended; `by_hand` lets a person act instead of the driver."""
+        """The frame after the next step of an episode that has not ended; `by_hand` lets a person act instead
+        of the driver."""
         self._by_hand = by_hand
         frame = self._next_frame()
         self.actions.append(self.action)
@@ -321,13 +385,16 @@ class Player:
         """
         engine = self.env.engine
         if "rendering" not in engine.capabilities:
-            raise EngineError(f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures, or an offline page (.html)")
+            raise EngineError(
+                f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures, or an"
+                " offline page (.html)"
+            )
         return engine.render(view)
 
     def shortest_paths(self) -> list[list[tuple[float, float]]]:
         """The shortest paths (points in m) whose lengths the scenario reads with `path_distance`."""
-        found = (getattr(agent, "ways", None) for agent in self.env.agents.values())
-        return [points for ways in found if isinstance(ways, Ways) for points in ways.last_read_paths()]
+        planners = (getattr(agent, "ways", None) for agent in self.env.agents.values())
+        return [points for ways in planners if isinstance(ways, Ways) for points in ways.last_read_paths()]
 
     def episode(self, seed: int, episode: int, steps: int | None = None) -> Iterator[WorldFrame]:
         """The frames of an episode, at most those of so many steps."""

@@ -1,7 +1,8 @@
 """Frames: what is drawn and plotted of an environment at one moment.
 
-`FrameReader` binds the readers of the engine port once, and reads a `WorldFrame` after a reset and after each step. It calls nothing
-but readers, so an episode is the same with and without it. `FrameLayout` holds what does not change in an episode.
+`FrameReader` binds the readers of the engine port once, and reads a `WorldFrame` after a reset and after each
+step. It calls nothing but readers, so an episode is the same with and without it. `FrameLayout` holds what
+does not change in an episode.
 """
 
 from __future__ import annotations
@@ -36,13 +37,15 @@ Image = NDArray[np.uint8]
 LinkName = tuple[str, str]
 """A body and one of its links; the root link of an object has the name of the object."""
 
-_DOWNWARD = frames.quaternion(0.0, np.pi / 2, 0.0)  # turns x to -z: the direction in which a reflectance sensor looks
+_DOWNWARD = frames.quaternion(
+    0.0, np.pi / 2, 0.0
+)  # turns x to -z: the direction in which a reflectance sensor looks
 
 
 class PlottedField(NamedTuple):
-    """A number that is plotted, with its range. `group` is the entry of the scenario that it belongs to; `options` are the names of the
-    options of a choice, whose number is the index of an option. Values are in the SI unit `unit`, and shown in the unit `shown`, None for
-    the SI unit."""
+    """A number that is plotted, with its range. `group` is the entry of the scenario that it belongs to;
+    `options` are the names of the options of a choice, whose number is the index of an option. Values are in
+    the SI unit `unit`, and shown in the unit `shown`, None for the SI unit."""
 
     name: str
     group: str
@@ -78,7 +81,8 @@ class PlottedField(NamedTuple):
 
 
 class SensorRays(NamedTuple):
-    """The rays of a sensor: `starts` (n, 3) and unit vectors `directions` (n, 3) in the frame of the link, free up to `reach` m."""
+    """The rays of a sensor: `starts` (n, 3) and unit vectors `directions` (n, 3) in the frame of the link,
+    free up to `reach` m."""
 
     part: LinkName
     starts: NDArray[np.float64]
@@ -86,22 +90,27 @@ class SensorRays(NamedTuple):
     reach: float
 
     def lines(self, frame: WorldFrame, key: str) -> NDArray[np.float32]:
-        """Each ray from its start to where it is no longer free: x, y, z (world frame) and red, green, blue of both ends, shape (n, 2, 6).
+        """Each ray from its start to where it is no longer free: x, y, z (world frame) and red, green, blue
+        of both ends, shape (n, 2, 6).
 
         Rays are green where nothing is near, and red where something is.
         """
         free, (origin, turn) = np.array(frame.rays[key])[:, None], frame.links[self.part]
-        axes = np.array([frames.rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))])
+        axes = np.array(
+            [frames.rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+        )
         near = np.clip(1 - free / self.reach, 0.0, 1.0)
         colors = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], axis=1)
         ends = (self.starts, self.starts + free * self.directions)
-        return np.stack([np.concatenate([origin + end @ axes, colors], axis=1) for end in ends], axis=1).astype(np.float32)
+        return np.stack(
+            [np.concatenate([origin + end @ axes, colors], axis=1) for end in ends], axis=1
+        ).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class FrameLayout:
-    """What does not change: the fields of an agent, the robots as they are in the world, the rays by `robot.sensor`, and the fields of
-    messages by `robot/direction`."""
+    """What does not change: the fields of an agent, the robots as they are in the world, the rays by
+    `robot.sensor`, and the fields of messages by `robot/direction`."""
 
     observation: tuple[PlottedField, ...]
     action: tuple[PlottedField, ...]
@@ -113,7 +122,8 @@ class FrameLayout:
     """Of the log of a robot, which has no reward: the groups of its values that are always plotted."""
 
     def goal_point(self, agent: AgentFrame, word: str) -> Triple | None:
-        """The `achieved` or `desired` goal as a point (m, world frame), on the ground where it has no z; None where it is no position."""
+        """The `achieved` or `desired` goal as a point (m, world frame), on the ground where it has no z; None
+        where it is no position."""
         places = [place for place, field in enumerate(self.observation) if field.group == word]
         axes = [self.observation[place].name for place in places if self.observation[place].unit == "m"]
         if axes not in ([f"{word}.x", f"{word}.y"], [f"{word}.x", f"{word}.y", f"{word}.z"]):
@@ -126,8 +136,9 @@ class FrameLayout:
 class AgentFrame:
     """One agent at one moment.
 
-    `observation` holds the newest value of each field in its unit, followed by the achieved and the desired goal. `action` is None after
-    a reset. `allowed` says of each option of each choice, in a row, whether it may be chosen next; empty where all may.
+    `observation` holds the newest value of each field in its unit, followed by the achieved and the desired
+    goal. `action` is None after a reset. `allowed` says of each option of each choice, in a row, whether it
+    may be chosen next; empty where all may.
     """
 
     observation: tuple[float, ...]
@@ -139,7 +150,8 @@ class AgentFrame:
 
 
 class ReceivedMessage(NamedTuple):
-    """The message that its receiver goes by: a value for each field, None for a picture and before the first message.
+    """The message that its receiver goes by: a value for each field, None for a picture and before the first
+    message.
 
     `age` (s) is the time since it was made, and `received` whether it came in this step.
     """
@@ -153,11 +165,12 @@ class ReceivedMessage(NamedTuple):
 class WorldFrame:
     """The world at one moment, in SI units and the world frame; quaternions are (x, y, z, w).
 
-    `links` holds the pose of every link of a body that is present, `joints` the positions of the moving joints of each robot, `rays` how
-    far (m) each ray is free, `readings` what each sensor last delivered, `forces` the sum of normal forces (N) on each link that touches
-    something, and `pushes` the forces (N) of disturbances that act now. `variants` are the forms of bodies with variants. `messages` are
-    by `robot/to_robot` and `robot/from_robot`. `cameras` hold the newest image of each camera, by `robot.sensor`: uint8 (rows, columns, 1
-    or 3). `drawn` are the values that the episode drew, in SI units.
+    `links` holds the pose of every link of a body that is present, `joints` the positions of the moving
+    joints of each robot, `rays` how far (m) each ray is free, `readings` what each sensor last delivered,
+    `forces` the sum of normal forces (N) on each link that touches something, and `pushes` the forces (N) of
+    disturbances that act now. `variants` are the forms of bodies with variants. `messages` are by
+    `robot/to_robot` and `robot/from_robot`. `cameras` hold the newest image of each camera, by
+    `robot.sensor`: uint8 (rows, columns, 1 or 3). `drawn` are the values that the episode drew, in SI units.
     """
 
     step: int
@@ -182,31 +195,42 @@ class WorldFrame:
         """How the episode ended, in words; empty while it goes on."""
         if self.ended_by is None:
             return ""
-        return f"{'success' if self.is_success else 'time limit' if self.truncated else 'failure'}: {self.ended_by}"
+        if self.is_success:
+            return f"success: {self.ended_by}"
+        return f"{'time limit' if self.truncated else 'failure'}: {self.ended_by}"
 
 
 def observation_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ...]:
     """The numbers of the newest observation, then those of the goal."""
     agent = program.agent
-    named = [PlottedField(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit) for n in agent.numbers]
+    named = [
+        PlottedField(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit)
+        for n in agent.numbers
+    ]
     if (goal := agent.goal) is not None:
         for word in ("achieved", "desired"):
             ends = zip(goal.components or ("",), goal.low, goal.high, strict=True)
-            named += [PlottedField(f"{word}.{part}".rstrip("."), word, low, high, goal.unit) for part, low, high in ends]
+            named += [
+                PlottedField(f"{word}.{part}".rstrip("."), word, low, high, goal.unit)
+                for part, low, high in ends
+            ]
     return tuple(field._replace(shown=units.of_entry(field.name, field.unit)) for field in named)
 
 
 def action_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ...]:
     """A field for each choice and for each component of a range, choices and ranges in file order."""
-    found = []
+    fields = []
     for part in program.agent.action:
         if isinstance(part, Choices):
             names = tuple(option.name for option in part.options)
-            found.append(PlottedField(part.name, part.name, 0.0, len(names) - 1.0, "", names))
+            fields.append(PlottedField(part.name, part.name, 0.0, len(names) - 1.0, "", names))
         else:
             unit = units.of_entry(part.name, part.unit)
-            found += [PlottedField(name, part.name, part.low, part.high, part.unit, shown=unit) for name in part.names]
-    return tuple(found)
+            fields += [
+                PlottedField(name, part.name, part.low, part.high, part.unit, shown=unit)
+                for name in part.names
+            ]
+    return tuple(fields)
 
 
 class MessageRecorder:
@@ -215,7 +239,14 @@ class MessageRecorder:
     def __init__(self, wire: FieldCodec, units: ShownUnits) -> None:
         self._wire, self.layout, self.silence, self.encode = wire, wire.layout, wire.silence, wire.encode
         self.fields = tuple(
-            PlottedField(name, field.name, math.nan, math.nan, field.unit, shown=units.of_entry(f"{wire.layout.robot}.{name}", field.unit))
+            PlottedField(
+                name,
+                field.name,
+                math.nan,
+                math.nan,
+                field.unit,
+                shown=units.of_entry(f"{wire.layout.robot}.{name}", field.unit),
+            )
             for field in wire.layout.fields
             for name in ([f"{field.name}.{part}" for part in field.components] or [field.name])
         )
@@ -231,8 +262,12 @@ class MessageRecorder:
         """The newest message; those that come from now on count for the next frame."""
         if after_reset and not self._received:
             self._values = (None,) * len(self.fields)  # and not those of the episode before
-        flat = [part for value in self._values for part in (value if isinstance(value, list | tuple) else [value])]
-        values = tuple(None if value is None or isinstance(value, np.ndarray) else float(value) for value in flat)
+        flat = [
+            part for value in self._values for part in (value if isinstance(value, list | tuple) else [value])
+        ]
+        values = tuple(
+            None if value is None or isinstance(value, np.ndarray) else float(value) for value in flat
+        )
         received = self._received > 0 and (isinstance(channel, Channel) or channel.message_received)
         self._received = 0
         return ReceivedMessage(values, 0.0 if isinstance(channel, Channel) else channel.age, received)
@@ -247,23 +282,46 @@ class FrameReader:
         program, engine, world = env.scenario, env.engine, env.world
         copies = program.agent.copies
         models = {robot.name: robot.model for robot in world.robots}
-        self._poses = {(name, link.name): engine.pose(name, link.name) for name, model in models.items() for link in model.links}
+        self._poses = {
+            (name, link.name): engine.pose(name, link.name)
+            for name, model in models.items()
+            for link in model.links
+        }
         self._poses |= {(thing.name, thing.name): engine.pose(thing.name) for thing in world.objects}
         self._joints = {
             name: engine.joint_states(name, [joint.name for joint in model.moving_joints])
             for name, model in models.items()
             if model.moving_joints
         }
-        touching = [(name, link.name) for name, model in models.items() for link in model.links if link.collisions]
-        self._forces = {part: engine.contact_force(part) for part in touching} if "contacts" in engine.capabilities else {}
+        touching = [
+            (name, link.name) for name, model in models.items() for link in model.links if link.collisions
+        ]
+        self._forces = (
+            {part: engine.contact_force(part) for part in touching}
+            if "contacts" in engine.capabilities
+            else {}
+        )
 
         def called(body: str, agent: str) -> str:
             """What a body of an agent is called: a copy of a robot has the name of its agent."""
             return agent if copies and copies.robot == body else body
 
-        controllers = {called(name, copy): each for copy, agent in env.agents.items() for name, each in agent.controllers.items()}
-        devices = {f"{body}.{name}": device for body, each in controllers.items() for name, device in each.devices.items()}
-        cameras = {f"{body}.{sensor.name}" for body, each in controllers.items() for sensor in each.spec.sensors if sensor.optics}
+        controllers = {
+            called(name, copy): each
+            for copy, agent in env.agents.items()
+            for name, each in agent.controllers.items()
+        }
+        devices = {
+            f"{body}.{name}": device
+            for body, each in controllers.items()
+            for name, device in each.devices.items()
+        }
+        cameras = {
+            f"{body}.{sensor.name}"
+            for body, each in controllers.items()
+            for sensor in each.spec.sensors
+            if sensor.optics
+        }
         self._cameras = {key: device for key, device in devices.items() if key in cameras}
         self._sensors = {key: device for key, device in devices.items() if key not in cameras}
         self._message_recorders: dict[str, tuple[Channel | LossyChannel, MessageRecorder]] = {}
@@ -280,17 +338,23 @@ class FrameReader:
             if sensor.beams and sensor.subjects[0] in {link.name for link in models[body].links}
         }
         self.layout = FrameLayout(
-            observation_fields(program, units), action_fields(program, units), tuple(term.name for term in program.agent.reward), models,
-            {key: found for key, (found, _) in beams.items()}, {key: tap.fields for key, (_, tap) in self._message_recorders.items()},
-        )  # fmt: skip
-        self._rays = {key: engine.rays(found.part, rays, found.reach) for key, (found, rays) in beams.items()}
+            observation_fields(program, units),
+            action_fields(program, units),
+            tuple(term.name for term in program.agent.reward),
+            models,
+            {key: beam for key, (beam, _) in beams.items()},
+            {key: tap.fields for key, (_, tap) in self._message_recorders.items()},
+        )
+        self._rays = {key: engine.rays(beam.part, rays, beam.reach) for key, (beam, rays) in beams.items()}
         self._pushes: list[tuple[LinkName, Push]] = []
         for name, agent in env.agents.items():
             for disturbance in program.disturbances:
-                found = getattr(agent, f"push_{disturbance.name}", None)
-                if isinstance(found, Push):
+                beam = getattr(agent, f"push_{disturbance.name}", None)
+                if isinstance(beam, Push):
                     body = called(disturbance.body, name)
-                    self._pushes.append(((body, disturbance.link or (models[body].root if body in models else body)), found))
+                    self._pushes.append(
+                        ((body, disturbance.link or (models[body].root if body in models else body)), beam)
+                    )
         self._pooled = {thing.name for thing in world.objects if thing.pooled}
         self._variants = {thing.name: thing.variants[0].name for thing in world.objects if thing.variants}
         self._newest = np.array(program.agent.newest, np.intp)
@@ -299,17 +363,22 @@ class FrameReader:
         self._returns: dict[str, float] = {}
 
     def read(self, observation: Any, action: Any = None) -> WorldFrame:
-        """The frame of this moment, given the observation that `reset` or `step` returned and the action of the step."""
+        """The frame of this moment, given the observation that `reset` or `step` returned and the action of
+        the step."""
         env = self.env
         bodies = [getattr(agent, "bodies", None) for agent in env.agents.values()]
-        arrangement = next((found for found in bodies if isinstance(found, Arrangement)), None)
+        arrangement = next((arranged for arranged in bodies if isinstance(arranged, Arrangement)), None)
         absent = self._pooled - set(arrangement.placed) if arrangement else self._pooled
         chosen: Mapping[str, Variant] = arrangement.forms.chosen if arrangement else {}
         forces = {part: read() for part, read in self._forces.items()}
         several = len(env.agents) > 1 or next(iter(env.agents.values())) is not env
         agents = {}
         for row, (name, agent) in enumerate(env.agents.items()):
-            seen, done = (value_of_row(observation, row), value_of_row(action, row)) if several else (observation, action)
+            seen, done = (
+                (value_of_row(observation, row), value_of_row(action, row))
+                if several
+                else (observation, action)
+            )
             self._returns[name] = self._returns.get(name, 0.0) + agent.reward if env.step_count else 0.0
             agents[name] = self._agent(agent, seen, done, self._returns[name])
         images = {key: camera.reading for key, camera in self._cameras.items()}
@@ -321,10 +390,19 @@ class FrameReader:
             rays={key: tuple(map(float, read())) for key, read in self._rays.items()},
             readings={key: tuple(map(float, sensor.reading)) for key, sensor in self._sensors.items()},
             forces={part: force for part, force in forces.items() if force > 0.0},
-            pushes=tuple((part, force) for part, push in self._pushes if (force := push.current_force) != ZERO_VECTOR),
-            variants=self._variants | {body: variant.name for body, variant in chosen.items() if body in self._variants},
-            messages={key: tap.message(channel, after_reset=not env.step_count) for key, (channel, tap) in self._message_recorders.items()},
-            cameras={key: np.asarray(seen[0] if isinstance(seen, list | tuple) else seen) for key, seen in images.items()},
+            pushes=tuple(
+                (part, force) for part, push in self._pushes if (force := push.current_force) != ZERO_VECTOR
+            ),
+            variants=self._variants
+            | {body: variant.name for body, variant in chosen.items() if body in self._variants},
+            messages={
+                key: tap.message(channel, after_reset=not env.step_count)
+                for key, (channel, tap) in self._message_recorders.items()
+            },
+            cameras={
+                key: np.asarray(seen[0] if isinstance(seen, list | tuple) else seen)
+                for key, seen in images.items()
+            },
             drawn=env.present_values(),
             agents=agents,
             ended_by=env.ended_by,
@@ -349,7 +427,9 @@ class FrameReader:
         mapped = [*np.asarray(vector)[self._newest], *goal]
         values = tuple(
             float(value) if truth else (low + high) / 2 + (high - low) / 2 * float(value)
-            for value, truth, (low, high) in zip(mapped, [*self._truths, *[False] * len(goal)], self._ranges, strict=True)
+            for value, truth, (low, high) in zip(
+                mapped, [*self._truths, *[False] * len(goal)], self._ranges, strict=True
+            )
         )
         return AgentFrame(
             values,
@@ -366,7 +446,9 @@ class FrameReader:
         choices = iter(np.atleast_1d(np.asarray(parts["choices"])).tolist())
         ranges = iter(np.atleast_1d(np.asarray(parts["ranges"], np.float64)).tolist())
         return tuple(
-            float(next(choices)) if f.options else (f.low + f.high) / 2 + (f.high - f.low) / 2 * min(1.0, max(-1.0, next(ranges)))
+            float(next(choices))
+            if f.options
+            else (f.low + f.high) / 2 + (f.high - f.low) / 2 * min(1.0, max(-1.0, next(ranges)))
             for f in self.layout.action
         )
 

@@ -1,4 +1,5 @@
-"""Playing the log of a robot: joint positions and poses that it reported move its model, and all that it reported is plotted."""
+"""Playing the log of a robot: joint positions and poses that it reported move its model, and all that it
+reported is plotted."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ class _Column(NamedTuple):
 
 
 class LogPlayer(ReplayPlayer):
-    """Plays a log. The world is that of the scenario at the start of an episode, except for what the robot reported."""
+    """Plays a log. The world is that of the scenario at the start of an episode, except for what the robot
+    reported."""
 
     def __init__(self, opened: ShowingState) -> None:
         """Make the environment.
@@ -63,7 +65,10 @@ class LogPlayer(ReplayPlayer):
         self._inputs = list(_columns(info.inputs, [step.inputs for step in every], units))
         self._commands = list(_columns(info.outputs, [step.commands for step in every], units))
         self._aged = [entry.name for entry in info.inputs if entry.max_age_s is not None]
-        longest = 1e3 * max((age for step in every for age in (step.answer, *step.ages.values()) if math.isfinite(age)), default=0.0)
+        longest = 1e3 * max(
+            (age for step in every for age in (step.answer, *step.ages.values()) if math.isfinite(age)),
+            default=0.0,
+        )
         times = ("answer time", *(f"age of {name}" for name in self._aged))
         rays = reader.layout.sensor_rays
         self._rays = {
@@ -89,8 +94,8 @@ class LogPlayer(ReplayPlayer):
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
         """The first frame of an episode of the log; `seed` means nothing."""
-        self._recorded = found = self.log.episode(self._numbers[0] if episode == 0 else episode)
-        self._rows = found.steps
+        self._recorded = logged = self.log.episode(self._numbers[0] if episode == 0 else episode)
+        self._rows = logged.steps
         observation, _ = self.env.reset(seed=self._recorded.seed)
         self._start = self.reader.read(observation)
         return self.seek(0)
@@ -99,14 +104,18 @@ class LogPlayer(ReplayPlayer):
     def note(self) -> str:
         """What happened last, and what is drawn."""
         last = next((event for step in self._rows[self._place :: -1] for event in step.events[::-1]), "")
-        drawn = f"the log moves {', '.join(self._drawn)}" if self._drawn else "the log has no joint position and no pose"
+        drawn = (
+            f"the log moves {', '.join(self._drawn)}"
+            if self._drawn
+            else "the log has no joint position and no pose"
+        )
         return f"{last or 'no event so far'}. Drawn: {drawn}; all else stands as the scenario places it."
 
     def _frame_of(self, number: int, place: int) -> WorldFrame:
         steps = self.log.episode(number).steps
         step = steps[place]
-        known: Values = next((each.inputs for each in steps[place::-1] if each.inputs), {})
-        self._move(known)
+        inputs: Values = next((each.inputs for each in steps[place::-1] if each.inputs), {})
+        self._move(inputs)
         is_last = place == len(steps) - 1
         return replace(
             self._start,
@@ -114,7 +123,10 @@ class LogPlayer(ReplayPlayer):
             time=step.time,
             links={part: pose for part, pose in self.reader.links().items() if part in self._start.links},
             joints=self.reader.joints(),
-            rays={name: tuple(known.get(name, ()))[:count] or (0.0,) * count for name, count in self._rays.items()},
+            rays={
+                name: tuple(inputs.get(name, ()))[:count] or (0.0,) * count
+                for name, count in self._rays.items()
+            },
             readings={},
             forces={},
             pushes=(),
@@ -143,18 +155,23 @@ class LogPlayer(ReplayPlayer):
         return _quantity(entry) == "joint_position" or self._body(entry) is not None
 
     def _body(self, entry: Input) -> str | None:
-        """The robot or object whose origin the input gives; None for another quantity or another place on it."""
+        """The robot or object whose origin the input gives; None for another quantity or another place on
+        it."""
         if _quantity(entry) not in ("position", "orientation"):
             return None
         roots = {robot.name: robot.model.root for robot in self.env.world.robots if not robot.fixed_base}
         if entry.sensor in SENSORS and "(" not in entry.name:
             body = entry.robot or ""
-            return body if entry.link is not None and roots.get(body) == entry.link and entry.mount is None else None
+            return (
+                body
+                if entry.link is not None and roots.get(body) == entry.link and entry.mount is None
+                else None
+            )
         body = entry.name.partition("(")[2].removesuffix(")")
         objects = [thing.name for thing in self.env.world.objects if not thing.fixed]
         return body if body in roots or body in objects else None
 
-    def _move(self, known: Values) -> None:
+    def _move(self, inputs: Values) -> None:
         """Place what the robot reported; all else is as at the start."""
         engine = self.env.engine
         joints: dict[tuple[str, str], float] = {}
@@ -164,12 +181,19 @@ class LogPlayer(ReplayPlayer):
             starts = zip(robot.model.moving_joints, self._start.joints.get(robot.name, ()), strict=False)
             joints |= {(robot.name, joint.name): position for joint, position in starts}
         for entry in self.log.info.inputs:
-            numbers = known.get(entry.name, ())
-            if len(numbers) != math.prod(entry.shape) or not all(abs(number) <= _MAX_PLACE for number in numbers):
+            numbers = inputs.get(entry.name, ())
+            if len(numbers) != math.prod(entry.shape) or not all(
+                abs(number) <= _MAX_PLACE for number in numbers
+            ):
                 continue
             if _quantity(entry) == "joint_position":
-                joints |= {(entry.robot or "", joint): number for joint, number in zip(entry.joints, numbers, strict=False)}
-            elif (body := self._body(entry)) is not None and (body in poses or (body, body) in self._start.links):
+                joints |= {
+                    (entry.robot or "", joint): number
+                    for joint, number in zip(entry.joints, numbers, strict=False)
+                }
+            elif (body := self._body(entry)) is not None and (
+                body in poses or (body, body) in self._start.links
+            ):
                 place, turn = poses.get(body) or self._start.links[body, body]
                 is_turn = _quantity(entry) == "orientation"
                 if is_turn and not math.isclose(math.hypot(*numbers), 1.0, rel_tol=0.01):
@@ -183,8 +207,11 @@ class LogPlayer(ReplayPlayer):
                     engine.set_joint(robot.name, joint.name, joints[robot.name, joint.name], 0.0)
 
 
-def _columns(entries: Sequence[Input | Output], rows: Sequence[Values], units: ShownUnits) -> Iterator[_Column]:
-    """The numbers of inputs or outputs but for pictures, each with its range, or that of its values where it has none."""
+def _columns(
+    entries: Sequence[Input | Output], rows: Sequence[Values], units: ShownUnits
+) -> Iterator[_Column]:
+    """The numbers of inputs or outputs but for pictures, each with its range, or that of its values where it
+    has none."""
     for entry in entries:
         if len(entry.shape) > 1 or entry.shape[0] > _MAX_NUMBERS:
             continue
@@ -192,7 +219,9 @@ def _columns(entries: Sequence[Input | Output], rows: Sequence[Values], units: S
         for place in range(entry.shape[0]):
             name = f"{entry.name}.{names[place]}" if entry.shape[0] > 1 and place < len(names) else entry.name
             unit = units.of_entry(entry.name, entry.unit)
-            column = _Column(entry.name, place, PlottedField(name, entry.name, math.nan, math.nan, entry.unit, shown=unit))
+            column = _Column(
+                entry.name, place, PlottedField(name, entry.name, math.nan, math.nan, entry.unit, shown=unit)
+            )
             values = [value for row in rows if math.isfinite(value := column.of(row))] or [0.0]
             low, high = (ends[place] for ends in entry.range) if entry.range is not None else (None, None)
             ends = min(values) if low is None else low, max(values) if high is None else high

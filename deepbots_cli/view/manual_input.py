@@ -31,27 +31,38 @@ _RANGE_BINDINGS = (
 )
 _OPTION_KEYS = (
     (_RANGE_BINDINGS[0].positive_keys, ("forward", "forwards", "ahead", "up", "gas", "faster", "push")),
-    (_RANGE_BINDINGS[0].negative_keys, ("backward", "backwards", "back", "down", "reverse", "brake", "slower", "pull")),
+    (
+        _RANGE_BINDINGS[0].negative_keys,
+        ("backward", "backwards", "back", "down", "reverse", "brake", "slower", "pull"),
+    ),
     (_RANGE_BINDINGS[1].negative_keys, ("left", "turn_left", "rotate_left", "ccw")),
     (_RANGE_BINDINGS[1].positive_keys, ("right", "turn_right", "rotate_right", "cw")),
 )
 """The keys of options with such names."""
 _IDLE_WORDS = ("stop", "none", "idle", "coast", "stay", "wait", "keep", "hold", "nothing")
 _DIGITS = tuple(f"Digit{number}" for number in range(1, 10))
-KEYS = sorted({*_DIGITS, *(key for binding in _RANGE_BINDINGS for key in (*binding.positive_keys, *binding.negative_keys))})
+KEYS = sorted(
+    {
+        *_DIGITS,
+        *(key for binding in _RANGE_BINDINGS for key in (*binding.positive_keys, *binding.negative_keys)),
+    }
+)
 
 
 class ManualInput:
-    """What a person commands: sliders and buttons as a base, in the units of the fields, from which keys and gamepads push to the ends of
-    ranges while they are held."""
+    """What a person commands: sliders and buttons as a base, in the units of the fields, from which keys and
+    gamepads push to the ends of ranges while they are held."""
 
     def __init__(self, fields: Sequence[PlottedField], *, turns_left: bool = False) -> None:
-        """`turns_left` says that a larger value of the range of A and D turns the robot to the left, so that A pushes it up."""
+        """`turns_left` says that a larger value of the range of A and D turns the robot to the left, so that
+        A pushes it up."""
         self._ranges = {field.name: field for field in fields if not field.options}
         ahead, aside, *others = _RANGE_BINDINGS
         if turns_left:
             aside = Binding(aside.negative_keys, aside.positive_keys, aside.axis, -aside.sign)
-        pairs = [[ahead, aside]] if len(self._ranges) == 1 else [[binding] for binding in (ahead, aside, *others)]
+        pairs = (
+            [[ahead, aside]] if len(self._ranges) == 1 else [[binding] for binding in (ahead, aside, *others)]
+        )
         self.bindings = dict(zip(self._ranges, pairs, strict=False))
         self._choices = [field for field in fields if field.options]
         self._held: tuple[Keys, Axes, float] = (frozenset(), (), 0.0)
@@ -73,8 +84,15 @@ class ManualInput:
         for name, bindings in self.bindings.items():
             pushed = 0.0
             for more, less, axis, sign in bindings:
-                pushed += bool(keys & {*more}) - bool(keys & {*less}) + (sign * axes[axis] if axis < len(axes) else 0.0)
-            pushed, end = min(1.0, max(-1.0, pushed)), self._ranges[name].high if pushed > 0.0 else self._ranges[name].low
+                pushed += (
+                    bool(keys & {*more})
+                    - bool(keys & {*less})
+                    + (sign * axes[axis] if axis < len(axes) else 0.0)
+                )
+            pushed, end = (
+                min(1.0, max(-1.0, pushed)),
+                self._ranges[name].high if pushed > 0.0 else self._ranges[name].low,
+            )
             values[name] += abs(pushed) * (end - values[name])
         for name, field in self._ranges.items():
             values[name] = (2 * values[name] - field.low - field.high) / ((field.high - field.low) or 1.0)
@@ -82,20 +100,32 @@ class ManualInput:
             wanted = next((option for codes, option in self._keys_of(field) if keys & {*codes}), None)
             if wanted is not None:
                 idle = _option(field, _IDLE_WORDS)  # released, it goes back to doing nothing
-                values[field.name], self.base_values[field.name] = float(wanted), float(wanted if idle is None else idle)
+                values[field.name], self.base_values[field.name] = (
+                    float(wanted),
+                    float(wanted if idle is None else idle),
+                )
         return values
 
     def _keys_of(self, field: PlottedField) -> list[tuple[tuple[str, ...], int]]:
-        """Keys and the option that they choose: digits for the first choice, directions for options that are called so."""
-        digits = [((digit,), number) for number, digit in enumerate(_DIGITS[: len(field.options)]) if field is self._choices[0]]
-        return digits + [(codes, found) for codes, words in _OPTION_KEYS if (found := _option(field, words)) is not None]
+        """Keys and the option that they choose: digits for the first choice, directions for options that are
+        called so."""
+        digits = [
+            ((digit,), number)
+            for number, digit in enumerate(_DIGITS[: len(field.options)])
+            if field is self._choices[0]
+        ]
+        return digits + [
+            (codes, option) for codes, words in _OPTION_KEYS if (option := _option(field, words)) is not None
+        ]
 
     def help(self) -> str:
         """Which keys drive what, in a line."""
         parts = []
         for name, bindings in self.bindings.items():
             for more, less, *_ in bindings:
-                effects = sorted([(more, "more"), (less, "less")], key=lambda effect: "KeyA" not in effect[0])  # from left to right
+                effects = sorted(
+                    [(more, "more"), (less, "less")], key=lambda effect: "KeyA" not in effect[0]
+                )  # from left to right
                 parts += [f"{' / '.join(map(_key_name, keys))}: {word} {name}" for keys, word in effects]
         for field in self._choices:
             parts += [f"{codes[0][-1]}: {field.options[option]}" for codes, option in self._keys_of(field)]
@@ -107,7 +137,8 @@ def _key_name(code: str) -> str:
 
 
 def _rest_value(field: PlottedField) -> float:
-    """What nobody commands: an option that does nothing, or else the first; 0 where the range holds it, or else its middle."""
+    """What nobody commands: an option that does nothing, or else the first; 0 where the range holds it, or
+    else its middle."""
     if field.options:
         return float(_option(field, _IDLE_WORDS) or 0)
     return 0.0 if field.low <= 0.0 <= field.high else (field.low + field.high) / 2

@@ -1,4 +1,5 @@
-"""The page: one world or two in the browser, with a panel. One thread owns the environments, steps them and draws 30 times a second.
+"""The page: one world or two in the browser, with a panel. One thread owns the environments, steps them and
+draws 30 times a second.
 
 What people click arrives in threads of viser, and is queued for this one.
 """
@@ -24,7 +25,8 @@ from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.frames import Triple, add, roll_pitch_yaw, scaled
-from deepbots_cli.learning.run import Run, RunRecord
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import Run
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO, sequence_driver
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
@@ -51,8 +53,11 @@ _STEERING_TIME = 0.3  # s of the episode, in which the effect of a key on the ya
 _TRAINING_INTERVAL_S = 20.0  # s, after which the logs of a training are read again
 _MAX_SERIES = 8
 MAX_RECORDINGS = 100
-"""What one page writes: a person drives for hours until then, and a program that presses the button does not fill the disk."""
-_NUMBER_WITH_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*")
+"""What one page writes: a person drives for hours until then, and a program that presses the button does not
+fill the disk."""
+_NUMBER_WITH_UNIT = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*"
+)
 """A number with its unit."""
 
 
@@ -62,7 +67,8 @@ PlottedValue = Callable[[AgentFrame], float]
 
 @dataclasses.dataclass(eq=False)
 class WorldPanel:
-    """One world of the page: its player, its scene, and the frames that are plotted. `elapsed_s` is the time (s) since its last step."""
+    """One world of the page: its player, its scene, and the frames that are plotted. `elapsed_s` is the time
+    (s) since its last step."""
 
     player: Player
     scene: WorldScene
@@ -84,7 +90,8 @@ class WorldPanel:
 
 
 class Page:
-    """A page of a scenario, a run or a recording; `address` is where it is, `run` serves it until it is interrupted."""
+    """A page of a scenario, a run or a recording; `address` is where it is, `run` serves it until it is
+    interrupted."""
 
     def __init__(
         self,
@@ -104,8 +111,9 @@ class Page:
     ) -> None:
         """Compile the source and start the server; `playing` makes a page to drive by hand, with a score.
 
-        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch, `world` is shown. With
-        `playing`, the episodes that a person drives are recorded in `output`. The page gets `frame_rate` pictures per second.
+        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch,
+        `world` is shown. With `playing`, the episodes that a person drives are recorded in `output`. The page
+        gets `frame_rate` pictures per second.
 
         Raises:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
@@ -130,10 +138,18 @@ class Page:
         if playing and opened.recording is not None:
             raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
         self.server, self.address = server.serve(
-            host, port, f"deepbots {source.reference}", lambda keys, axes: self._manual_input.hold(keys, axes), writes=playing
+            host,
+            port,
+            f"deepbots {source.reference}",
+            lambda keys, axes: self._manual_input.hold(keys, axes),
+            writes=playing,
         )
         self._fitted_cameras: dict[int, dict[tuple[int, int], Triple]] = {}
-        self.server.on_client_connect(lambda client: client.camera.on_update(lambda _: self._tasks.put(lambda: self._fit_camera(client))))
+        self.server.on_client_connect(
+            lambda client: client.camera.on_update(
+                lambda _: self._tasks.put(lambda: self._fit_camera(client))
+            )
+        )
         self.server.on_client_disconnect(lambda client: self._fitted_cameras.pop(client.client_id, None))
         self._theme(dark=False)
         self._file_stamps = file_stamps(opened.files)
@@ -160,7 +176,10 @@ class Page:
 
     @property
     def _players(self) -> list[Player]:
-        return [*(shown.player for shown in self.panels), *([self._compared_player] if self._compared_player else [])]
+        return [
+            *(shown.player for shown in self.panels),
+            *([self._compared_player] if self._compared_player else []),
+        ]
 
     def _close_players(self) -> None:
         for player in self._players:
@@ -170,7 +189,8 @@ class Page:
     # What is shown
 
     def _show(self, opened: ShowingState) -> None:
-        """Show a source as it is now: its world from the beginning of the present episode, or else its findings over the world before."""
+        """Show a source as it is now: its world from the beginning of the present episode, or else its
+        findings over the world before."""
         if opened.program is None:
             findings = html.escape(render(opened.findings, "full", width=46))
             style = "white-space:pre-wrap;font-size:0.75em;line-height:1.35"
@@ -180,25 +200,29 @@ class Page:
             self._wanted_driver if self.player is None or self._wanted_driver in opened.drivers else None
         )  # a script may go while it acts
         name = wanted or (HAND if self._playing else None)
-        rival = next((each for each in opened.drivers if each not in (RANDOM, ZERO, HAND)), None) if self._playing else None
-        made = [opened.player(name)]
+        rival = (
+            next((each for each in opened.drivers if each not in (RANDOM, ZERO, HAND)), None)
+            if self._playing
+            else None
+        )
+        players = [opened.player(name)]
         try:
             if self._compare is not None:
-                made.append(self._compare.open().player(None))
+                players.append(self._compare.open().player(None))
             if rival:
-                made.append(opened.player(rival))
-            for player in made:
+                players.append(opened.player(rival))
+            for player in players:
                 player.world = self._world_number
                 player.begin(self.seed, self.episode)
             if self._output is not None:
-                self.driven = DrivenEpisodes(made[0], self._output, self.seed)
+                self.driven = DrivenEpisodes(players[0], self._output, self.seed)
         except BaseException:
-            for player in made:
+            for player in players:
                 player.close()
             raise
         self._close_players()
-        self._compared_player = made.pop() if rival else None
-        self._build(made)
+        self._compared_player = players.pop() if rival else None
+        self._build(players)
         self._show_first_frame()
 
     def _reload(self) -> None:
@@ -242,7 +266,13 @@ class Page:
         layout = player.reader.layout
         controls = (
             [
-                (p.program.name, p.reader.layout.observation, p.reader.layout.action, p.reader.layout.terms, list(p.env.agents))
+                (
+                    p.program.name,
+                    p.reader.layout.observation,
+                    p.reader.layout.action,
+                    p.reader.layout.terms,
+                    list(p.env.agents),
+                )
                 for p in players
             ],
             player.opened.drivers,
@@ -261,16 +291,25 @@ class Page:
         self.panels = []
         for number, each in enumerate(players):
             root = f"/world{number or ''}"
-            world = WorldScene(scene, each.env.world, each.reader.layout, size=size, root=root, place=scaled(right, number))
+            world = WorldScene(
+                scene, each.env.world, each.reader.layout, size=size, root=root, place=scaled(right, number)
+            )
             self.panels.append(WorldPanel(each, world))
             if len(players) > 1:
-                scene.add_label(f"{root}/title", self._title(number), position=(0.0, 0.0, 0.3 * size), font_size_mode="screen")
+                scene.add_label(
+                    f"{root}/title",
+                    self._title(number),
+                    position=(0.0, 0.0, 0.3 * size),
+                    font_size_mode="screen",
+                )
         if controls == self._controls:
             for what, box in self._switches.items():
                 self._set_visible(what, box.value)
             return
         self._controls = controls
-        self._manual_input = ManualInput(layout.action, turns_left=not isinstance(player, ReplayPlayer) and self._turns_left(player))
+        self._manual_input = ManualInput(
+            layout.action, turns_left=not isinstance(player, ReplayPlayer) and self._turns_left(player)
+        )
         self._agents = {
             f"{self._title(number)}: {name}" if len(players) > 1 else name: (number, name)
             for number, each in enumerate(players)
@@ -283,7 +322,9 @@ class Page:
         tabs: dict[str, Callable[[], None]] = {"Values": self._add_values, "Plots": self._add_plots}
         if not isinstance(player, ReplayPlayer):
             tabs = {"Drive": self._add_drive, **tabs} if self._playing else {**tabs, "Drive": self._add_drive}
-        if player.opened.parameters and self._compare is None and self.driven is None:  # a recording has one scenario
+        if (
+            player.opened.parameters and self._compare is None and self.driven is None
+        ):  # a recording has one scenario
             tabs["Parameters"] = partial(self._add_parameters, player.opened.parameters)
         group = gui.add_tab_group()
         if self._training_run is not None:
@@ -292,16 +333,23 @@ class Page:
             with group.add_tab(title):
                 add_content()
         self._cameras: dict[str, Any] = {}
-        if any(sensor.optics for each in players for robot in each.program.robots for sensor in robot.sensors):
+        if any(
+            sensor.optics for each in players for robot in each.program.robots for sensor in robot.sensors
+        ):
             self._camera_folder = gui.add_folder("Cameras")
 
     def _fit_camera(self, client: Any) -> None:
-        """Show the whole scene in a browser that has been opened or resized, unless a person has moved its camera."""
+        """Show the whole scene in a browser that has been opened or resized, unless a person has moved its
+        camera."""
         camera = client.camera
-        size, framed = (camera.image_width, camera.image_height), self._fitted_cameras.setdefault(client.client_id, {})
-        # A slow browser may report an earlier position of its camera: the initial one, or one that was set here.
+        size = (camera.image_width, camera.image_height)
+        framed = self._fitted_cameras.setdefault(client.client_id, {})
+        # A slow browser may report an earlier position of its camera: the initial one, or one that was set
+        # here.
         initial = self.server.initial_camera.position
-        moved = framed and all(math.dist(camera.position, eye) > 0.01 * math.hypot(*eye) for eye in (initial, *framed.values()))
+        moved = framed and all(
+            math.dist(camera.position, eye) > 0.01 * math.hypot(*eye) for eye in (initial, *framed.values())
+        )
         if not self.panels or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
             return
         view = view_around(self._boxes, *size)
@@ -316,8 +364,15 @@ class Page:
 
     def _add_time(self, player: Player) -> None:
         gui = self.server.gui
-        acts = {"pause": lambda: self.play(self.paused), "step": self.step_once, "reset": self._begin, "next": lambda: self._begin(1)}
-        self._buttons = gui.add_button_group("time", tuple(acts), hint="pause or continue; one step; restart this episode; next episode")
+        acts = {
+            "pause": lambda: self.play(self.paused),
+            "step": self.step_once,
+            "reset": self._begin,
+            "next": lambda: self._begin(1),
+        }
+        self._buttons = gui.add_button_group(
+            "time", tuple(acts), hint="pause or continue; one step; restart this episode; next episode"
+        )
         self._buttons.on_click(lambda event: self._tasks.put(acts[event.target.value]))
         for name, key in {"pause": "space", "step": "N", "reset": "B"}.items():  # keys that do not drive
             gui.add_command(name, hotkey=key).on_trigger(lambda _, name=name: self._tasks.put(acts[name]))
@@ -327,7 +382,12 @@ class Page:
             self._slider.on_update(self._scrub)
         if player.worlds > 1:
             world = gui.add_slider(
-                "world", min=0, max=player.worlds - 1, step=1, initial_value=self._world_number, hint="world of the batch"
+                "world",
+                min=0,
+                max=player.worlds - 1,
+                step=1,
+                initial_value=self._world_number,
+                hint="world of the batch",
             )
             world.on_update(lambda _: self._tasks.put(lambda: self._choose_world(int(world.value))))
         speed = gui.add_slider("speed", min=0.1, max=5.0, step=0.1, initial_value=self.speed)
@@ -347,17 +407,26 @@ class Page:
         """A slider for each number, and a text for each other value."""
         gui = self.server.gui
         for name, text in parameters.items():
-            found = _NUMBER_WITH_UNIT.fullmatch(text)
-            if found is None:
+            match = _NUMBER_WITH_UNIT.fullmatch(text)
+            if match is None:
                 box = gui.add_text(name, text)
                 box.on_update(lambda event, n=name: self._change(n, event.target.value))
                 continue
-            value, unit = float(found[1]), found[2] or found[3] or ""
+            value, unit = float(match[1]), match[2] or match[3] or ""
             low, high = sorted((0.0, 2 * value)) if value else (-1.0, 1.0)
-            slider = gui.add_slider(f"{name} ({unit})" if unit else name, min=low, max=high, step=(high - low) / 200, initial_value=value)
-            slider.on_update(lambda event, n=name, u=unit: self._change(n, f"{event.target.value:.6g} {u}".strip()))
+            slider = gui.add_slider(
+                f"{name} ({unit})" if unit else name,
+                min=low,
+                max=high,
+                step=(high - low) / 200,
+                initial_value=value,
+            )
+            slider.on_update(
+                lambda event, n=name, u=unit: self._change(n, f"{event.target.value:.6g} {u}".strip())
+            )
         gui.add_html(
-            "<div style='padding:0.3em 1em;font-size:0.85em'>A change restarts the episode with the new value and the same seed.</div>"
+            "<div style='padding:0.3em 1em;font-size:0.85em'>A change restarts the episode with the new"
+            " value and the same seed.</div>"
         )
 
     def _change(self, name: str, text: str) -> None:
@@ -376,7 +445,8 @@ class Page:
         self._read_training()
 
     def _read_training(self) -> None:
-        """Show the stages and evaluations of the training of the run; while it goes on, from its logs of now."""
+        """Show the stages and evaluations of the training of the run; while it goes on, from its logs of
+        now."""
         run = self._training_run
         if run is None or time.monotonic() - self._training_read_at < _TRAINING_INTERVAL_S:
             return
@@ -385,9 +455,13 @@ class Page:
             record = RunRecord.read(run.path)
             episodes, evaluations = plots.logs_of(run.path)
         except RunError as error:
-            self._training.content = panel.notice("the training cannot be shown", html.escape(str(error)), "#D55E00")
+            self._training.content = panel.notice(
+                "the training cannot be shown", html.escape(str(error)), "#D55E00"
+            )
             return
-        rows = panel.training_rows(plots.stage_starts(record, episodes), evaluations, success=run.program.defines_success)
+        rows = panel.training_rows(
+            plots.stage_starts(record, episodes), evaluations, success=run.program.defines_success
+        )
         self._training.content = panel.table(rows)
         if record.status == "running":
             self._training_read_at = time.monotonic()
@@ -397,15 +471,22 @@ class Page:
         fields: dict[str, list[tuple[PlottedField, PlottedValue]]] = {}
         for number, each in enumerate(layout.observation):
             fields.setdefault(each.group, []).append((each, partial(_observation_value, number, each)))
-        fields |= {f"action: {each.name}": [(each, partial(_action_value, number, each))] for number, each in enumerate(layout.action)}
+        fields |= {
+            f"action: {each.name}": [(each, partial(_action_value, number, each))]
+            for number, each in enumerate(layout.action)
+        }
         self._plots = {}
         for group in layout.of_robot:
             gui.add_html(panel.heading(group))
             self._plots[group] = self._add_fields(fields[group])
         if not layout.of_robot:
-            names = [self._title(number) for number in range(len(self.panels))] if self._compare else ["return"]
+            names = (
+                [self._title(number) for number in range(len(self.panels))] if self._compare else ["return"]
+            )
             gui.add_html(panel.heading("return"))
-            self._plots["return"] = self._add_plot(names, 150, [lambda agent: agent.episode_return], range(len(self.panels)))
+            self._plots["return"] = self._add_plot(
+                names, 150, [lambda agent: agent.episode_return], range(len(self.panels))
+            )
             gui.add_html(panel.heading("reward terms"))
             terms = layout.terms[:_MAX_SERIES]
             self._plots["terms"] = self._add_plot(terms, 200, [partial(_term_value, term) for term in terms])
@@ -424,8 +505,16 @@ class Page:
 
     def _add_fields(self, fields: Sequence[tuple[PlottedField, PlottedValue]]) -> Any:
         """An empty plot of the first of these numbers, over their range."""
-        limits = min(field.to_shown(field.low) for field, _ in fields), max(field.to_shown(field.high) for field, _ in fields)
-        return self._add_plot([f.label for f, _ in fields[:_MAX_SERIES]], 220, [value for _, value in fields[:_MAX_SERIES]], limits=limits)
+        limits = (
+            min(field.to_shown(field.low) for field, _ in fields),
+            max(field.to_shown(field.high) for field, _ in fields),
+        )
+        return self._add_plot(
+            [f.label for f, _ in fields[:_MAX_SERIES]],
+            220,
+            [value for _, value in fields[:_MAX_SERIES]],
+            limits=limits,
+        )
 
     def _add_plot(
         self,
@@ -435,26 +524,33 @@ class Page:
         worlds: Sequence[int] | None = None,
         limits: tuple[float, float] | None = None,
     ) -> tuple[Any, Sequence[PlottedValue], Sequence[int] | None]:
-        """An empty plot over the step: a named line for each value of each world, by default of the chosen world."""
-        lines = [{"label": name, "stroke": color, "width": 1.5} for name, color in zip(names, COLORS, strict=False)]
+        """An empty plot over the step: a named line for each value of each world, by default of the chosen
+        world."""
+        lines = [
+            {"label": name, "stroke": color, "width": 1.5} for name, color in zip(names, COLORS, strict=False)
+        ]
         scales: dict[str, Any] = {"x": {"time": False}}  # steps would be shown as dates
         if limits is not None:
             margin = 0.03 * (limits[1] - limits[0]) or 1.0
             scales["y"] = {"range": (limits[0] - margin, limits[1] + margin)}
         series: Any = ({"label": "step"}, *lines)
         room = (12, 8, 0, 0)  # px, above for the uppermost number
-        plot = self.server.gui.add_uplot((np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room)
+        plot = self.server.gui.add_uplot(
+            (np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room
+        )
         return plot, values, worlds
 
     def _turns_left(self, player: Player) -> bool:
-        """Whether a larger value of the range of A and D turns the robot to the left; begins the episode anew."""
+        """Whether a larger value of the range of A and D turns the robot to the left; begins the episode
+        anew."""
         robot = next(iter(player.env.world.robots), None)
         ranges = [field.name for field in player.reader.layout.action if not field.options][:2]
         if robot is None or not ranges:
             return False
         yaws = []
         for value in (1.0, -1.0):
-            frame, player.manual_values = player.begin(self.seed, self.episode), {ranges[0]: 1.0, ranges[-1]: value}
+            frame = player.begin(self.seed, self.episode)
+            player.manual_values = {ranges[0]: 1.0, ranges[-1]: value}
             while frame.ended_by is None and frame.time < _STEERING_TIME:
                 frame = player.step(by_hand=True)
             yaws.append(roll_pitch_yaw(frame.links[robot.name, robot.model.root][1])[2])
@@ -463,18 +559,30 @@ class Page:
 
     def _add_drive(self) -> None:
         gui, layout, hand = self.server.gui, self.panels[0].player.reader.layout, self._manual_input
-        gui.add_html(f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad works too.</div>")
+        gui.add_html(
+            f"<div style='padding:0.3em 1em;font-size:0.85em'>Keys: {html.escape(hand.help())}. A gamepad"
+            " works too.</div>"
+        )
         if self._playing and self.driven is None:
-            keep = gui.add_button("record this episode", hint="write the episode so far as a recording (.mcap) into the current folder")
+            keep = gui.add_button(
+                "record this episode",
+                hint="write the episode so far as a recording (.mcap) into the current folder",
+            )
             keep.on_click(lambda event: self._tasks.put(lambda: self._record(event.client)))
         for field in layout.action:
             if field.options:
                 group = gui.add_button_group(field.name, field.options)
-                group.on_click(lambda event, f=field: self._command(f.name, f.options.index(event.target.value)))
+                group.on_click(
+                    lambda event, f=field: self._command(f.name, f.options.index(event.target.value))
+                )
             else:
                 low, high, value = map(field.to_shown, (field.low, field.high, hand.base_values[field.name]))
-                slider = gui.add_slider(field.label, min=low, max=high, step=(high - low) / 200, initial_value=value)
-                slider.on_update(lambda event, f=field: self._command(f.name, f.from_shown(event.target.value)))
+                slider = gui.add_slider(
+                    field.label, min=low, max=high, step=(high - low) / 200, initial_value=value
+                )
+                slider.on_update(
+                    lambda event, f=field: self._command(f.name, f.from_shown(event.target.value))
+                )
         for name, bindings in list(hand.bindings.items())[:2]:
             for keys, sign in ((bindings[0].positive_keys, "+"), (bindings[0].negative_keys, "−")):
                 gui.add_button(f"press and hold: {name} {sign}").on_hold(
@@ -485,11 +593,20 @@ class Page:
         self._manual_input.base_values[name], self._waiting = float(value), False
 
     def _add_switches(self) -> None:
-        gui, useless = self.server.gui, set() if any(shown.player.shortest_paths() for shown in self.panels) else {"shortest path"}
-        self._switches = {what: gui.add_checkbox(what, on) for what, on in self.world.visible_parts.items() if what not in useless}
+        gui = self.server.gui
+        useless = set() if any(shown.player.shortest_paths() for shown in self.panels) else {"shortest path"}
+        self._switches = {
+            what: gui.add_checkbox(what, on)
+            for what, on in self.world.visible_parts.items()
+            if what not in useless
+        }
         for what, box in self._switches.items():
-            box.on_update(lambda event, what=what: self._tasks.put(lambda: self._set_visible(what, event.target.value)))
-        self._follows = gui.add_checkbox("camera follows the robot", follows_robot(self.panels[0].player.env.world))
+            box.on_update(
+                lambda event, what=what: self._tasks.put(lambda: self._set_visible(what, event.target.value))
+            )
+        self._follows = gui.add_checkbox(
+            "camera follows the robot", follows_robot(self.panels[0].player.env.world)
+        )
         self._continues = gui.add_checkbox("next episode after the end", True)
         dark = gui.add_checkbox("dark", False)
         dark.on_update(lambda _: self._theme(dark=dark.value))
@@ -553,11 +670,15 @@ class Page:
         self._update_texts()
 
     def _record(self, client: Any) -> None:
-        """Write the episode so far as a recording: the same actions from the same seed are the same episode."""
+        """Write the episode so far as a recording: the same actions from the same seed are the same
+        episode."""
         assert self.player is not None
         if self._recorded >= MAX_RECORDINGS:
             if client is not None:
-                client.add_notification("not recorded", f"this page has written {MAX_RECORDINGS} recordings; start `deepbots play` again")
+                client.add_notification(
+                    "not recorded",
+                    f"this page has written {MAX_RECORDINGS} recordings; start `deepbots play` again",
+                )
             return
         self._recorded += 1
         with closing(self.player.opened.player(ZERO)) as again:
@@ -633,7 +754,9 @@ class Page:
             if self._changed_at and time.monotonic() - self._changed_at > _DEBOUNCE_S:
                 self._changed_at = 0.0
                 self._run_or_stop(self._reload)
-            if self.player is not None and self.server.get_clients():  # while nobody looks, the world stands still
+            if (
+                self.player is not None and self.server.get_clients()
+            ):  # while nobody looks, the world stands still
                 self._run_or_stop(lambda: self._advance(period))
                 self._draw(texts=drawn % FRAMES_PER_TEXT == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - _MAX_STEPPING_S)
@@ -641,7 +764,12 @@ class Page:
 
     def _advance(self, period: float) -> None:
         """Make the steps that fall into the next picture."""
-        self._waiting = self._waiting and self.player is not None and self.player.driver_name == HAND and not self._manual_input.is_held
+        self._waiting = (
+            self._waiting
+            and self.player is not None
+            and self.player.driver_name == HAND
+            and not self._manual_input.is_held
+        )
         if self.paused or self._waiting:
             return
         if self._ended_at:
@@ -681,12 +809,16 @@ class Page:
 
     def _update_texts(self) -> None:
         states = "".join(self._state(number) for number in range(len(self.panels)))
-        self._banner.content = panel.notice(self._error_title, self._message, "#D55E00") if self._message else states
+        self._banner.content = (
+            panel.notice(self._error_title, self._message, "#D55E00") if self._message else states
+        )
         number, name = self._agent
         player = self.panels[number].player
         layout, frame = player.reader.layout, player.frame
         others = frame.agents.keys() - {name}
-        self._values.content = panel.table([*panel.agent_rows(layout, frame.agents[name]), *panel.message_rows(layout, frame, others)])
+        self._values.content = panel.table(
+            [*panel.agent_rows(layout, frame.agents[name]), *panel.message_rows(layout, frame, others)]
+        )
         if self._slider is not None:
             self._slider.value = min(player.frame.step, self._slider.max)
 
@@ -695,9 +827,14 @@ class Page:
         player = self.panels[number].player
         frame = player.frame
         agent = self._agent_in(frame)
-        state = (frame.ending or ("press a key to begin" if self._waiting else "running")) + (" (paused)" if self.paused else "")
+        state = (frame.ending or ("press a key to begin" if self._waiting else "running")) + (
+            " (paused)" if self.paused else ""
+        )
         state = f"{self._title(number)}: {state}" if self._compare else state
-        color = ("#009E73" if frame.is_success else "#E69F00" if frame.truncated else "#D55E00") if frame.ended_by else "#0072B2"
+        color = "#0072B2"
+        if frame.ended_by:
+            unsuccessful = "#E69F00" if frame.truncated else "#D55E00"
+            color = "#009E73" if frame.is_success else unsuccessful
         total = "" if player.reader.layout.of_robot else f", return {agent.episode_return:.2f}"
         numbers = f"episode {self.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""
@@ -706,11 +843,17 @@ class Page:
     def _score(self) -> str:
         if not self._playing:
             return ""
-        lines = [f"played {self._played}, successes {self._successes}" + (f", best return {self._best:.2f}" if self._played else "")]
+        lines = [
+            f"played {self._played}, successes {self._successes}"
+            + (f", best return {self._best:.2f}" if self._played else "")
+        ]
         if self._compared_player is not None:
             rival = self._compared_player.frame
             state = f" ({rival.ending} after {rival.time:.1f} s)" if rival.ended_by else ""
-            lines.append(f"{self._compared_player.driver_name}: {rival.agents[self._agent[1]].episode_return:.2f}{state}")
+            lines.append(
+                f"{self._compared_player.driver_name}:"
+                f" {rival.agents[self._agent[1]].episode_return:.2f}{state}"
+            )
         if self.driven is not None:
             lines.append(self.driven.note)
         return "".join(f"<br>{html.escape(line)}" for line in lines)
@@ -720,7 +863,11 @@ class Page:
         for plot, values, worlds in self._plots.values():
             lanes = [pasts[number] for number in worlds or [self._agent[0]]]
             steps = sorted(set[int]().union(*lanes))
-            rows = [[value(lane[step]) if step in lane else math.nan for step in steps] for lane in lanes for value in values]
+            rows = [
+                [value(lane[step]) if step in lane else math.nan for step in steps]
+                for lane in lanes
+                for value in values
+            ]
             plot.data = (np.array(steps, float), *map(np.array, rows))
 
     def _agent_in(self, frame: WorldFrame) -> AgentFrame:

@@ -1,4 +1,5 @@
-"""Pictures and clips: PNG, MP4 and GIF drawn by the engine, and offline pages drawn by viser in the reader's browser."""
+"""Pictures and clips: PNG, MP4 and GIF drawn by the engine, and offline pages drawn by viser in the reader's
+browser."""
 
 from __future__ import annotations
 
@@ -66,7 +67,9 @@ class Viewpoint:
         if self.eye is None and self.target is None:
             return usual
         target = self.target or usual.target
-        return replace(usual, eye=self.eye or frames.add(target, frames.subtract(usual.eye, usual.target)), target=target)
+        return replace(
+            usual, eye=self.eye or frames.add(target, frames.subtract(usual.eye, usual.target)), target=target
+        )
 
     def now(self, player: Player, usual: View) -> View:
         """The view of the newest frame, given the one of the whole scene.
@@ -92,11 +95,14 @@ def check_target(path: Path, suffixes: Sequence[str], *, force: bool) -> None:
 
     Raises:
         UsageError: Its name has another suffix, it exists, or its directory cannot be written to.
-        MissingExtraError: A video is wanted and imageio is not installed, or an offline page and viser is not.
+        MissingExtraError: A video is wanted and imageio is not installed, or an offline page and viser is
+            not.
     """
     kind = path.suffix.lower()
     if kind not in suffixes:
-        raise UsageError(f"{path} must end in {', '.join(suffixes[:-1])}{' or ' if suffixes[1:] else ''}{suffixes[-1]}")
+        raise UsageError(
+            f"{path} must end in {', '.join(suffixes[:-1])}{' or ' if suffixes[1:] else ''}{suffixes[-1]}"
+        )
     if kind == ".mp4" and (find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None):
         raise MissingExtraError("train", "writing a video")
     if kind == ".html" and find_spec("viser") is None:
@@ -108,22 +114,38 @@ def check_target(path: Path, suffixes: Sequence[str], *, force: bool) -> None:
 
 
 def render_picture(
-    player: Player, shot: Viewpoint, *, labels: bool = False, rays: bool = False, path: Sequence[WorldFrame] = ()
+    player: Player,
+    shot: Viewpoint,
+    *,
+    labels: bool = False,
+    rays: bool = False,
+    path: Sequence[WorldFrame] = (),
 ) -> Picture:
     """A picture of the world as it is now.
 
     Args:
-        labels: Whether to name the links of robots, each with the joint that moves it. Without `eye`, the view is on the robots.
+        labels: Whether to name the links of robots, each with the joint that moves it. Without `eye`, the
+            view is on the robots.
         rays: Whether to draw the rays of sensors, colored by what they read.
-        path: Frames of an episode. Paints the paths of what moves in it (`trajectories`). Without `eye`, the view is from above, or from
-            the side of a path that climbs.
+        path: Frames of an episode. Paints the paths of what moves in it (`trajectories`). Without `eye`, the
+            view is from above, or from the side of a path that climbs.
     """
     from PIL import Image, ImageDraw
 
     shown = PaintedPath.of(player, path) if path else None
     usual = overview(player.program, shot.width, shot.height)
-    usual = shown.view(player.env.world, shot) if shown else _on_robots(player, shot) if labels else usual
-    view = replace(shot.now(player, usual), width=_SUPERSAMPLING * shot.width, height=_SUPERSAMPLING * shot.height, samples=1)
+    if shown:
+        usual = shown.view(player.env.world, shot)
+    elif labels:
+        usual = _on_robots(player, shot)
+    else:
+        usual = usual
+    view = replace(
+        shot.now(player, usual),
+        width=_SUPERSAMPLING * shot.width,
+        height=_SUPERSAMPLING * shot.height,
+        samples=1,
+    )
     image = Image.fromarray(player.render(view))
     draw, project = ImageDraw.Draw(image, "RGBA"), projection(view)
     if rays:
@@ -151,7 +173,9 @@ def projection(view: View) -> Callable[[Triple], Point | None]:
     """The pixel (from the upper left corner) of a point in the world; None behind the camera."""
     ahead = np.subtract(view.target, view.eye) / math.dist(view.target, view.eye)
     left = np.cross((0.0, 0.0, 1.0), ahead)
-    left = np.array((0.0, 1.0, 0.0)) if np.linalg.norm(left) < 1e-9 else left / np.linalg.norm(left)  # straight down, up is x
+    left = (
+        np.array((0.0, 1.0, 0.0)) if np.linalg.norm(left) < 1e-9 else left / np.linalg.norm(left)
+    )  # straight down, up is x
     up = np.cross(ahead, left)
     scale = view.height / 2 / math.tan(view.fov / 2)
 
@@ -160,7 +184,9 @@ def projection(view: View) -> Callable[[Triple], Point | None]:
         depth = float(way @ ahead)
         if depth < 1e-3:
             return None
-        return view.width / 2 - scale * float(way @ left) / depth, view.height / 2 - scale * float(way @ up) / depth
+        return view.width / 2 - scale * float(way @ left) / depth, view.height / 2 - scale * float(
+            way @ up
+        ) / depth
 
     return project
 
@@ -173,12 +199,15 @@ def _on_robots(player: Player, shot: Viewpoint) -> View:
         boxes.append((frames.add(origin, low), frames.add(origin, high)))
     view = view_around(boxes, shot.width, shot.height)
     # Room for labels on both sides.
-    return replace(view, eye=frames.add(view.target, frames.scaled(frames.subtract(view.eye, view.target), 1.5)))
+    return replace(
+        view, eye=frames.add(view.target, frames.scaled(frames.subtract(view.eye, view.target), 1.5))
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class PaintedPath:
-    """What is painted of an episode: where the parts that move were, shape (n, 3), and the goals, by the names of the legend."""
+    """What is painted of an episode: where the parts that move were, shape (n, 3), and the goals, by the
+    names of the legend."""
 
     moving: Mapping[str, NDArray[np.float64]]
     goals: Mapping[str, NDArray[np.float64]]
@@ -191,28 +220,45 @@ class PaintedPath:
         agents = [agent for body, agent in moving.targets if not body]
         goals = {f"goal of {agent}" if len(agents) > 1 else "goal": positions["", agent] for agent in agents}
         names = [trajectories.describe(world, part) for part in moving.parts]
-        names = [name if names.count(name) == 1 else body for name, (body, _) in zip(names, moving.parts, strict=True)]
-        return PaintedPath({name: positions[part] for name, part in zip(names, moving.parts, strict=True)}, goals, path[-1])
+        names = [
+            name if names.count(name) == 1 else body
+            for name, (body, _) in zip(names, moving.parts, strict=True)
+        ]
+        return PaintedPath(
+            {name: positions[part] for name, part in zip(names, moving.parts, strict=True)}, goals, path[-1]
+        )
 
     def view(self, world: WorldModel, shot: Viewpoint) -> View:
-        """A view of the path, robots, arena, lines and objects nearby: from above, x upwards, or from the side of a path that climbs."""
-        ways = np.concatenate([points[~np.isnan(points[:, 0])] for points in (*self.moving.values(), *self.goals.values())])
+        """A view of the path, robots, arena, lines and objects nearby: from above, x upwards, or from the
+        side of a path that climbs."""
+        ways = np.concatenate(
+            [points[~np.isnan(points[:, 0])] for points in (*self.moving.values(), *self.goals.values())]
+        )
         boxes = [_bounds(ways), *(box for robot in world.robots for box in _boxes_of_robot(robot, self.last))]
         boxes += [_bounds([(x, y, 0.0) for x, y in line.points]) for line in world.lines]
         if world.arena is not None:
             x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
             boxes.append(((-x, -y, 0.0), (x, y, 0.0)))
         reach = _MAX_OBJECT_SHARE * max(box_sides(box_around(boxes)))
-        objects = [_box_of_object(thing, self.last) for thing in world.objects if (thing.name, thing.name) in self.last.links]
+        objects = [
+            _box_of_object(thing, self.last)
+            for thing in world.objects
+            if (thing.name, thing.name) in self.last.links
+        ]
         boxes += [box for box in objects if max(box_sides(box)) < reach]
-        wide, deep, climb = np.max([np.nanmax(points, axis=0) - np.nanmin(points, axis=0) for points in self.moving.values()], axis=0)
+        wide, deep, climb = np.max(
+            [np.nanmax(points, axis=0) - np.nanmin(points, axis=0) for points in self.moving.values()], axis=0
+        )
         if climb > _MIN_CLIMB * max(wide, deep):
             return view_around(boxes, shot.width, shot.height)
         low, high = np.array(boxes).transpose(1, 0, 2)
         (x, y, _), (x_end, y_end, _) = box_around(boxes)
-        middle, tall = ((x + x_end) / 2, (y + y_end) / 2, 0.0), math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _MARGIN_ABOVE
+        middle = ((x + x_end) / 2, (y + y_end) / 2, 0.0)
+        tall = math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _MARGIN_ABOVE
         away = np.maximum(np.maximum(high - middle, np.subtract(middle, low)), _MIN_HALF_SIDE_M)
-        height = float((np.maximum(away[:, 0], away[:, 1] * shot.height / shot.width) / tall + high[:, 2]).max())  # x is upwards
+        height = float(
+            (np.maximum(away[:, 0], away[:, 1] * shot.height / shot.width) / tall + high[:, 2]).max()
+        )  # x is upwards
         return View((middle[0], middle[1], height), middle, shot.width, shot.height)
 
 
@@ -240,7 +286,8 @@ def _rgba(number: int, opacity: int = 255) -> tuple[int, int, int, int]:
 
 
 def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], shown: PaintedPath) -> None:
-    """Each path, paler where it is older, with a ring at the start and a disc at the end; goals as crosses, their ways in dots."""
+    """Each path, paler where it is older, with a ring at the start and a disc at the end; goals as crosses,
+    their ways in dots."""
     radius = 5 * _SUPERSAMPLING
     for points in shown.goals.values():
         pixels = _pixels(project, points)
@@ -251,7 +298,11 @@ def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], show
             for width, color in ((6, _WHITE), (3, _GOAL)):
                 for side in (-1, 1):
                     reach = 1.4 * radius
-                    draw.line((x - reach, y - side * reach, x + reach, y + side * reach), fill=color, width=width * _SUPERSAMPLING)
+                    draw.line(
+                        (x - reach, y - side * reach, x + reach, y + side * reach),
+                        fill=color,
+                        width=width * _SUPERSAMPLING,
+                    )
     for number, points in enumerate(shown.moving.values()):
         pixels = _pixels(project, points)
         if not pixels:
@@ -260,14 +311,23 @@ def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], show
         draw.line(pixels, fill=(255, 255, 255, 150), width=6 * _SUPERSAMPLING)  # seen on any ground
         for step, ends in enumerate(pairwise(pixels)):
             share = 0.4 + 0.6 * step / len(pixels)
-            draw.line(ends, fill=tuple(map(int, share * full + (1 - share) * np.array(_WHITE))), width=3 * _SUPERSAMPLING)
+            draw.line(
+                ends,
+                fill=tuple(map(int, share * full + (1 - share) * np.array(_WHITE))),
+                width=3 * _SUPERSAMPLING,
+            )
         for (x, y), fill in ((pixels[0], _WHITE), (pixels[-1], _rgba(number))):
-            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=fill, outline=_rgba(number), width=2 * _SUPERSAMPLING)
+            draw.ellipse(
+                (x - radius, y - radius, x + radius, y + radius),
+                fill=fill,
+                outline=_rgba(number),
+                width=2 * _SUPERSAMPLING,
+            )
 
 
 def _pixels(project: Callable[[Triple], Point | None], points: NDArray[np.float64]) -> list[Point]:
-    found = [project((x, y, z)) for x, y, z in points.tolist() if not math.isnan(x)]
-    return [pixel for pixel in found if pixel is not None]
+    pixels = [project((x, y, z)) for x, y, z in points.tolist() if not math.isnan(x)]
+    return [pixel for pixel in pixels if pixel is not None]
 
 
 def _spaced(pixels: Sequence[Point], distance: float) -> Iterator[Point]:
@@ -281,14 +341,18 @@ def _spaced(pixels: Sequence[Point], distance: float) -> Iterator[Point]:
 
 def _write_legend(draw: ImageDraw, shown: PaintedPath) -> None:
     """The names of what moves and of the goals, each beside its color; none where a single thing moves."""
-    entries = [(name, _rgba(number)) for number, name in enumerate(shown.moving)] + [(name, _GOAL) for name in shown.goals]
+    entries = [(name, _rgba(number)) for number, name in enumerate(shown.moving)] + [
+        (name, _GOAL) for name in shown.goals
+    ]
     for row, (name, color) in enumerate(entries if len(entries) > 1 or "." in entries[0][0] else []):
         y = 8 + 18 * row
         _write(draw, (26, y), name)
         draw.ellipse((9, y + 2, 19, y + 12), fill=color, outline=_WHITE)
 
 
-def _paint_labels(draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Viewpoint) -> None:
+def _paint_labels(
+    draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Viewpoint
+) -> None:
     """Links, each with the joint that moves it, in two columns with lines to their origins."""
     columns: tuple[list[tuple[Point, str]], list[tuple[Point, str]]] = ([], [])
     for robot in player.env.world.robots[:1]:
@@ -339,7 +403,8 @@ def write_clip(
     rate: float = _MP4_FRAME_RATE,
     on_frame: Callable[[WorldFrame], object] = lambda frame: None,
 ) -> WorldFrame:
-    """Write an episode, or its first `seconds`, as MP4, GIF or an offline page, by the suffix of `path`; the last frame.
+    """Write an episode, or its first `seconds`, as MP4, GIF or an offline page, by the suffix of `path`; the
+    last frame.
 
     Args:
         speed: Seconds of the episode per second of the clip.
@@ -363,9 +428,15 @@ def write_clip(
 
 
 def _pictures(
-    player: Player, shot: Viewpoint, shown: Iterable[WorldFrame], speed: float, rate: float, on_frame: Callable[[WorldFrame], object]
+    player: Player,
+    shot: Viewpoint,
+    shown: Iterable[WorldFrame],
+    speed: float,
+    rate: float,
+    on_frame: Callable[[WorldFrame], object],
 ) -> tuple[Iterator[Any], float]:
-    """Pictures at most `rate` times a second, and how many there are in a second: every so many steps, at most each."""
+    """Pictures at most `rate` times a second, and how many there are in a second: every so many steps, at
+    most each."""
     every = max(1, math.ceil(speed / player.program.period / rate - 1e-9))
 
     def taken() -> Iterator[Any]:
@@ -381,7 +452,8 @@ def _pictures(
 def _write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
     import imageio.v2 as imageio
 
-    # Pictures of even height and width are all that the codec asks for; by default they would be scaled to multiples of 16.
+    # Pictures of even height and width are all that the codec asks for; by default they would be scaled to
+    # multiples of 16.
     writer: Any
     with imageio.get_writer(path, format="FFMPEG", fps=rate, macro_block_size=2, quality=7) as writer:
         for image in pictures:
@@ -393,15 +465,28 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
     from PIL import Image
 
     images = [Image.fromarray(image) for image in pictures]
-    pixels = np.concatenate([np.asarray(image)[::2, ::2].reshape(-1, 3) for image in images[:: max(1, len(images) // 8)]])
+    pixels = np.concatenate(
+        [np.asarray(image)[::2, ::2].reshape(-1, 3) for image in images[:: max(1, len(images) // 8)]]
+    )
     _, shades, counts = np.unique(pixels // _GIF_SHADE, axis=0, return_inverse=True, return_counts=True)
     means = np.stack([np.bincount(shades.ravel(), channel) / counts for channel in pixels.T], axis=1)
     # A robot is small: by counts of pixels, floor and sky would take its colors (a blue cart turned black).
-    sample = Image.fromarray(np.repeat(np.rint(means).astype(np.uint8), np.sqrt(counts).astype(int), axis=0)[None])
+    sample = Image.fromarray(
+        np.repeat(np.rint(means).astype(np.uint8), np.sqrt(counts).astype(int), axis=0)[None]
+    )
     palette = sample.quantize(_GIF_COLORS, method=Image.Quantize.MEDIANCUT, kmeans=2)
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     pause = [*[max(20, round(1000 / rate))] * (len(small) - 1), 1200]
-    small[0].save(path, format="GIF", save_all=True, append_images=small[1:], duration=pause, loop=0, optimize=True, disposal=1)
+    small[0].save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=small[1:],
+        duration=pause,
+        loop=0,
+        optimize=True,
+        disposal=1,
+    )
 
 
 def _write_page(player: Player, path: Path, shown: Iterator[WorldFrame], speed: float) -> None:

@@ -1,4 +1,5 @@
-"""Plots of trainings: returns, success rates, reward terms and endings over the timesteps, with a band over seeds."""
+"""Plots of trainings: returns, success rates, reward terms and endings over the timesteps, with a band over
+seeds."""
 
 from __future__ import annotations
 
@@ -17,9 +18,11 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.decline import Decline, decline_of
+from deepbots_cli.learning.directories import run_folders
 from deepbots_cli.learning.episodes import read_evaluations, read_log
 from deepbots_cli.learning.listing import teacher_of
-from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, EvaluationRecord, RunRecord, changed_settings, run_folders, short_settings
+from deepbots_cli.learning.records import EvaluationRecord, RunRecord, changed_settings, short_settings
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME
 from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.view.frames import COLORS
@@ -56,14 +59,16 @@ class StageStart(NamedTuple):
 
 @dataclass
 class TrainingLog:
-    """What is known of one training: curves; reward terms and shares of endings by name. `group` is the scenario with
-    its digest, and whether a recording teaches; `settings` are the values that `--set` changed, and `name` is what its line is called.
+    """What is known of one training: curves; reward terms and shares of endings by name. `group` is the
+    scenario with its digest, and whether a recording teaches; `settings` are the values that `--set` changed,
+    and `name` is what its line is called.
 
-    `stages` are those of a curriculum that have begun. A curve has a nan where one of them begins: the next stage is another task.
-    `model_steps` are the steps after which the model of `evaluation` was saved, None where this is not known.
-    `evaluation_stages` are those in which the policy acted in `evaluations`, empty for none. `teacher` is that of `teacher_of`, and
-    `lessons` are its curves: `agreement`, `weight` of the imitation loss, `driven_worlds` (their share), and its own `mean_return` and
-    `success_rate`, of a script from the starts of the evaluations.
+    `stages` are those of a curriculum that have begun. A curve has a nan where one of them begins: the next
+    stage is another task. `model_steps` are the steps after which the model of `evaluation` was saved, None
+    where this is not known. `evaluation_stages` are those in which the policy acted in `evaluations`, empty
+    for none. `teacher` is that of `teacher_of`, and `lessons` are its curves: `agreement`, `weight` of the
+    imitation loss, `driven_worlds` (their share), and its own `mean_return` and `success_rate`, of a script
+    from the starts of the evaluations.
     """
 
     path: Path
@@ -95,19 +100,29 @@ def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLo
         RunError: One is neither, is damaged, or holds no episode yet.
         MissingExtraError: TensorBoard is not installed.
     """
-    found = [_read_run(path, window) if folder_kind(path) is SourceKind.RUN else _read_tensorboard(path) for path in run_folders(paths)]
-    first = {log.group: log.path for log in reversed(found)}  # the first run of each scenario
-    # Scenarios of one name that differ are called after the folder of their first run or group, or its path if folders share a name.
-    folders = {group: path.parent if folder_kind(path.parent) is SourceKind.GROUP else path for group, path in first.items()}
+    logs = [
+        _read_run(path, window) if folder_kind(path) is SourceKind.RUN else _read_tensorboard(path)
+        for path in run_folders(paths)
+    ]
+    first = {log.group: log.path for log in reversed(logs)}  # the first run of each scenario
+    # Scenarios of one name that differ are called after the folder of their first run or group, or its path
+    # if folders share a name.
+    folders = {
+        group: path.parent if folder_kind(path.parent) is SourceKind.GROUP else path
+        for group, path in first.items()
+    }
     candidates = (
         {group: group.rpartition(" ")[0] for group in first},
         {group: path.name for group, path in folders.items()},
         {group: str(path) for group, path in first.items()},
     )
-    for log in found:
-        name = next((names[log.group] for names in candidates if list(names.values()).count(names[log.group]) == 1), log.group)
+    for log in logs:
+        name = next(
+            (names[log.group] for names in candidates if list(names.values()).count(names[log.group]) == 1),
+            log.group,
+        )
         log.name = f"{name} ({log.settings})" if log.settings and len(first) > 1 else name
-    return found
+    return logs
 
 
 def _read_run(path: Path, window: int) -> TrainingLog:
@@ -115,7 +130,9 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     teacher = teacher_of(path)
     recorded = "-recorded" if teacher == DEMONSTRATIONS_NAME else ""  # a recording is no part of the scenario
     settings = short_settings(changed_settings(record.command))
-    log = TrainingLog(path, f"{record.scenario} {record.digest}{recorded}", settings=settings, teacher=teacher)
+    log = TrainingLog(
+        path, f"{record.scenario} {record.digest}{recorded}", settings=settings, teacher=teacher
+    )
     episodes, evaluations = logs_of(path)
     if not len(episodes):
         raise RunError(f"{path} contains no finished episode yet; plot it later")
@@ -124,38 +141,57 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     endings = episodes.endings.astype(str)
     common = [name for name, _ in Counter(endings.tolist()).most_common(_MAX_COLORED_ENDINGS)]
     shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
-    log.endings = {name: _averaged(episodes, share.astype(float), window, log.stages) for name, share in shares.items() if share.any()}
+    log.endings = {
+        name: _averaged(episodes, share.astype(float), window, log.stages)
+        for name, share in shares.items()
+        if share.any()
+    }
     if quoted := quoted_evaluation(path, record):
         log.evaluation = quoted[1]
         best = record.result.best_model if record.result else None
         steps = quoted[1].model_steps if quoted[1].model_steps is not None or best is None else best.steps
         log.model_steps = None if steps is None else float(min(max(0, steps), log.returns[0][-1]))
-    log.successes = _averaged(episodes, episodes.successes, window, log.stages) if episodes.successes.any() else None
+    log.successes = (
+        _averaged(episodes, episodes.successes, window, log.stages) if episodes.successes.any() else None
+    )
     if evaluations:
         at = np.array([line["steps"] for line in evaluations])
-        means, rates = (np.array([fmean(line[name]) for line in evaluations]) for name in ("returns", "successes"))
+        means, rates = (
+            np.array([fmean(line[name]) for line in evaluations]) for name in ("returns", "successes")
+        )
         log.evaluations, log.evaluated_successes = (at, means), (at, rates)
         log.evaluation_stages = [line["stage"] for line in evaluations]
     log.decline = decline_of(path, record)
     scalars = scalars_of(path / "tensorboard")
-    finite = {tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()}
-    found = {tag: _with_breaks(curve, log.stages) for tag, curve in finite.items() if len(curve[0])}
-    log.terms = {tag.removeprefix("reward/"): curve for tag, curve in found.items() if tag.startswith("reward/")}
+    finite = {
+        tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()
+    }
+    curves = {tag: _with_breaks(curve, log.stages) for tag, curve in finite.items() if len(curve[0])}
+    log.terms = {
+        tag.removeprefix("reward/"): curve for tag, curve in curves.items() if tag.startswith("reward/")
+    }
     if teacher is not None:
-        log.lessons = {tag.removeprefix("teacher/"): curve for tag, curve in found.items() if tag.startswith("teacher/")}
+        log.lessons = {
+            tag.removeprefix("teacher/"): curve for tag, curve in curves.items() if tag.startswith("teacher/")
+        }
     return log
 
 
 def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
-    """When the stages of a training began: from its record, or else, while it goes on, with their first episode in `episodes`."""
-    done = {stage.name: float(max(0, min(stage.steps, 2**63))) for stage in record.result.stages} if record.result else {}
-    found: list[StageStart] = []
+    """When the stages of a training began: from its record, or else, while it goes on, with their first
+    episode in `episodes`."""
+    done = (
+        {stage.name: float(max(0, min(stage.steps, 2**63))) for stage in record.result.stages}
+        if record.result
+        else {}
+    )
+    starts: list[StageStart] = []
     for name in [name for name in dict.fromkeys([*done, *episodes.stages]) if name][:_MAX_STAGES]:
         own = episodes.steps[episodes.stages == name]
-        begun = (done.get(found[-1].name) or (own[0] if len(own) else None)) if found else 0.0
-        if begun is not None and (not found or begun >= found[-1].steps):
-            found.append(StageStart(name, float(begun)))
-    return found
+        begun = (done.get(starts[-1].name) or (own[0] if len(own) else None)) if starts else 0.0
+        if begun is not None and (not starts or begun >= starts[-1].steps):
+            starts.append(StageStart(name, float(begun)))
+    return starts
 
 
 def _read_tensorboard(path: Path) -> TrainingLog:
@@ -163,20 +199,28 @@ def _read_tensorboard(path: Path) -> TrainingLog:
     if not path.is_dir():
         raise RunError(f"{path} is neither a run nor a folder of TensorBoard files")
     scalars = scalars_of(path)
-    names = {"returns": "rollout/ep_rew_mean", "successes": "rollout/success_rate", "evaluations": "eval/mean_reward"}
+    names = {
+        "returns": "rollout/ep_rew_mean",
+        "successes": "rollout/success_rate",
+        "evaluations": "eval/mean_reward",
+    }
     if not scalars.keys() & names.values():
-        raise RunError(f"{path} is not a run, and its TensorBoard files hold none of {', '.join(names.values())}")
+        raise RunError(
+            f"{path} is not a run, and its TensorBoard files hold none of {', '.join(names.values())}"
+        )
     log = TrainingLog(path, f"{path.name} ")
     log.returns, log.successes, log.evaluations = (scalars.get(tag) for tag in names.values())
     return log
 
 
 def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
-    """The episodes of a training and its evaluations, both in order; a last line that is half written is left out.
+    """The episodes of a training and its evaluations, both in order; a last line that is half written is left
+    out.
 
-    Episodes are a record array with the timesteps at their end (`steps`), `returns`, `lengths`, `successes` (1 or 0), `endings`, `stages`
-    of the curriculum ("" without one), and `drawn`, the drawn values as JSON ("" without them). Evaluations are dictionaries of `steps`,
-    of the `stage` in which the policy acted, and of the `returns` and `successes` of their episodes.
+    Episodes are a record array with the timesteps at their end (`steps`), `returns`, `lengths`, `successes`
+    (1 or 0), `endings`, `stages` of the curriculum ("" without one), and `drawn`, the drawn values as JSON
+    ("" without them). Evaluations are dictionaries of `steps`, of the `stage` in which the policy acted, and
+    of the `returns` and `successes` of their episodes.
 
     Raises:
         RunError: A file is no regular file, too large, or damaged.
@@ -186,12 +230,16 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
     try:
         texts = ("ended_by", "stage", "drawn")
         numbers = [[float(row[name]) for name in names] for row in rows]
-        found = [(*each, *(row.get(name) or "" for name in texts)) for each, row in zip(numbers, rows, strict=True)]
-        if not all(math.isfinite(number) for each in numbers for number in each) or any(each[0] < 0 for each in numbers):
+        joined_rows = [
+            (*each, *(row.get(name) or "" for name in texts)) for each, row in zip(numbers, rows, strict=True)
+        ]
+        if not all(math.isfinite(number) for each in numbers for number in each) or any(
+            each[0] < 0 for each in numbers
+        ):
             raise ValueError("a number is not finite, or a step is negative")
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
-    return np.array(found, _EPISODE_COLUMNS).view(np.recarray), evaluations
+    return np.array(joined_rows, _EPISODE_COLUMNS).view(np.recarray), evaluations
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:
@@ -211,26 +259,39 @@ def scalars_of(path: Path) -> dict[str, Curve]:
         from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "reading TensorBoard files") from error
-    found: dict[str, list[tuple[float, float]]] = {}
+    scalars: dict[str, list[tuple[float, float]]] = {}
     for folder in sorted({file.parent for file in files}):
         events = EventAccumulator(str(folder), size_guidance={"scalars": 0})
         events.Reload()
         for tag in events.Tags()["scalars"]:
-            found.setdefault(tag, []).extend((float(event.step), event.value) for event in events.Scalars(tag))
-    return {tag: (np.array([s for s, _ in sorted(rows)]), np.array([v for _, v in sorted(rows)])) for tag, rows in found.items()}
+            scalars.setdefault(tag, []).extend(
+                (float(event.step), event.value) for event in events.Scalars(tag)
+            )
+    return {
+        tag: (np.array([s for s, _ in sorted(rows)]), np.array([v for _, v in sorted(rows)]))
+        for tag, rows in scalars.items()
+    }
 
 
 def _averaged(episodes: Any, values: NDArray[np.float64], window: int, stages: Sequence[StageStart]) -> Curve:
     """Means over so many episodes up to each, of each stage by itself."""
     pieces = []
-    for start, following in zip(stages or [StageStart("", 0.0)], [*stages[1:], StageStart("", np.inf)], strict=True):
+    for start, following in zip(
+        stages or [StageStart("", 0.0)], [*stages[1:], StageStart("", np.inf)], strict=True
+    ):
         # Worlds change over one by one: the last episodes of a stage end after the next one has begun.
-        mine = (episodes.stages == start.name) & (episodes.steps <= following.steps) if stages else np.full(len(values), True)
+        mine = (
+            (episodes.stages == start.name) & (episodes.steps <= following.steps)
+            if stages
+            else np.full(len(values), True)
+        )
         sums = np.concatenate([[0.0], np.cumsum(values[mine])])
         ends = np.arange(1, len(sums))
         begins = np.maximum(0, ends - window)
         pieces.append((episodes.steps[mine], (sums[ends] - sums[begins]) / (ends - begins)))
-    return _with_breaks((np.concatenate([at for at, _ in pieces]), np.concatenate([means for _, means in pieces])), stages)
+    return _with_breaks(
+        (np.concatenate([at for at, _ in pieces]), np.concatenate([means for _, means in pieces])), stages
+    )
 
 
 def _with_breaks(curve: Curve, stages: Sequence[StageStart]) -> Curve:
@@ -246,7 +307,8 @@ def _with_breaks(curve: Curve, stages: Sequence[StageStart]) -> Curve:
 def import_matplotlib() -> None:
     """Import matplotlib with its default settings.
 
-    It reads the file `matplotlibrc` of the current folder, which may be a stranger's: such a file can make it run LaTeX.
+    It reads the file `matplotlibrc` of the current folder, which may be a stranger's: such a file can make it
+    run LaTeX.
     """
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # what it does not know in such a file
     import matplotlib
@@ -255,7 +317,8 @@ def import_matplotlib() -> None:
 
 
 def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
-    """A figure of trainings: those of one scenario are one line, the mean of its seeds, with a band from the lowest to the highest seed.
+    """A figure of trainings: those of one scenario are one line, the mean of its seeds, with a band from the
+    lowest to the highest seed.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -273,7 +336,9 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     detailed = [members for members in groups.values() if any(log.terms or log.endings for log in members)]
     taught = [members for members in groups.values() if any(log.lessons for log in members)]
     below = 1 + math.ceil(len(taught) / 2)
-    figure = Figure(figsize=(10.0, 0.7 + 2.7 * (below + len(detailed))), layout="constrained", facecolor=THEMES[theme][0])
+    figure = Figure(
+        figsize=(10.0, 0.7 + 2.7 * (below + len(detailed))), layout="constrained", facecolor=THEMES[theme][0]
+    )
     axes = figure.subplots(below + len(detailed), 2, squeeze=False)
     returns, successes = axes[0]
     terms = [{term for log in members for term in log.terms} for members in detailed]
@@ -314,11 +379,17 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     return figure
 
 
-def _plot_group(returns: Axes, successes: Axes, members: Sequence[TrainingLog], number: int, *, is_only: bool) -> None:
+def _plot_group(
+    returns: Axes, successes: Axes, members: Sequence[TrainingLog], number: int, *, is_only: bool
+) -> None:
     """Returns and success rates of the trainings of a scenario, which is the only one or has this number."""
     name, color = members[0].name, COLORS[number]
     label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
-    style: dict[str, Any] = {"color": color, "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)], "label": label}
+    style: dict[str, Any] = {
+        "color": color,
+        "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)],
+        "label": label,
+    }
     plot_band(returns, [log.returns for log in members if log.returns is not None], style)
     plot_band(successes, [log.successes for log in members if log.successes is not None], style)
     plot_evaluations(returns, members, color)
@@ -352,12 +423,15 @@ def term_styles(logs: Sequence[TrainingLog]) -> dict[str, dict[str, Any]]:
 
 
 def ending_colors(logs: Sequence[TrainingLog]) -> dict[str, str]:
-    """The color of each ending, the same wherever it is drawn; the most frequent endings come first, and paler colors after the eighth."""
+    """The color of each ending, the same wherever it is drawn; the most frequent endings come first, and
+    paler colors after the eighth."""
     shares = Counter[str]()
     for log in logs:
         shares.update({name: float(np.nanmean(curve[1])) for name, curve in log.endings.items()})
     names = [name for name, _ in shares.most_common()]
-    return {name: _paler(COLORS[number % len(COLORS)], number // len(COLORS)) for number, name in enumerate(names)}
+    return {
+        name: _paler(COLORS[number % len(COLORS)], number // len(COLORS)) for number, name in enumerate(names)
+    }
 
 
 def _paler(color: str, rounds: int) -> str:
@@ -374,20 +448,26 @@ def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) ->
     rows = np.stack([np.interp(at, steps, values) for steps, values in curves])
     panel.plot(at, rows.mean(axis=0), linewidth=1.8, **style)
     if len(rows) > 1:
-        panel.fill_between(at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0)
+        panel.fill_between(
+            at, rows.min(axis=0), rows.max(axis=0), color=style["color"], alpha=0.22, linewidth=0
+        )
 
 
-def plot_evaluations(panel: Axes, logs: Sequence[TrainingLog], color: str, label: str = "", *, successes: bool = False) -> None:
-    """The evaluations during trainings: a dot each, and a mark of its own for each stage of a curriculum, which the legend names."""
+def plot_evaluations(
+    panel: Axes, logs: Sequence[TrainingLog], color: str, label: str = "", *, successes: bool = False
+) -> None:
+    """The evaluations during trainings: a dot each, and a mark of its own for each stage of a curriculum,
+    which the legend names."""
     names = list(dict.fromkeys(start.name for log in logs for start in log.stages))
-    found = [
+    evaluated = [
         (steps, value, name if name in names else "")
         for log in logs
-        if (curve := log.evaluated_successes if successes else log.evaluations) and not (successes and log.successes is None)
+        if (curve := log.evaluated_successes if successes else log.evaluations)
+        and not (successes and log.successes is None)
         for steps, value, name in zip(*curve, log.evaluation_stages or [""] * len(curve[0]), strict=True)
     ]
-    for name in dict.fromkeys(name for _, _, name in found):
-        steps, values = zip(*((at, value) for at, value, own in found if own == name), strict=True)
+    for name in dict.fromkeys(name for _, _, name in evaluated):
+        steps, values = zip(*((at, value) for at, value, own in evaluated if own == name), strict=True)
         mark = _MARKS[names.index(name) % len(_MARKS)] if name else _MARKS[0]
         text = f"evaluations in stage {name}" if name else label
         panel.plot(steps, values, mark, color=color, markersize=4, alpha=0.8, linestyle="none", label=text)
@@ -395,27 +475,37 @@ def plot_evaluations(panel: Axes, logs: Sequence[TrainingLog], color: str, label
 
 def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, color: str) -> None:
     """A diamond at the step of the evaluated model, in the panel of returns and of success rates."""
-    found = log.evaluation
-    if found is None or log.returns is None:
+    evaluation = log.evaluation
+    if evaluation is None or log.returns is None:
         return
     step = log.returns[0][-1] if log.model_steps is None else log.model_steps
-    for panel, value in ((returns, found.mean_return), (successes, found.success_rate if found.success_defined else None)):
+    for panel, value in (
+        (returns, evaluation.mean_return),
+        (successes, evaluation.success_rate if evaluation.success_defined else None),
+    ):
         if panel is not None and value is not None:
-            panel.plot(step, value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3)
+            panel.plot(
+                step, value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3
+            )
 
 
 DECLINE_COLOR = "#c0392b"
 
 
 def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog) -> None:
-    """Where a training fell apart: a line at the fall, and how far it fell, in the panel of the measure of the task."""
+    """Where a training fell apart: a line at the fall, and how far it fell, in the panel of the measure of
+    the task."""
     fall = log.decline
     panel = successes if fall is not None and fall.measure == "success_rate" else returns
     if fall is None or panel is None:
         return
     is_rate = fall.measure == "success_rate"
-    best, last = (f"{value:.0%}" if is_rate else f"{value:.4g}" for value in (fall.best_value, fall.last_value))
-    is_late = log.returns is not None and fall.since_steps > 0.7 * log.returns[0][-1]  # the text has no room at its right
+    best, last = (
+        f"{value:.0%}" if is_rate else f"{value:.4g}" for value in (fall.best_value, fall.last_value)
+    )
+    is_late = (
+        log.returns is not None and fall.since_steps > 0.7 * log.returns[0][-1]
+    )  # the text has no room at its right
     panel.axvline(fall.since_steps, color=DECLINE_COLOR, linewidth=1.2, linestyle="--")
     panel.annotate(
         f"got worse: {best} to {last}",
@@ -430,7 +520,8 @@ def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog)
 
 
 def plot_teacher(panel: Axes, logs: Sequence[TrainingLog], name: str, color: str, label: str) -> None:
-    """The score of the teacher, a dotted line for each training: `name` is `mean_return` or `success_rate`."""
+    """The score of the teacher, a dotted line for each training: `name` is `mean_return` or
+    `success_rate`."""
     for log in logs:
         if name in log.lessons:
             at, values = log.lessons[name]
@@ -462,17 +553,28 @@ def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colors: Mapping[str, 
     if not curves:
         return
     at, members = _common_steps(curves), [log.endings for log in logs if log.endings]
-    found = {
-        name: np.mean([np.interp(at, *endings[name]) if name in endings else np.zeros(len(at)) for endings in members], axis=0)
+    counts = {
+        name: np.mean(
+            [np.interp(at, *endings[name]) if name in endings else np.zeros(len(at)) for endings in members],
+            axis=0,
+        )
         for name in {name: None for endings in members for name in endings}
     }
-    names = sorted(found, key=lambda name: -np.nansum(found[name]))
-    panel.stackplot(at, [found[name] for name in names], labels=names, colors=[colors[name] for name in names], alpha=0.85, linewidth=0)
+    names = sorted(counts, key=lambda name: -np.nansum(counts[name]))
+    panel.stackplot(
+        at,
+        [counts[name] for name in names],
+        labels=names,
+        colors=[colors[name] for name in names],
+        alpha=0.85,
+        linewidth=0,
+    )
     panel.set_ylim(0, 1)
 
 
 def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str) -> tuple[int, list[str]]:
-    """A line where each stage of a curriculum began, and its name above the panel, or its number where the name has no room.
+    """A line where each stage of a curriculum began, and its name above the panel, or its number where the
+    name has no room.
 
     Each group of trainings has a row of names. Returns the number of rows, and what the numbers mean.
     """
@@ -492,9 +594,15 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
             text = name if fits else str(place + 1)
             key += [] if fits else [f"{place + 1} {name}"]
             panel.annotate(
-                text, (max(begin, low), 1.0), (2, 2 + _ROW_HEIGHT * rows), xycoords=("data", "axes fraction"), textcoords="offset points",
-                fontsize=7, color=color, parse_math=False,
-            ).set_in_layout(False)  # fmt: skip
+                text,
+                (max(begin, low), 1.0),
+                (2, 2 + _ROW_HEIGHT * rows),
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                fontsize=7,
+                color=color,
+                parse_math=False,
+            ).set_in_layout(False)
         rows += bool(first)
     return rows, list(dict.fromkeys(key))
 
@@ -510,7 +618,8 @@ def style_panel(
 ) -> float:
     """Style a panel; the height (inches) of its legend, which is below it and hides nothing.
 
-    `axes` are the names of its axes, by default timesteps below. `stages` are groups of trainings whose stages are marked.
+    `axes` are the names of its axes, by default timesteps below. `stages` are groups of trainings whose
+    stages are marked.
     """
     from matplotlib.ticker import EngFormatter
 
@@ -518,7 +627,12 @@ def style_panel(
     panel.set_facecolor(ground)
     rows, key = mark_stages(panel, stages, theme)
     panel.set_title(
-        textwrap.fill(title, _MAX_TITLE_LINE), fontsize=10, color=text, loc="left", pad=6 + _ROW_HEIGHT * rows, parse_math=False
+        textwrap.fill(title, _MAX_TITLE_LINE),
+        fontsize=10,
+        color=text,
+        loc="left",
+        pad=6 + _ROW_HEIGHT * rows,
+        parse_math=False,
     )  # a name may hold a $
     below, beside = axes or (f"timesteps; stage {', '.join(key)}" if key else "timesteps", "")
     panel.set_xlabel(textwrap.fill(below, _MAX_LINE), fontsize=9, color=text, parse_math=False)
@@ -545,13 +659,25 @@ def _legend_below(panel: Axes, theme: str) -> float:
     longest = max(len(line) for name in names for line in name.splitlines())
     columns = max(1, min(len(names), int(_PANEL_WIDTH / (0.5 + _LETTER_WIDTH * longest))))
     lines = max(name.count("\n") + 1 for name in names) * math.ceil(len(names) / columns)
-    room = 0.42 + 0.14 * panel.get_xlabel().count("\n")  # inches below the panel for numbers and name of the axis
+    room = 0.42 + 0.14 * panel.get_xlabel().count(
+        "\n"
+    )  # inches below the panel for numbers and name of the axis
     figure: Any = panel.figure
     place = panel.transAxes + ScaledTranslation(0.0, -room, figure.dpi_scale_trans)
     box = panel.legend(
-        handles, names, loc="upper left", bbox_to_anchor=(0.0, 0.0), bbox_transform=place, borderaxespad=0.0, ncols=columns,
-        fontsize=8, labelcolor=THEMES[theme][1], frameon=False, borderpad=0.0, columnspacing=1.2,
-    )  # fmt: skip
+        handles,
+        names,
+        loc="upper left",
+        bbox_to_anchor=(0.0, 0.0),
+        bbox_transform=place,
+        borderaxespad=0.0,
+        ncols=columns,
+        fontsize=8,
+        labelcolor=THEMES[theme][1],
+        frameon=False,
+        borderpad=0.0,
+        columnspacing=1.2,
+    )
     for label in box.get_texts():
         label.set_parse_math(False)
     return 0.08 + 0.16 * float(lines)

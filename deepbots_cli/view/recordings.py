@@ -1,7 +1,8 @@
 """Recordings: episodes as MCAP files, which Foxglove opens too.
 
     metadata `deepbots`           format, versions, engine, seed, driver, case and stage
-    attachments                   resolved.yaml and inputs/: the scenario, from which a recording is compiled when it is opened
+    attachments                   resolved.yaml and inputs/: the scenario, from which a recording is compiled
+                                  when it is opened
     /episode                      its number and its seed
     /tf                           foxglove.FrameTransforms: the pose of every link
     /scan/ROBOT.SENSOR            foxglove.LaserScan, or foxglove.PointCloud where the rays are no fan
@@ -11,7 +12,8 @@
     /world                        drawn values, joints, rays, readings, contacts, pushes, the ending
     /step                         the action in the action space, and hashes of the state
 
-All messages are JSON. Numbers that are not finite are null. Episodes follow each other with a second between them.
+All messages are JSON. Numbers that are not finite are null. Episodes follow each other with a second between
+them.
 """
 
 from __future__ import annotations
@@ -40,13 +42,22 @@ from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import FORMAT, Payloads
 from deepbots_cli.view.episodes import Player
-from deepbots_cli.view.frames import AgentFrame, FrameLayout, Image, LinkName, PlottedField, ReceivedMessage, SensorRays, WorldFrame
+from deepbots_cli.view.frames import (
+    AgentFrame,
+    FrameLayout,
+    Image,
+    LinkName,
+    PlottedField,
+    ReceivedMessage,
+    SensorRays,
+    WorldFrame,
+)
 
 NS_PER_S = 1_000_000_000
 """In ns, in which MCAP counts time."""
 MAX_DRIVEN_BYTES = 1 << 28
-"""Of all steps of `DrivenEpisodes` before compression, so that the recording stays below the limits of those that are read. Half an hour of
-CartPole, or two hours of FindBall."""
+"""Of all steps of `DrivenEpisodes` before compression, so that the recording stays below the limits of those
+that are read. Half an hour of CartPole, or two hours of FindBall."""
 _MESSAGE_OVERHEAD_BYTES = 100  # in memory, as for a recording that is read
 _MAX_SIDE = 1024
 _MAX_NUMBER = 1e9  # of a position in m, and of the time in s: one more cannot be drawn
@@ -72,7 +83,11 @@ def _stamp(time: int) -> dict[str, int]:
 def _packed(value: Any) -> dict[str, Any]:
     """An action, or a part of one, to the bit."""
     array = np.asarray(value)
-    return {"dtype": str(array.dtype), "rows": array.shape[0] if array.ndim == 2 else 0, "data": array.tobytes()}
+    return {
+        "dtype": str(array.dtype),
+        "rows": array.shape[0] if array.ndim == 2 else 0,
+        "data": array.tobytes(),
+    }
 
 
 def _hash(*parts: bytes) -> str:
@@ -94,7 +109,9 @@ class TopicEncoder:
     def __init__(self, player: Player) -> None:
         self._player = player
         env = player.env
-        moving = {robot.name: [joint.name for joint in robot.model.moving_joints] for robot in env.world.robots}
+        moving = {
+            robot.name: [joint.name for joint in robot.model.moving_joints] for robot in env.world.robots
+        }
         bodies = [*moving, *(thing.name for thing in env.world.objects)]
         self._velocities = [env.engine.velocity(body) for body in bodies]
         self._joints = [env.engine.joint_states(robot, joints) for robot, joints in moving.items() if joints]
@@ -160,7 +177,12 @@ class TopicEncoder:
             "random": _hash(json.dumps(player.env.random_state(), sort_keys=True).encode()),
         }
         action = {} if player.action is None else {name: _packed(value) for name, value in parts.items()}
-        return {"step": player.frame.step, "action": action, **hidden, "hash": _hash(*encoded.values(), *map(str.encode, hidden.values()))}
+        return {
+            "step": player.frame.step,
+            "action": action,
+            **hidden,
+            "hash": _hash(*encoded.values(), *map(str.encode, hidden.values())),
+        }
 
 
 def _names(fields: Iterable[PlottedField]) -> list[str]:
@@ -176,7 +198,8 @@ def _numbered(groups: Mapping[str, Sequence[float]]) -> dict[str, dict[str, floa
 
 
 def _fan(beams: SensorRays) -> tuple[Frame, float] | None:
-    """The frame of rays that lie in a plane at equal angles, the first along x, and the angle (rad) between two; None for others."""
+    """The frame of rays that lie in a plane at equal angles, the first along x, and the angle (rad) between
+    two; None for others."""
     starts, ways = beams.starts, beams.directions
     if len(ways) < 3 or not np.allclose(starts, starts[0]):
         return None
@@ -185,7 +208,9 @@ def _fan(beams: SensorRays) -> tuple[Frame, float] | None:
         return None
     normal = normal / np.linalg.norm(normal)
     angles = step * np.arange(len(ways))[:, None]
-    if not np.allclose(ways, np.cos(angles) * ways[0] + np.sin(angles) * np.cross(normal, ways[0]), atol=1e-6):
+    if not np.allclose(
+        ways, np.cos(angles) * ways[0] + np.sin(angles) * np.cross(normal, ways[0]), atol=1e-6
+    ):
         return None
     from scipy.spatial.transform import Rotation
 
@@ -193,15 +218,31 @@ def _fan(beams: SensorRays) -> tuple[Frame, float] | None:
     return (tuple(starts[0]), tuple(turn)), step
 
 
-def _scan(beams: SensorRays, fan: tuple[Frame, float] | None, free: Sequence[float], stamp: Any) -> dict[str, Any]:
+def _scan(
+    beams: SensorRays, fan: tuple[Frame, float] | None, free: Sequence[float], stamp: Any
+) -> dict[str, Any]:
     head = {"timestamp": stamp, "frame_id": "/".join(beams.part)}
     if fan is not None:
         pose, step = fan
-        return {**head, "pose": _pose(pose), "start_angle": 0.0, "end_angle": step * (len(free) - 1), "ranges": list(free),
-                "intensities": [0.0] * len(free)}  # fmt: skip
+        return {
+            **head,
+            "pose": _pose(pose),
+            "start_angle": 0.0,
+            "end_angle": step * (len(free) - 1),
+            "ranges": list(free),
+            "intensities": [0.0] * len(free),
+        }
     points = (beams.starts + np.array(free)[:, None] * beams.directions).astype("<f4")
-    fields = [{"name": axis, "offset": 4 * place, "type": 7} for place, axis in enumerate("xyz")]  # 7: FLOAT32
-    return {**head, "pose": _pose(frames.IDENTITY_FRAME), "point_stride": 12, "fields": fields, "data": points.tobytes()}
+    fields = [
+        {"name": axis, "offset": 4 * place, "type": 7} for place, axis in enumerate("xyz")
+    ]  # 7: FLOAT32
+    return {
+        **head,
+        "pose": _pose(frames.IDENTITY_FRAME),
+        "point_stride": 12,
+        "fields": fields,
+        "data": points.tobytes(),
+    }
 
 
 def _png(image: Image) -> bytes:
@@ -214,14 +255,21 @@ def _png(image: Image) -> bytes:
 
 def _type_of(topic: str, content: Mapping[str, Any]) -> str:
     kind = topic.split("/")[1]
-    types = {"tf": "FrameTransforms", "scan": "LaserScan" if "ranges" in content else "PointCloud", "image": "CompressedImage"}
+    types = {
+        "tf": "FrameTransforms",
+        "scan": "LaserScan" if "ranges" in content else "PointCloud",
+        "image": "CompressedImage",
+    }
     return f"foxglove.{types[kind]}" if kind in types else f"deepbots.{kind.capitalize()}"
 
 
 def _schema_of(value: Any, key: str = "") -> dict[str, Any]:
     """The JSON Schema of what such a value is."""
     if isinstance(value, dict):
-        return {"type": "object", "properties": {name: _schema_of(part, name) for name, part in value.items()}}
+        return {
+            "type": "object",
+            "properties": {name: _schema_of(part, name) for name, part in value.items()},
+        }
     if isinstance(value, list):
         return {"type": "array", "items": _schema_of(value[0]) if value else {"type": "number"}}
     if key == "data":
@@ -302,10 +350,11 @@ def record(
 
 
 class DrivenEpisodes:
-    """The episodes that a person drives from the reset to the end, in a file that is complete after each of them.
+    """The episodes that a person drives from the reset to the end, in a file that is complete after each of
+    them.
 
-    They are numbered from 0 in the order in which they ended, since a person may drive one start twice. `ends` holds their last frames.
-    The encoded episodes stay in memory, up to `MAX_DRIVEN_BYTES`.
+    They are numbered from 0 in the order in which they ended, since a person may drive one start twice.
+    `ends` holds their last frames. The encoded episodes stay in memory, up to `MAX_DRIVEN_BYTES`.
     """
 
     def __init__(self, player: Player, path: Path, seed: int) -> None:
@@ -323,7 +372,8 @@ class DrivenEpisodes:
         self._bytes, self._kept_bytes, self._has_unsaved = 0, 0, False
 
     def begin(self) -> None:
-        """Leave out the episode under way, and begin another one with its first frame, if the person drives."""
+        """Leave out the episode under way, and begin another one with its first frame, if the person
+        drives."""
         self._steps.clear()
         self._bytes = self._kept_bytes
         if self.player.driver_name == HAND and not self.is_full:
@@ -361,7 +411,9 @@ class DrivenEpisodes:
         """
         if not self._has_unsaved:
             return
-        mcap, stream = deepcopy((self._writer.mcap, self._stream))  # an MCAP file that is finished takes no more episodes
+        mcap, stream = deepcopy(
+            (self._writer.mcap, self._stream)
+        )  # an MCAP file that is finished takes no more episodes
         mcap.finish()
         with atomic_write(self.path) as draft:
             draft.write_bytes(stream.getbuffer())
@@ -373,7 +425,11 @@ class DrivenEpisodes:
         kept = f"{len(self.ends)} episode{'s' * (len(self.ends) != 1)} recorded in {self.path.name}"
         if self.is_full:
             return f"{kept}; it takes no more, since the next one goes beyond {MAX_DRIVEN_BYTES >> 20} MiB"
-        return kept if self.player.driver_name == HAND else f"{kept}; not this one, which {self.player.driver_name} drives"
+        return (
+            kept
+            if self.player.driver_name == HAND
+            else f"{kept}; not this one, which {self.player.driver_name} drives"
+        )
 
 
 def _metadata(player: Player, seed: int, digest: str) -> dict[str, str]:
@@ -394,11 +450,15 @@ def _metadata(player: Player, seed: int, digest: str) -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Of what an episode depends on."""
-    known = {"deepbots": deepbots_cli.__version__, "platform": platform.platform(), "python": platform.python_version()}
+    installed = {
+        "deepbots": deepbots_cli.__version__,
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+    }
     for name in ("gymnasium", "mujoco", "numpy", "pybullet"):
         with suppress(PackageNotFoundError):
-            known[name] = version(name)
-    return known
+            installed[name] = version(name)
+    return installed
 
 
 # What is read
@@ -415,35 +475,41 @@ def read_frame(topics: Payloads, layout: FrameLayout) -> WorldFrame:
     """A step as a frame.
 
     Raises:
-        msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError, RecursionError: It is not as
+        msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError,
+        RecursionError: It is not as
             `TopicEncoder` describes one.
     """
     decode = msgspec.json.decode
     world, links, messages, agents, cameras = decode(topics["/world"]), dict[LinkName, Frame](), {}, {}, {}
     for each in decode(topics["/tf"])["transforms"]:
-        links[_link(each["child_frame_id"])] = cast("Frame", (_floats(each["translation"], "xyz"), _floats(each["rotation"], "xyzw")))
+        links[_link(each["child_frame_id"])] = cast(
+            "Frame", (_floats(each["translation"], "xyz"), _floats(each["rotation"], "xyzw"))
+        )
     for name, model in layout.robots.items():
         for link in model.links:
             place, turn = links[name, link.name]
-            if not (all(abs(x) <= _MAX_NUMBER for x in place) and math.isclose(math.hypot(*turn), 1.0, rel_tol=1e-3)):
+            if not (
+                all(abs(x) <= _MAX_NUMBER for x in place)
+                and math.isclose(math.hypot(*turn), 1.0, rel_tol=1e-3)
+            ):
                 raise ValueError(link.name)
     for key, fields in layout.messages.items():
-        found = decode(topics[f"/message/{key}"])
-        values = tuple(None if value is None else float(value) for value in found["values"].values())
+        decoded = decode(topics[f"/message/{key}"])
+        values = tuple(None if value is None else float(value) for value in decoded["values"].values())
         if len(values) != len(fields):
             raise ValueError(key)
-        messages[key] = ReceivedMessage(values, float(found["age"]), bool(found["received"]))
+        messages[key] = ReceivedMessage(values, float(decoded["age"]), bool(decoded["received"]))
     for topic, payload in topics.items():
         if topic.startswith("/agent/"):
-            found = decode(payload)
-            action = _floats(found["action"], _names(layout.action))
+            decoded = decode(payload)
+            action = _floats(decoded["action"], _names(layout.action))
             agents[topic.removeprefix("/agent/")] = AgentFrame(
-                _floats(found["observation"], _names(layout.observation)),
+                _floats(decoded["observation"], _names(layout.observation)),
                 None if any(map(math.isnan, action)) else action,
-                float(found["reward"]),
-                float(found["episode_return"]),
-                dict(zip(layout.terms, _floats(found["terms"], layout.terms), strict=True)),
-                tuple(map(bool, found["allowed"].values())),
+                float(decoded["reward"]),
+                float(decoded["episode_return"]),
+                dict(zip(layout.terms, _floats(decoded["terms"], layout.terms), strict=True)),
+                tuple(map(bool, decoded["allowed"].values())),
             )
         elif topic.startswith("/image/"):
             cameras[topic.removeprefix("/image/")] = _picture(decode(payload)["data"])
@@ -451,16 +517,25 @@ def read_frame(topics: Payloads, layout: FrameLayout) -> WorldFrame:
         raise LookupError("agent")
     if not 0 <= float(world["time"]) <= _MAX_NUMBER:
         raise ValueError(world["time"])
-    rays = {key: _floats(world["rays"][key], [str(n) for n in range(len(beams.starts))]) for key, beams in layout.sensor_rays.items()}
+    rays = {
+        key: _floats(world["rays"][key], [str(n) for n in range(len(beams.starts))])
+        for key, beams in layout.sensor_rays.items()
+    }
     return WorldFrame(
         step=msgspec.convert(world["step"], int),
         time=float(world["time"]),
         links=links,
-        joints={name: _floats(world["joints"][name], _joints(layout, name)) for name in layout.robots if _joints(layout, name)},
+        joints={
+            name: _floats(world["joints"][name], _joints(layout, name))
+            for name in layout.robots
+            if _joints(layout, name)
+        },
         rays=rays,
         readings={key: _floats(values) for key, values in world["readings"].items()},
         forces={_link(key): float(force) for key, force in world["forces"].items() if _link(key) in links},
-        pushes=tuple((_link(key), cast("Triple", _floats(force, "xyz"))) for key, force in world["pushes"].items()),
+        pushes=tuple(
+            (_link(key), cast("Triple", _floats(force, "xyz"))) for key, force in world["pushes"].items()
+        ),
         variants=msgspec.convert(world["variants"], dict[str, str]),
         messages=messages,
         cameras=cameras,

@@ -21,7 +21,8 @@ from deepbots_cli.view.recordings import NS_PER_S, TopicEncoder, read_frame, ver
 
 
 class ReplayPlayer(Player):
-    """Plays a recording: frames come from the file, and the environment holds the world that they are drawn in."""
+    """Plays a recording: frames come from the file, and the environment holds the world that they are drawn
+    in."""
 
     _recorded: RecordedEpisode | LoggedEpisode
 
@@ -67,7 +68,10 @@ class ReplayPlayer(Player):
 
     def last_frames(self, count: int) -> list[WorldFrame]:
         """At most so many frames up to the present one."""
-        return [self._read(self._recorded.number, place) for place in range(max(0, self._place + 1 - count), self._place + 1)]
+        return [
+            self._read(self._recorded.number, place)
+            for place in range(max(0, self._place + 1 - count), self._place + 1)
+        ]
 
     def shortest_paths(self) -> list[list[tuple[float, float]]]:
         """Nothing: frames do not hold them."""
@@ -77,7 +81,9 @@ class ReplayPlayer(Player):
         engine = self.env.engine
         for robot in self.env.world.robots:
             engine.place(robot.name, *self.frame.links[robot.name, robot.model.root])
-            for joint, position in zip(robot.model.moving_joints, self.frame.joints.get(robot.name, ()), strict=False):
+            for joint, position in zip(
+                robot.model.moving_joints, self.frame.joints.get(robot.name, ()), strict=False
+            ):
                 engine.set_joint(robot.name, joint.name, position, 0.0)
         for thing in self.env.world.objects:
             if not thing.fixed and (thing.name, thing.name) in self.frame.links:
@@ -117,14 +123,20 @@ def observation_hash_at(recording: Recording, recorded: RecordedEpisode, place: 
 
 
 def verify(
-    recording: Recording, player: Player, on_episode: Callable[[int], object] = lambda done: None, *, tolerance: float = 0.0
+    recording: Recording,
+    player: Player,
+    on_episode: Callable[[int], object] = lambda done: None,
+    *,
+    tolerance: float = 0.0,
 ) -> Divergence | None:
-    """Run the episodes of a recording again, with its seeds and actions, and compare every step; None where all are the same.
+    """Run the episodes of a recording again, with its seeds and actions, and compare every step; None where
+    all are the same.
 
     Args:
         on_episode: Called after each episode with the number of episodes that are done.
-        tolerance: Numbers may differ by this, and by this share of them where they are larger than 1. 0 compares to the bit. Otherwise
-            hashes, images, contact forces, which jump, and the points of scans, which follow from the rays, are left out.
+        tolerance: Numbers may differ by this, and by this share of them where they are larger than 1. 0
+            compares to the bit. Otherwise hashes, images, contact forces, which jump, and the points of
+            scans, which follow from the rays, are left out.
 
     Raises:
         RecordingError: A step cannot be read.
@@ -146,12 +158,18 @@ def verify(
             new = describer.encode(time, recorded.number, recorded.seed)
             with damaged(recording.path):
                 for topic in sorted(new, key=_topic_rank):
-                    if topic.startswith("/image/") or new[topic] == old.get(topic) or (tolerance and topic.startswith("/scan/")):
+                    if (
+                        topic.startswith("/image/")
+                        or new[topic] == old.get(topic)
+                        or (tolerance and topic.startswith("/scan/"))
+                    ):
                         continue
-                    before, after = msgspec.json.decode(old.get(topic, b"{}")), msgspec.json.decode(new[topic])
+                    before = msgspec.json.decode(old.get(topic, b"{}"))
+                    after = msgspec.json.decode(new[topic])
                     if tolerance:
                         before, after = (
-                            {k: v for k, v in side.items() if k not in _EXACT_PARTS.get(topic, ())} for side in (before, after)
+                            {k: v for k, v in side.items() if k not in _EXACT_PARTS.get(topic, ())}
+                            for side in (before, after)
                         )
                     # Other programs write the same numbers in another way.
                     if difference := _difference(topic.removeprefix("/"), before, after, tolerance):
@@ -184,14 +202,26 @@ def _difference(where: str, recorded: Any, now: Any, tolerance: float) -> tuple[
     """The first part of a topic that differs, by its path, with its values; None where all are the same."""
     if isinstance(recorded, dict) and isinstance(now, dict):
         parts = [
-            (f"{where}.{key}" if "." in where or key != "transforms" else where, recorded.get(key, ""), now.get(key, ""))
+            (
+                f"{where}.{key}" if "." in where or key != "transforms" else where,
+                recorded.get(key, ""),
+                now.get(key, ""),
+            )
             for key in {**recorded, **now}
         ]
     elif isinstance(recorded, list) and isinstance(now, list) and len(recorded) == len(now):
-        names = [after.get("child_frame_id", place) if isinstance(after, dict) else place for place, after in enumerate(now)]
-        parts = [(f"{where} {name}", before, after) for name, before, after in zip(names, recorded, now, strict=True)]
+        names = [
+            after.get("child_frame_id", place) if isinstance(after, dict) else place
+            for place, after in enumerate(now)
+        ]
+        parts = [
+            (f"{where} {name}", before, after)
+            for name, before, after in zip(names, recorded, now, strict=True)
+        ]
     else:
         numbers = type(recorded) in (int, float) and type(now) in (int, float)
-        alike = recorded == now or (tolerance and numbers and abs(recorded - now) <= tolerance * max(1.0, abs(recorded), abs(now)))
+        alike = recorded == now or (
+            tolerance and numbers and abs(recorded - now) <= tolerance * max(1.0, abs(recorded), abs(now))
+        )
         return None if alike else (where, str(recorded)[:80], str(now)[:80])
     return next(filter(None, (_difference(*part, tolerance) for part in parts)), None)

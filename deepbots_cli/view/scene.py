@@ -1,7 +1,7 @@
 """The world in viser's scene: bodies are made once, and moved as frames say.
 
-Geometry is put below the frames of links, and only those frames move: a busy browser shows new poses at once and new geometry late.
-Links that fixed joints hold together are one node.
+Geometry is put below the frames of links, and only those frames move: a busy browser shows new poses at once
+and new geometry late. Links that fixed joints hold together are one node.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ Points = NDArray[np.float32]
 
 @lru_cache(maxsize=128)
 def triangles(mesh: Mesh) -> Any:
-    """The triangles of a mesh file, scaled, in m. They are kept: a world that begins again has the same meshes, of which each takes 0.5 s.
+    """The triangles of a mesh file, scaled, in m. They are kept: a world that begins again has the same
+    meshes, of which each takes 0.5 s.
 
     Raises:
         EngineError: The file has gone or changed, or cannot be read.
@@ -66,14 +67,16 @@ def triangles(mesh: Mesh) -> Any:
 
 
 def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
-    """For each link the first link of the links that fixed joints hold together, and the pose of the link in the frame of that one."""
+    """For each link the first link of the links that fixed joints hold together, and the pose of the link in
+    the frame of that one."""
     held = {joint.child for joint in model.joints if joint.type == "fixed"}
     heads = [link.name for link in model.links if link.name not in held]
     return {link: (head, pose) for head in heads for link, pose in objects.rigid_group(model, head).items()}
 
 
 def stroke_triangles(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
-    """A painted line as triangles just above the ground: a rectangle for each piece, longer by half a width at both ends."""
+    """A painted line as triangles just above the ground: a rectangle for each piece, longer by half a width
+    at both ends."""
     corners, half = [], line.width / 2
     for (x, y), (x_end, y_end) in line.pieces:
         length = math.hypot(x_end - x, y_end - y) or 1.0
@@ -85,7 +88,9 @@ def stroke_triangles(line: Line, height: float) -> tuple[Points, NDArray[np.int3
             (x_end + ax - ay, y_end + ay + ax),
         ]
     flat = np.array([(*corner, height) for corner in corners], np.float32)
-    faces = np.array([(4 * n, 4 * n + a, 4 * n + a + 1) for n in range(len(line.pieces)) for a in (1, 2)], np.int32)
+    faces = np.array(
+        [(4 * n, 4 * n + a, 4 * n + a + 1) for n in range(len(line.pieces)) for a in (1, 2)], np.int32
+    )
     return flat, faces
 
 
@@ -93,17 +98,22 @@ def _contour(relief: geometry.HeightGrid, above: float) -> Points:
     """Line segments (n, 2, 3) along every fifth row and column of a relief, a little above it."""
     rows, columns = relief.heights.shape
     points = relief.triangles()[0].reshape(rows, columns, 3) + np.array([0.0, 0.0, above])
-    parts = [np.stack([lines[:, :-1], lines[:, 1:]], 2) for lines in (points[::5], points.transpose(1, 0, 2)[::5])]
+    parts = [
+        np.stack([lines[:, :-1], lines[:, 1:]], 2) for lines in (points[::5], points.transpose(1, 0, 2)[::5])
+    ]
     return np.concatenate([part.reshape(-1, 2, 3) for part in parts]).astype(np.float32)
 
 
 def shaded_mesh(vertices: Any, faces: Any, color: Color) -> Any:
-    """A surface that is darker where it is lower: light alone hardly shows a hollow that is seen from above."""
+    """A surface that is darker where it is lower: light alone hardly shows a hollow that is seen from
+    above."""
     import trimesh
 
     heights = np.asarray(vertices)[:, 2]
     share = _MIN_BRIGHTNESS + (1.0 - _MIN_BRIGHTNESS) * (heights - heights.min()) / (np.ptp(heights) or 1.0)
-    return trimesh.Trimesh(vertices, faces, vertex_colors=(share[:, None] * _rgb(color)).astype(np.uint8), process=False)
+    return trimesh.Trimesh(
+        vertices, faces, vertex_colors=(share[:, None] * _rgb(color)).astype(np.uint8), process=False
+    )
 
 
 def wxyz(turn: frames.Quaternion) -> tuple[float, float, float, float]:
@@ -115,7 +125,8 @@ def _rgb(color: Color) -> tuple[int, int, int]:
 
 
 def aim_camera(server: viser.ViserServer, view: View) -> float:
-    """Light the scene, and look at it from a view until a person moves the camera; how far away (m) that is."""
+    """Light the scene, and look at it from a view until a person moves the camera; how far away (m) that
+    is."""
     camera, size = server.initial_camera, math.dist(view.eye, view.target)
     camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
     camera.near, camera.far = max(0.002, size / 200), 60 * size
@@ -125,7 +136,8 @@ def aim_camera(server: viser.ViserServer, view: View) -> float:
 
 
 class WorldScene:
-    """One world below the node `root`. `set_frame` gives it a frame, `draw` shows the world between the last two frames."""
+    """One world below the node `root`. `set_frame` gives it a frame, `draw` shows the world between the last
+    two frames."""
 
     def __init__(
         self,
@@ -137,7 +149,8 @@ class WorldScene:
         root: str = "/world",
         place: Triple = ZERO_VECTOR,
     ) -> None:
-        """`size` is the distance (m) from which the world is seen; marks are as large as it asks for. `place` is where its origin is."""
+        """`size` is the distance (m) from which the world is seen; marks are as large as it asks for. `place`
+        is where its origin is."""
         self._scene, self._layout, self._root, self._size, self._place = scene, layout, root, size, place
         self._anchor = scene.add_frame(root, show_axes=False, position=place)
         self.follows = False
@@ -149,7 +162,8 @@ class WorldScene:
         self._goals: dict[tuple[str, str], Any] = {}
         shown, hidden = ("rays", "contacts", "goal", "shortest path"), ("path", "names", "axes")
         self.visible_parts = dict.fromkeys(shown, True) | dict.fromkeys(hidden, False)
-        """What a person may show and hide. `shortest path` is that of `path_distance`, `path` the robot's or its end link's."""
+        """What a person may show and hide. `shortest path` is that of `path_distance`, `path` the robot's or
+        its end link's."""
         self._build_surroundings(world)
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
@@ -157,15 +171,22 @@ class WorldScene:
             self._build_object(thing.name, objects.forms_of(thing))
         line = np.zeros((1, 2, 3), np.float32)
         self._arrows = scene.add_arrows(
-            f"{root}/pushes", line, np.array([[230, 120, 0]], np.uint8), shaft_radius=0.006 * size, head_radius=0.016 * size,
-            head_length=0.03 * size, visible=False,
-        )  # fmt: skip
+            f"{root}/pushes",
+            line,
+            np.array([[230, 120, 0]], np.uint8),
+            shaft_radius=0.006 * size,
+            head_radius=0.016 * size,
+            head_length=0.03 * size,
+            visible=False,
+        )
         self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
         self._ways = self._add_lines(f"{root}/ways", line, visible=False)
         self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
         first = next((r for r in world.robots if not r.fixed_base), next(iter(world.robots), None))
         self._followed = (first.name, first.model.root) if first else None
-        self._traced = (first.name, first.model.end_link if first.fixed_base else first.model.root) if first else None
+        self._traced = (
+            (first.name, first.model.end_link if first.fixed_base else first.model.root) if first else None
+        )
         self._start = ZERO_VECTOR
         self._trail: list[tuple[float, float, float]] = []
         self._parts = list(self._nodes)
@@ -182,7 +203,9 @@ class WorldScene:
             if relief is not None:
                 surface = relief.with_at_most(_MAX_CELLS).triangles()
                 contour = _contour(relief.with_at_most(_MAX_CELLS), 0.001 * self._size)
-                self._add_lines(f"{root}/contour", contour, 110, thickness=1.0)  # a smooth relief of one color is hard to see
+                self._add_lines(
+                    f"{root}/contour", contour, 110, thickness=1.0
+                )  # a smooth relief of one color is hard to see
             else:
                 assert isinstance(world.terrain.shape, Mesh)  # all others are grids
                 solid = triangles(world.terrain.shape)
@@ -192,17 +215,40 @@ class WorldScene:
         elif world.ground is not None:
             color = world.ground.color or GROUND_COLOR
             cell = 10.0 ** math.floor(math.log10(max(self._size, 0.01) / 4))
-            width = 10 * cell * max(1, round(self._size / cell)) if world.arena is None else max(world.arena.size) + 4 * cell
+            width = (
+                10 * cell * max(1, round(self._size / cell))
+                if world.arena is None
+                else max(world.arena.size) + 4 * cell
+            )
             lines = tuple(int(0.88 * part) for part in _rgb(color))
             scene.add_grid(
-                f"{root}/ground", width, width, cell_size=cell, section_size=10 * cell, cell_color=lines, section_color=lines,
-                plane_color=_rgb(color), plane_opacity=light, position=(0.0, 0.0, -0.0002 * self._size),
-            )  # fmt: skip
+                f"{root}/ground",
+                width,
+                width,
+                cell_size=cell,
+                section_size=10 * cell,
+                cell_color=lines,
+                section_color=lines,
+                plane_color=_rgb(color),
+                plane_opacity=light,
+                position=(0.0, 0.0, -0.0002 * self._size),
+            )
         for number, line in enumerate(world.lines):
             points, faces = stroke_triangles(line, 0.0004 * self._size * (1 + 0.1 * number))
-            scene.add_mesh_simple(f"{root}/lines/{number}", points, faces, color=_rgb(line.color), side="double", cast_shadow=False)
+            scene.add_mesh_simple(
+                f"{root}/lines/{number}",
+                points,
+                faces,
+                color=_rgb(line.color),
+                side="double",
+                cast_shadow=False,
+            )
         for wall in objects.arena_walls(world.arena) if world.arena else ():
-            self._add(f"{root}/arena/{wall.name.replace(' ', '_')}", Geometry(wall.shape, wall.pose, wall.color), frames.IDENTITY_FRAME)
+            self._add(
+                f"{root}/arena/{wall.name.replace(' ', '_')}",
+                Geometry(wall.shape, wall.pose, wall.color),
+                frames.IDENTITY_FRAME,
+            )
 
     def _build_robot(self, name: str, model: RobotModel) -> None:
         groups = rigid_groups(model)
@@ -218,30 +264,50 @@ class WorldScene:
         part = (name, name)
         node = self._node(part)
         for form, thing in forms.items():
-            self._variants[name, form] = self._add(f"{node.name}/{form}", Geometry(thing.shape, Pose(), thing.color), frames.IDENTITY_FRAME)
+            self._variants[name, form] = self._add(
+                f"{node.name}/{form}", Geometry(thing.shape, Pose(), thing.color), frames.IDENTITY_FRAME
+            )
         self._label(part, name)
 
-    def _add_lines(self, name: str, points: Points, color: int = 0, *, thickness: float = 2.0, **options: Any) -> Any:
+    def _add_lines(
+        self, name: str, points: Points, color: int = 0, *, thickness: float = 2.0, **options: Any
+    ) -> Any:
         """Line segments (n, 2, 3), `thickness` in pixels."""
-        colors = np.full(points.shape, color, np.uint8)  # one color for all lines, later replaced by an array, would hide them
-        return self._scene.add_line_segments(name, points, colors, thickness=thickness, thickness_units="screen", **options)
+        colors = np.full(
+            points.shape, color, np.uint8
+        )  # one color for all lines, later replaced by an array, would hide them
+        return self._scene.add_line_segments(
+            name, points, colors, thickness=thickness, thickness_units="screen", **options
+        )
 
     def _path_of(self, part: LinkName) -> str:
-        return f"{self._root}/{'robots' if part[0] in self._layout.robots else 'objects'}/{part[0].replace('#', '_')}/{part[1]}"
+        kind = "robots" if part[0] in self._layout.robots else "objects"
+        return f"{self._root}/{kind}/{part[0].replace('#', '_')}/{part[1]}"
 
     def _node(self, part: LinkName) -> Any:
-        node = self._scene.add_frame(self._path_of(part), show_axes=False, axes_length=0.06 * self._size, axes_radius=0.002 * self._size)
+        node = self._scene.add_frame(
+            self._path_of(part),
+            show_axes=False,
+            axes_length=0.06 * self._size,
+            axes_radius=0.002 * self._size,
+        )
         self._nodes[part] = node
         return node
 
     def _label(self, part: LinkName, text: str) -> None:
-        self._labels.append(self._scene.add_label(f"{self._path_of(part)}/label", text, visible=False, anchor="bottom-center"))
+        self._labels.append(
+            self._scene.add_label(f"{self._path_of(part)}/label", text, visible=False, anchor="bottom-center")
+        )
 
     def _add(self, name: str, geometry: Geometry, within: frames.Frame) -> Any:
         """A shape at its place below a node."""
         scene, shape, color = self._scene, geometry.shape, geometry.color or _DEFAULT_COLOR
         place, turn = frames.compose(within, frames.frame(geometry.origin))
-        options: dict[str, Any] = {"position": place, "wxyz": wxyz(turn), "opacity": None if color[3] >= 0.99 else color[3]}
+        options: dict[str, Any] = {
+            "position": place,
+            "wxyz": wxyz(turn),
+            "opacity": None if color[3] >= 0.99 else color[3],
+        }
         match shape:
             case Box(size):
                 return scene.add_box(name, _rgb(color), size, **options)
@@ -257,7 +323,12 @@ class WorldScene:
             case Mesh():
                 solid = triangles(shape)
         return scene.add_mesh_simple(
-            name, np.asarray(solid.vertices, np.float32), np.asarray(solid.faces, np.int32), color=_rgb(color), side="double", **options
+            name,
+            np.asarray(solid.vertices, np.float32),
+            np.asarray(solid.faces, np.int32),
+            color=_rgb(color),
+            side="double",
+            **options,
         )
 
     # What a person chooses to see
@@ -279,12 +350,14 @@ class WorldScene:
         """Show `frame` from now on; `after_reset` says that nothing moves on from the frame before."""
         rows = np.full((len(self._parts), 7), np.nan)
         for row, part in enumerate(self._parts):
-            found = frame.links.get(part)
-            if found is not None:
-                rows[row, :3], rows[row, 3:] = found[0], wxyz(found[1])
+            pose = frame.links.get(part)
+            if pose is not None:
+                rows[row, :3], rows[row, 3:] = pose[0], wxyz(pose[1])
         self._rays_before = self._rays_now
         if self._layout.sensor_rays:
-            self._rays_now = np.concatenate([beams.lines(frame, key) for key, beams in self._layout.sensor_rays.items()])
+            self._rays_now = np.concatenate(
+                [beams.lines(frame, key) for key, beams in self._layout.sensor_rays.items()]
+            )
         if after_reset or self._frame is None:
             self._before, self._trail, self._rays_before = rows, [], self._rays_now
         else:
@@ -309,10 +382,15 @@ class WorldScene:
             node = self._nodes[self._parts[row]]
             node.position, node.wxyz = rows[row, :3], rows[row, 3:]
         self._sent = rows
-        # In the world frame, and not in that of the link: a busy browser shows new lines late, and then rays would reach through walls.
+        # In the world frame, and not in that of the link: a busy browser shows new lines late, and then rays
+        # would reach through walls.
         rays = self._rays_before + share * (self._rays_now - self._rays_before)
         if self._rays.visible and not np.array_equal(rays, self._rays_sent):
-            self._rays.points, self._rays.colors, self._rays_sent = rays[..., :3], rays[..., 3:].astype(np.uint8), rays
+            self._rays.points, self._rays.colors, self._rays_sent = (
+                rays[..., :3],
+                rays[..., 3:].astype(np.uint8),
+                rays,
+            )
         if self._followed is not None:
             x, y, _ = rows[self._parts.index(self._followed), :3] - self._start
             shift = frames.add(self._place, (-x, -y, 0.0)) if self.follows else self._place
@@ -338,9 +416,13 @@ class WorldScene:
         if force is not None:
             (part, push), strength = force, max(1e-9, float(np.linalg.norm(force[1])))
             at = np.array(frame.links.get(part, (ZERO_VECTOR,))[0])
-            self._arrows.points = np.array([[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32)
+            self._arrows.points = np.array(
+                [[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32
+            )
         self._arrows.visible = force is not None
-        self._show_lines(self._path, list(pairwise(self._trail)) if self.visible_parts["path"] else [], (70, 90, 200))
+        self._show_lines(
+            self._path, list(pairwise(self._trail)) if self.visible_parts["path"] else [], (70, 90, 200)
+        )
 
     def _mark_goal(self, frame: WorldFrame) -> None:
         """A point that is to be reached, and the one that is."""
@@ -352,7 +434,9 @@ class WorldScene:
             dot = self._goals.get((name, word))
             if dot is None:
                 path = f"{self._root}/{word}_{name.replace('#', '_')}"
-                dot = self._goals[name, word] = self._scene.add_icosphere(path, radius * self._size, color, opacity=0.6)
+                dot = self._goals[name, word] = self._scene.add_icosphere(
+                    path, radius * self._size, color, opacity=0.6
+                )
             dot.position, dot.visible = point, self.visible_parts["goal"]
 
     def _mark_contacts(self, frame: WorldFrame) -> None:
@@ -360,7 +444,10 @@ class WorldScene:
         for part in touching - self._dots.keys():
             model = self._layout.robots[part[0]]
             head, pose = rigid_groups(model)[part[1]]
-            name, radius = f"{self._path_of((part[0], head))}/touch_{part[1]}", 0.035 * math.dist(*robot_bounds(model))
-            self._dots[part] = self._scene.add_icosphere(name, radius, (225, 60, 40), opacity=0.5, position=pose[0], visible=False)
+            name = f"{self._path_of((part[0], head))}/touch_{part[1]}"
+            radius = 0.035 * math.dist(*robot_bounds(model))
+            self._dots[part] = self._scene.add_icosphere(
+                name, radius, (225, 60, 40), opacity=0.5, position=pose[0], visible=False
+            )
         for part, dot in self._dots.items():
             dot.visible = part in touching

@@ -1,13 +1,17 @@
 """The web server of a page: viser's, behind checks that it lacks.
 
-    Host       must be the host and port that the server listens on, so that no other site can reach it by a name of its own
+    Host       must be the host and port that the server listens on, so that no other site can reach it by a
+               name of its own
     Origin     of a web socket must be this server
-    token      asked for where the server listens beyond loopback, and where the page writes files; the first request carries it, a cookie
+    token      asked for where the server listens beyond loopback, and where the page writes files; the first
+               request carries it, a cookie
                keeps it
     paths      `/` is the page, `/drive` takes keys and gamepads; no file is served
-    messages   at most 1 MB; what cannot be read closes the connection and is not logged; a value that a control does not offer is ignored
+    messages   at most 1 MB; what cannot be read closes the connection and is not logged; a value that a
+               control does not offer is ignored
 
-viser has no place for such checks, so its websocket server is wrapped while a `ViserServer` is made. `viser` is pinned to 1.1 for this.
+viser has no place for such checks, so its websocket server is wrapped while a `ViserServer` is made. `viser`
+is pinned to 1.1 for this.
 """
 
 from __future__ import annotations
@@ -43,10 +47,12 @@ _MAX_NUMBER, _MAX_TEXT = 2**53, 1_000
 """Of the value of a control that has no limits of its own."""
 
 _CONTENT_SECURITY_POLICY = (
-    "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws: data: blob:; "
+    "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws:"
+    " data: blob:; "
     "frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
 )
-# Goes into viser's page: keys that are held, and gamepads, which viser lacks. It takes keys before viser does, whose camera would move.
+# Goes into viser's page: keys that are held, and gamepads, which viser lacks. It takes keys before viser
+# does, whose camera would move.
 _KEYS_SCRIPT = """<script>{
 const codes = new Set(CODES), held = new Set();
 let wire = null, last = "";
@@ -54,19 +60,24 @@ const key = e => {
   if (!codes.has(e.code) || e.ctrlKey || e.metaKey || e.altKey || e.target.closest?.("input, textarea, select")) return;
   e.stopImmediatePropagation(); e.preventDefault();
   e.type == "keydown" ? held.add(e.code) : held.delete(e.code); };
-addEventListener("keydown", key, true); addEventListener("keyup", key, true); addEventListener("blur", () => held.clear());
+addEventListener("keydown", key, true); addEventListener("keyup", key, true);
+addEventListener("blur", () => held.clear());
 setInterval(() => {
   const pad = [...(navigator.getGamepads?.() ?? [])].find(pad => pad);
   const axes = pad ? pad.axes.slice(0, 4).map(x => Math.abs(x) > 0.12 ? x : 0) : [];
   const now = [...held].join("+") + "|" + (axes.some(x => x) ? axes.map(x => x.toFixed(3)).join() : "");
   if (now == "|" && last == "|") return;
   if (!wire || wire.readyState > 1) wire = new WebSocket("/drive");
-  else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>""".replace("CODES", json.dumps(KEYS))
+  else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>""".replace(
+    "CODES", json.dumps(KEYS)
+)
 
-# All tabs fit in a row. In a window that is narrower than viser's limit (36em), its panel lies over the world; here it stands below.
+# All tabs fit in a row. In a window that is narrower than viser's limit (36em), its panel lies over the
+# world; here it stands below.
 _STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; } @media (max-width: 36em) {
   div:has(> .mantine-Paper-root[style*="fixed"]) { flex-direction: column !important; }
-  .mantine-Paper-root[style*="fixed"] { position: relative !important; flex-shrink: 0; width: 100% !important; max-height: 50% !important; }
+  .mantine-Paper-root[style*="fixed"] { position: relative !important; flex-shrink: 0; width: 100% !important;
+    max-height: 50% !important; }
   .mantine-Paper-root[style*="fixed"] [style*="width: 20em"] { width: 100% !important; }
   .mantine-Notifications-root { top: auto !important; bottom: 0.5em !important; }
   .mantine-Notification-description { display: none; } }</style>"""
@@ -74,15 +85,19 @@ _STYLE = """<style>[role=tab] { padding-inline: 0.5em !important; } @media (max-
 OnDrive = Callable[[Keys, Axes], None]
 
 
-def serve(host: str, port: int | None, label: str, on_drive: OnDrive, *, writes: bool = False) -> tuple[viser.ViserServer, str]:
-    """Start the server in a thread of its own; it and the address of the page, with the token where there is one.
+def serve(
+    host: str, port: int | None, label: str, on_drive: OnDrive, *, writes: bool = False
+) -> tuple[viser.ViserServer, str]:
+    """Start the server in a thread of its own; it and the address of the page, with the token where there is
+    one.
 
     Args:
         host: The address to listen on. Beyond loopback the page asks for a token.
         port: None takes the first free one from `FIRST_PORT` on, 0 any.
         label: The title of the page.
         on_drive: Called in the server's thread with the keys that are held and the axes of a gamepad.
-        writes: Whether the page can write files, so that it asks for a token on loopback too, which other users of the machine reach.
+        writes: Whether the page can write files, so that it asks for a token on loopback too, which other
+            users of the machine reach.
 
     Raises:
         UsageError: The host is unknown, or the port is in use.
@@ -100,7 +115,12 @@ def serve(host: str, port: int | None, label: str, on_drive: OnDrive, *, writes:
     with _guarded(host, token, on_drive), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
         server = viser.ViserServer(host, number, label=label, verbose=False)
     _check_updates(server)
-    shown = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    if host in ("0.0.0.0", "::"):
+        shown = socket.gethostname()
+    elif ":" in host:
+        shown = f"[{host}]"
+    else:
+        shown = host
     return server, f"http://{shown}:{server.get_port()}/" + (f"?token={token}" if token else "")
 
 
@@ -125,7 +145,8 @@ def _is_loopback(host: str) -> bool:
 
 
 def _check_updates(server: viser.ViserServer) -> None:
-    """Let a client change the value of a control only, to one that the control offers; viser takes any value of any of its attributes."""
+    """Let a client change the value of a control only, to one that the control offers; viser takes any value
+    of any of its attributes."""
     from viser._messages import GuiUpdateMessage
 
     gui: Any = server.gui
@@ -133,7 +154,11 @@ def _check_updates(server: viser.ViserServer) -> None:
 
     async def checked(client: int, message: Any) -> None:
         handle = gui._gui_input_handle_from_uuid.get(message.uuid)
-        if handle is not None and list(message.updates) == ["value"] and _is_offered(message.updates["value"], handle._impl):
+        if (
+            handle is not None
+            and list(message.updates) == ["value"]
+            and _is_offered(message.updates["value"], handle._impl)
+        ):
             await original(client, message)
 
     gui._websock_interface.unregister_handler(GuiUpdateMessage, original)
@@ -151,7 +176,9 @@ def _is_offered(value: object, control: Any) -> bool:
         low, high = (getattr(control.props, end, None) for end in ("min", "max"))
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _MAX_NUMBER:
             return False
-        slack = 1e-6 * abs(high - low) if low is not None and high is not None else 0.0  # of the steps of a slider
+        slack = (
+            1e-6 * abs(high - low) if low is not None and high is not None else 0.0
+        )  # of the steps of a slider
         return (low is None or value >= low - slack) and (high is None or value <= high + slack)
     return isinstance(value, str) and isinstance(control.value, str) and len(value) <= _MAX_TEXT
 
@@ -166,12 +193,24 @@ def _free_port(host: str, port: int | None) -> int:
                 probe.bind(address)
                 return int(probe.getsockname()[1])
         except (socket.gaierror, UnicodeError):
-            raise UsageError(f"there is no host '{host}'; use 127.0.0.1 for this machine only, or 0.0.0.0 for all its networks") from None
+            raise UsageError(
+                f"there is no host '{host}'; use 127.0.0.1 for this machine only, or 0.0.0.0 for all its"
+                " networks"
+            ) from None
         except OSError as error:
             if port is not None or error.errno != errno.EADDRINUSE:
-                reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({(error.strerror or '').lower()})"
-                raise UsageError(f"port {number} of {host} {reason}; choose another one with --port") from None
-    raise UsageError(f"the ports from {FIRST_PORT} to {FIRST_PORT + _MAX_PORTS - 1} are in use; choose another one with --port")
+                reason = (
+                    "is in use"
+                    if error.errno == errno.EADDRINUSE
+                    else f"cannot be used ({(error.strerror or '').lower()})"
+                )
+                raise UsageError(
+                    f"port {number} of {host} {reason}; choose another one with --port"
+                ) from None
+    raise UsageError(
+        f"the ports from {FIRST_PORT} to {FIRST_PORT + _MAX_PORTS - 1} are in use; choose another one with"
+        " --port"
+    )
 
 
 @contextlib.contextmanager
@@ -186,7 +225,9 @@ def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
 
     def guarded(handler: Any, host_: str, port: int, *, process_request: Any, **options: Any) -> Any:
         async def handle(connection: Any) -> None:
-            asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)  # rubbish from a client is no news
+            asyncio.get_running_loop().set_exception_handler(
+                lambda loop, context: None
+            )  # rubbish from a client is no news
             with contextlib.suppress(Exception):
                 if connection.request.path == "/drive":
                     async for text in connection:
@@ -212,13 +253,22 @@ def _check(request: Any, host: str, port: int, token: str, page: bytes, protocol
     path, _, query = request.path.partition("?")
     asked, origin = request.headers.get("Host", ""), request.headers.get("Origin")
     upgrade = request.headers.get("Upgrade", "").lower() == "websocket"
-    if not _may_be_called(asked, host, port) or origin not in (None, f"http://{asked}") or (upgrade and origin is None and token):
+    if (
+        not _may_be_called(asked, host, port)
+        or origin not in (None, f"http://{asked}")
+        or (upgrade and origin is None and token)
+    ):
         return _answer(403, "Forbidden", b"this page is served to its own address only\n")
     if token:
         cookie = f"deepbots-{port}={token}"
-        given = urllib.parse.parse_qs(query).get("token", [""])[0]
-        if secrets.compare_digest(given.encode(), token.encode()):
-            return _answer(302, "Found", b"", **{"Location": path, "Set-Cookie": f"{cookie}; Path=/; HttpOnly; SameSite=Strict"})
+        token_ = urllib.parse.parse_qs(query).get("token", [""])[0]
+        if secrets.compare_digest(token_.encode(), token.encode()):
+            return _answer(
+                302,
+                "Found",
+                b"",
+                **{"Location": path, "Set-Cookie": f"{cookie}; Path=/; HttpOnly; SameSite=Strict"},
+            )
         held = [part.strip() for part in request.headers.get("Cookie", "").split(";")]
         if not any(secrets.compare_digest(part.encode(), cookie.encode()) for part in held):
             return _answer(403, "Forbidden", b"open the address that deepbots printed, with its token\n")
@@ -233,7 +283,8 @@ def _check(request: Any, host: str, port: int, token: str, page: bytes, protocol
 
 
 def _may_be_called(asked: str, host: str, port: int) -> bool:
-    """Whether a Host header names this server. Beyond loopback, where the token counts, addresses and the name of the machine do too."""
+    """Whether a Host header names this server. Beyond loopback, where the token counts, addresses and the
+    name of the machine do too."""
     name, _, number = asked.rpartition(":")
     if number != str(port):
         return False
@@ -251,18 +302,19 @@ def _answer(status: int, reason: str, body: bytes, **headers: str) -> Response:
     from websockets.http11 import Response
 
     kind = "text/html; charset=utf-8" if status == 200 else "text/plain; charset=utf-8"
-    known = {
+    contents = {
         "Content-Type": kind,
         "Content-Length": str(len(body)),
         "Content-Security-Policy": _CONTENT_SECURITY_POLICY,
         "Cache-Control": "no-store",
     }
     safe = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Connection": "close"}
-    return Response(status, reason, Headers(known | safe | headers), body)
+    return Response(status, reason, Headers(contents | safe | headers), body)
 
 
 def _read_drive(text: Any) -> tuple[Keys, Axes]:
-    """The keys that are held and the axes of a gamepad, from -1 to 1, of a message `KeyW+KeyA|0.5,-1`; an axis that is no number is 0.
+    """The keys that are held and the axes of a gamepad, from -1 to 1, of a message `KeyW+KeyA|0.5,-1`; an
+    axis that is no number is 0.
 
     Raises:
         ValueError: It is no such message.
@@ -270,6 +322,6 @@ def _read_drive(text: Any) -> tuple[Keys, Axes]:
     if not isinstance(text, str) or len(text) > 300:
         raise ValueError(text)
     keys, _, axes = text.partition("|")
-    given = [float(part) for part in axes.split(",") if part]
-    values = tuple(0.0 if math.isnan(value) else min(1.0, max(-1.0, value)) for value in given)
+    numbers = [float(part) for part in axes.split(",") if part]
+    values = tuple(0.0 if math.isnan(value) else min(1.0, max(-1.0, value)) for value in numbers)
     return frozenset(filter(None, keys.split("+"))), values

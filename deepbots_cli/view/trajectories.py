@@ -1,8 +1,9 @@
 """Trajectories: what moves in an episode, and where it went, for pictures and reports.
 
-What moves is what the task is about: the bodies that the goal or a success reads, those that the reward reads, those that a failure or
-the observation reads, and then the other robots. A free robot moves as its root link. A robot with a fixed base moves as the links that
-the goal or a success reads, or else as the first link that the task reads and that moves, or else as the link that goes farthest.
+What moves is what the task is about: the bodies that the goal or a success reads, those that the reward
+reads, those that a failure or the observation reads, and then the other robots. A free robot moves as its
+root link. A robot with a fixed base moves as the links that the goal or a success reads, or else as the first
+link that the task reads and that moves, or else as the link that goes farthest.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
 
 Positions = Mapping[LinkName, NDArray[np.float64]]
-"""Where each link of each body was, step by step: shape (n, 3) in m, nan while it was absent. `("", agent)` is what an agent desires."""
+"""Where each link of each body was, step by step: shape (n, 3) in m, nan while it was absent. `("", agent)`
+is what an agent desires."""
 
 MAX_TRAJECTORIES = 8
 _MIN_EXTENT_M = 1e-3  # m; what goes less far stands still
@@ -30,7 +32,8 @@ _MIN_SHARE_OF_ROBOT = 0.1  # of the way of the link that goes farthest
 
 
 class Moving(NamedTuple):
-    """What is drawn of an episode: the parts that move, the one that the task is about first, and what they are to reach."""
+    """What is drawn of an episode: the parts that move, the one that the task is about first, and what they
+    are to reach."""
 
     parts: tuple[LinkName, ...]
     targets: tuple[LinkName, ...]
@@ -52,40 +55,60 @@ def read_positions(layout: FrameLayout, frames: Iterable[WorldFrame]) -> Positio
     rows = []
     for frame in frames:
         goals = {("", name): layout.goal_point(agent, "desired") for name, agent in frame.agents.items()}
-        rows.append({part: pose[0] for part, pose in frame.links.items()} | {part: point for part, point in goals.items() if point})
+        rows.append(
+            {part: pose[0] for part, pose in frame.links.items()}
+            | {part: point for part, point in goals.items() if point}
+        )
     absent = (np.nan,) * 3
-    return {part: np.array([row.get(part, absent) for row in rows]) for part in dict.fromkeys(part for row in rows for part in row)}
+    return {
+        part: np.array([row.get(part, absent) for row in rows])
+        for part in dict.fromkeys(part for row in rows for part in row)
+    }
 
 
 def find_moving(program: Program, world: WorldModel, episodes: Sequence[Positions]) -> Moving:
-    """What moves in at least one of these episodes of a program; `world` is that of the environment, with all copies of a robot."""
+    """What moves in at least one of these episodes of a program; `world` is that of the environment, with all
+    copies of a robot."""
     parts = dict.fromkeys(part for each in episodes for part in each)
     extents = {part: max(_extent(each[part]) for each in episodes if part in each) for part in parts}
     analysis = Analysis(program).ideal
     subjects = _subjects(program, analysis)
     found: list[LinkName] = []
-    named = {subject.body: None for subject in subjects} | {robot.name: None for robot in program.world.robots}
+    named = {subject.body: None for subject in subjects} | {
+        robot.name: None for robot in program.world.robots
+    }
     for body in named:
         mine = [subject for subject in subjects if subject.body == body]
         for robot in world.robots:
             if robot.name.partition("#")[0] == body:
                 found += _parts_of_robot(robot, mine, extents)
-        found += [(thing.name, thing.name) for thing in world.objects if thing.name.partition("#")[0] == body and not thing.fixed]
+        found += [
+            (thing.name, thing.name)
+            for thing in world.objects
+            if thing.name.partition("#")[0] == body and not thing.fixed
+        ]
     found = [part for part in dict.fromkeys(found) if part in extents]
     least = max(_MIN_EXTENT_M, _MIN_SHARE * max((extents[part] for part in found), default=0.0))
     moving = [part for part in found if extents[part] >= least] or found[:1]
     objects = {thing.name.partition("#")[0] for thing in world.objects}
     rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
-    failures = [value for value in program.endings if value.name in program.failures]  # they read walls that must not be touched
+    failures = [
+        value for value in program.endings if value.name in program.failures
+    ]  # they read walls that must not be touched
     avoided = {body for value in failures for body, _ in _read_by(analysis, value)} if rank else set()
     reached = {subject.body for subject in subjects if subject.rank == rank < 2} - avoided
-    standing = [(thing.name, thing.name) for thing in world.objects if thing.name.partition("#")[0] in reached]
-    targets = [part for part in extents if not part[0]] + [part for part in standing if part in extents and part not in moving]
+    standing = [
+        (thing.name, thing.name) for thing in world.objects if thing.name.partition("#")[0] in reached
+    ]
+    targets = [part for part in extents if not part[0]] + [
+        part for part in standing if part in extents and part not in moving
+    ]
     return Moving(tuple(moving[:MAX_TRAJECTORIES]), tuple(targets))
 
 
 def describe(world: WorldModel, part: LinkName) -> str:
-    """`block`, `epuck`, `panda.panda_hand` or `goal`; a copy of a robot or an object is called as the scenario calls it."""
+    """`block`, `epuck`, `panda.panda_hand` or `goal`; a copy of a robot or an object is called as the
+    scenario calls it."""
     body, link = (name.partition("#")[0] for name in part)
     robot = next((robot for robot in world.robots if robot.name.partition("#")[0] == body), None)
     return f"{body}.{link}" if robot is not None and robot.fixed_base else body or "goal"
@@ -98,8 +121,8 @@ def has_moved(points: NDArray[np.float64]) -> bool:
 
 def _extent(points: NDArray[np.float64]) -> float:
     """The diagonal of the box around positions, m."""
-    known = points[~np.isnan(points[:, 0])]
-    return float(np.linalg.norm(np.ptp(known, axis=0))) if len(known) else 0.0
+    drawn = points[~np.isnan(points[:, 0])]
+    return float(np.linalg.norm(np.ptp(drawn, axis=0))) if len(drawn) else 0.0
 
 
 def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
@@ -107,12 +130,17 @@ def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
     agent = program.agent
     endings = [(0 if ending.name in agent.success else 2, ending) for ending in program.endings]
     goals = [(0, agent.goal.achieved), (2, agent.goal.desired)] if agent.goal else []
-    values = [*goals, *endings, *((1, term) for term in agent.reward), *((2, entry.value) for entry in agent.observation)]
-    found: dict[tuple[str, str], _Subject] = {}
+    values = [
+        *goals,
+        *endings,
+        *((1, term) for term in agent.reward),
+        *((2, entry.value) for entry in agent.observation),
+    ]
+    subjects: dict[tuple[str, str], _Subject] = {}
     for rank, value in sorted(values, key=lambda ranked: ranked[0]):
         for both in _read_by(analysis, value):
-            found.setdefault(both, _Subject(*both, rank))
-    return list(found.values())
+            subjects.setdefault(both, _Subject(*both, rank))
+    return list(subjects.values())
 
 
 def _read_by(analysis: Analysis, value: Expression) -> Iterator[tuple[str, str]]:
@@ -132,7 +160,9 @@ def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:
             yield from (f"{sensor[0]}.{subject}" for subject in sensor[1].subjects)
 
 
-def _parts_of_robot(robot: RobotBody, subjects: Sequence[_Subject], extents: Mapping[LinkName, float]) -> list[LinkName]:
+def _parts_of_robot(
+    robot: RobotBody, subjects: Sequence[_Subject], extents: Mapping[LinkName, float]
+) -> list[LinkName]:
     """The links whose positions say where a robot went."""
     links = [link.name for link in robot.model.links]
     if not robot.fixed_base:
@@ -142,7 +172,11 @@ def _parts_of_robot(robot: RobotBody, subjects: Sequence[_Subject], extents: Map
     moving: dict[str, int] = {}
     for subject in subjects:
         driven = [joint.child for joint in robot.model.joints if joint.name == subject.part]
-        below = [subject.part] if subject.part in links else [link for child in driven for link in robot.model.links_below(child)]
+        below = (
+            [subject.part]
+            if subject.part in links
+            else [link for child in driven for link in robot.model.links_below(child)]
+        )
         link = max(below, key=lambda link: extents[robot.name, link], default=None)
         if link is not None and extents[robot.name, link] >= max(least, _MIN_EXTENT_M):
             moving.setdefault(link, subject.rank)

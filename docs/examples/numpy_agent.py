@@ -10,7 +10,8 @@ import deepbots_cli
 
 
 def episode(env: gymnasium.Env, weights: np.ndarray, seed: int) -> float:
-    """The return of an episode; the cart drives forward (0) where the weighted sum of the observation is positive."""
+    """The return of an episode; the cart drives forward (0) where the weighted sum of the observation is
+    positive."""
     observation, _ = env.reset(seed=seed)
     total, over = 0.0, False
     while not over:

@@ -22,7 +22,9 @@ def main(total_timesteps: int = 60_000, copies: int = 4, steps: int = 128, seed:
         vector_kwargs={"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP},
     )
     inputs, options = envs.single_observation_space.shape[0], int(envs.single_action_space.n)
-    actor = nn.Sequential(nn.Linear(inputs, 32), nn.Tanh(), nn.Linear(32, 32), nn.Tanh(), nn.Linear(32, options))
+    actor = nn.Sequential(
+        nn.Linear(inputs, 32), nn.Tanh(), nn.Linear(32, 32), nn.Tanh(), nn.Linear(32, options)
+    )
     critic = nn.Sequential(nn.Linear(inputs, 32), nn.Tanh(), nn.Linear(32, 32), nn.Tanh(), nn.Linear(32, 1))
     parameters = [*actor.parameters(), *critic.parameters()]
     optimizer = torch.optim.Adam(parameters, lr=learning_rate, eps=1e-5)

@@ -12,7 +12,8 @@ import deepbots_cli
 
 
 def main(total_timesteps: int = 40_000, folder: str | None = None) -> float:
-    """Train on the CartPole, and return the mean return of ten episodes; models and evaluations go to `folder`."""
+    """Train on the CartPole, and return the mean return of ten episodes; models and evaluations go to
+    `folder`."""
     make = partial(deepbots_cli.make, "cartpole")
     envs = VecMonitor(DummyVecEnv([make] * 4))
     evaluation = EvalCallback(
@@ -23,7 +24,9 @@ def main(total_timesteps: int = 40_000, folder: str | None = None) -> float:
         log_path=folder,
         verbose=0,
     )
-    model = PPO("MlpPolicy", envs, n_steps=64, batch_size=64, learning_rate=3e-3, gae_lambda=0.9, seed=0, device="cpu")
+    model = PPO(
+        "MlpPolicy", envs, n_steps=64, batch_size=64, learning_rate=3e-3, gae_lambda=0.9, seed=0, device="cpu"
+    )
     model.learn(total_timesteps, callback=evaluation)
     env = Monitor(make())
     score, _ = evaluate_policy(model, env, n_eval_episodes=10)

@@ -9,7 +9,8 @@ def main(steps: int = 500, copies: int = 4) -> dict[str, int]:
     envs = gymnasium.make_vec(
         "deepbots_cli.envs:deepbots/FindBall-v1",
         num_envs=copies,
-        vectorization_mode="sync",  # "async" runs each copy in a process of its own, for worlds whose steps take milliseconds
+        # "async" runs each copy in a process of its own, for worlds whose steps take milliseconds
+        vectorization_mode="sync",
         vector_kwargs={"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP},
     )
     envs.action_space.seed(0)

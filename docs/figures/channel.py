@@ -1,4 +1,5 @@
-"""Seven messages of a robot with a latency of 50 ms and a lost one, as the channel of the runtime delivers them."""
+"""Seven messages of a robot with a latency of 50 ms and a lost one, as the channel of the runtime delivers
+them."""
 
 from __future__ import annotations
 
@@ -20,7 +21,12 @@ def draw() -> str:
     def at(step: float) -> float:
         return LEFT + WIDTH * step
 
-    drawing.text((10, 24), f"timestep {1000 * TIMESTEP:g} ms, latency {1000 * LATENCY:g} ms, message {LOST} is lost, on_loss: hold", "soft")
+    drawing.text(
+        (10, 24),
+        f"timestep {1000 * TIMESTEP:g} ms, latency {1000 * LATENCY:g} ms, message {LOST} is lost, on_loss:"
+        " hold",
+        "soft",
+    )
     drawing.text((10, SENT + 4), "robot sends")
     drawing.text((10, TAKEN + 4), "supervisor has")
     for line in (SENT, TAKEN):
@@ -50,7 +56,13 @@ def draw() -> str:
         arrives = number + LATENCY / TIMESTEP
         share = (arrives - number) / (step - number)
         drawing.line(
-            [(at(number), SENT + 10), (at(arrives), SENT + 10 + share * (TAKEN - SENT - 20)), (at(step), TAKEN - 10)], "blue", arrow=True
+            [
+                (at(number), SENT + 10),
+                (at(arrives), SENT + 10 + share * (TAKEN - SENT - 20)),
+                (at(step), TAKEN - 10),
+            ],
+            "blue",
+            arrow=True,
         )
     middle = at(LOST) + WIDTH * 0.8, SENT + 10 + 0.32 * (TAKEN - SENT - 20)
     drawing.line([(at(LOST), SENT + 10), middle], "orange", dashed=True)

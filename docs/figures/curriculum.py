@@ -14,7 +14,9 @@ LEFT, TOP, WIDTH, HEIGHT = 60.0, 56.0, 550.0, 170.0
 
 
 def draw() -> str:
-    record = json.loads((ROOT / "docs" / "results" / "find_ball_random.json").read_text(encoding="utf-8"))["trainings"]["main"][SEED]
+    record = json.loads((ROOT / "docs" / "results" / "find_ball_random.json").read_text(encoding="utf-8"))[
+        "trainings"
+    ]["main"][SEED]
     names = [stage.name for stage in api.compile("find_ball_random").program.curriculum]
     hours, successes = record["curve"]["simulated_hours"], record["curve"]["success"]
     drawing = Drawing(640, 300, "The success rate of a training over the stages of its curriculum")
@@ -30,8 +32,14 @@ def draw() -> str:
         if begin:
             drawing.line([at(begin, 1.05), at(begin, 0)], "orange", dashed=True)
         drawing.text((at(begin, 0)[0] + 4, TOP - 30 + 16 * (number % 2)), name, "orange", code=True)
-    drawing.line([at(hour, rate) for hour, rate in zip(hours, successes, strict=True) if rate is not None], "blue")
+    drawing.line(
+        [at(hour, rate) for hour, rate in zip(hours, successes, strict=True) if rate is not None], "blue"
+    )
     for hour in (0.5, 1.0, 1.5, 2.0, 2.5):
         drawing.text((at(hour, 0)[0], TOP + HEIGHT + 20), f"{hour:g} h", "soft", anchor="middle")
-    drawing.text((LEFT, TOP + HEIGHT + 46), f"simulated hours; successes of the last training episodes, seed {SEED}", "soft")
+    drawing.text(
+        (LEFT, TOP + HEIGHT + 46),
+        f"simulated hours; successes of the last training episodes, seed {SEED}",
+        "soft",
+    )
     return drawing.svg()

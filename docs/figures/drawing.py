@@ -35,27 +35,47 @@ class Drawing:
         self._parts: list[str] = []
         self._colors: set[str] = set()
 
-    def line(self, points: Iterable[Point], color: str = "ink", *, dashed: bool = False, arrow: bool = False) -> None:
+    def line(
+        self, points: Iterable[Point], color: str = "ink", *, dashed: bool = False, arrow: bool = False
+    ) -> None:
         if arrow:
             self._colors.add(color)
         end = f' marker-end="url(#{color})"' if arrow else ""
-        self._parts.append(f'<polyline class="line {color}{" dashed" * dashed}" points="{_points(points)}"{end}/>')
+        self._parts.append(
+            f'<polyline class="line {color}{" dashed" * dashed}" points="{_points(points)}"{end}/>'
+        )
 
-    def polygon(self, points: Iterable[Point], color: str = "ink", *, fill: str = "", dashed: bool = False) -> None:
+    def polygon(
+        self, points: Iterable[Point], color: str = "ink", *, fill: str = "", dashed: bool = False
+    ) -> None:
         style = "" if fill else ' fill="none"'
-        self._parts.append(f'<polygon class="{color} {fill}{" dashed" * dashed}"{style} stroke-width="1.5" points="{_points(points)}"/>')
+        self._parts.append(
+            f'<polygon class="{color} {fill}{" dashed" * dashed}"{style} stroke-width="1.5"'
+            f' points="{_points(points)}"/>'
+        )
 
-    def circle(self, center: Point, radius: float, color: str = "ink", *, fill: str = "", dashed: bool = False) -> None:
+    def circle(
+        self, center: Point, radius: float, color: str = "ink", *, fill: str = "", dashed: bool = False
+    ) -> None:
         style = "" if fill else ' fill="none"'
         place = f'cx="{_number(center[0])}" cy="{_number(center[1])}" r="{_number(radius)}"'
-        self._parts.append(f'<circle class="{color} {fill}{" dashed" * dashed}"{style} stroke-width="1.5" {place}/>')
+        self._parts.append(
+            f'<circle class="{color} {fill}{" dashed" * dashed}"{style} stroke-width="1.5" {place}/>'
+        )
 
-    def box(self, left: float, top: float, width: float, height: float, color: str = "ink", *, fill: str = "solid") -> None:
+    def box(
+        self, left: float, top: float, width: float, height: float, color: str = "ink", *, fill: str = "solid"
+    ) -> None:
         style = "" if fill else ' fill="none"'
-        place = f'x="{_number(left)}" y="{_number(top)}" width="{_number(width)}" height="{_number(height)}" rx="5"'
+        place = (
+            f'x="{_number(left)}" y="{_number(top)}" width="{_number(width)}" height="{_number(height)}"'
+            ' rx="5"'
+        )
         self._parts.append(f'<rect class="{color} {fill}"{style} stroke-width="1.5" {place}/>')
 
-    def text(self, place: Point, text: str, color: str = "", *, anchor: str = "start", code: bool = False) -> None:
+    def text(
+        self, place: Point, text: str, color: str = "", *, anchor: str = "start", code: bool = False
+    ) -> None:
         style = " ".join(filter(None, [color, "code" if code else ""]))
         name = f' class="{style}"' if style else ""
         at = f'x="{_number(place[0])}" y="{_number(place[1])}" text-anchor="{anchor}"'
@@ -64,12 +84,23 @@ class Drawing:
     def svg(self) -> str:
         width, height = self._size
         heads = "".join(
-            f'<marker id="{color}" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="6" markerHeight="6" orient="auto">'
+            f'<marker id="{color}" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="6" markerHeight="6"'
+            ' orient="auto">'
             f'<path class="head-{color}" d="M0 0L8 4L0 8z"/></marker>'
             for color in sorted(self._colors)
         )
-        head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}" role="img">'
-        parts = [head, f"<title>{escape(self._title)}</title>", f"<style>{_STYLE}</style>", f"<defs>{heads}</defs>", *self._parts, "</svg>"]
+        head = (
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0'
+            f' {width} {height}" role="img">'
+        )
+        parts = [
+            head,
+            f"<title>{escape(self._title)}</title>",
+            f"<style>{_STYLE}</style>",
+            f"<defs>{heads}</defs>",
+            *self._parts,
+            "</svg>",
+        ]
         return "\n".join(parts) + "\n"
 
 

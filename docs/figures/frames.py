@@ -15,7 +15,8 @@ Triple = tuple[float, float, float]
 
 
 def _seen(point: Triple) -> Point:
-    """Isometric projection from the front, the left and above: x to the lower left, y to the lower right, z up."""
+    """Isometric projection from the front, the left and above: x to the lower left, y to the lower right, z
+    up."""
     x, y, z = point
     return ORIGIN[0] + SCALE * 0.87 * (y - x), ORIGIN[1] + SCALE * (0.5 * (x + y) - z)
 
@@ -39,7 +40,10 @@ def draw() -> str:
         drawing.text((_seen(axis)[0] + shift[0], _seen(axis)[1] + shift[1]), label, color)
     drawing.circle(_seen((0.0, 0.0, 0.0)), 4, "ink", fill="solid")
     x, y, z = left.origin.xyz
-    turned = [(x + ARC * sin(angle), y + 0.01, z + ARC * cos(angle)) for angle in (0.1 * step - 0.9 for step in range(19))]
+    turned = [
+        (x + ARC * sin(angle), y + 0.01, z + ARC * cos(angle))
+        for angle in (0.1 * step - 0.9 for step in range(19))
+    ]
     drawing.line([_seen(point) for point in turned], "ink", arrow=True)
     drawing.text((395, 200), f"joint {left.name}", code=True)
     drawing.text((395, 218), f"axis {' '.join(f'{part:g}' for part in left.axis)}", code=True)
@@ -56,7 +60,14 @@ def _wheel(drawing: Drawing, model: RobotModel, joint: Joint) -> None:
     x, y, z = joint.origin.xyz
     for side in (-0.5, 0.5):
         turns = [2 * pi * step / 48 for step in range(48)]
-        rim = [(x + tire.shape.radius * cos(turn), y + side * tire.shape.length, z + tire.shape.radius * sin(turn)) for turn in turns]
+        rim = [
+            (
+                x + tire.shape.radius * cos(turn),
+                y + side * tire.shape.length,
+                z + tire.shape.radius * sin(turn),
+            )
+            for turn in turns
+        ]
         drawing.polygon([_seen(point) for point in rim], "soft", fill="solid")
 
 
@@ -67,4 +78,6 @@ def _box(drawing: Drawing, center: Triple, size: Triple) -> None:
     left = ((1, 1, -1), (-1, 1, -1), (-1, 1, 1), (1, 1, 1))
     above = ((1, -1, 1), (1, 1, 1), (-1, 1, 1), (-1, -1, 1))
     for face in (front, left, above):
-        drawing.polygon([_seen((x + a * dx, y + b * dy, z + c * dz)) for a, b, c in face], "soft", fill="solid")
+        drawing.polygon(
+            [_seen((x + a * dx, y + b * dy, z + c * dz)) for a, b, c in face], "soft", fill="solid"
+        )

@@ -19,7 +19,11 @@ def draw() -> str:
     bottom = TOP + STEP * len(EPISODES) - 10
     drawing.text((10, 24), "90 % of the evaluated episodes succeed: the interval of the true success rate")
     for percent in range(50, 101, 10):
-        drawing.line([(at(percent / 100), TOP - 18), (at(percent / 100), bottom)], "ink" if percent == 90 else "soft", dashed=percent != 90)
+        drawing.line(
+            [(at(percent / 100), TOP - 18), (at(percent / 100), bottom)],
+            "ink" if percent == 90 else "soft",
+            dashed=percent != 90,
+        )
         drawing.text((at(percent / 100), bottom + 20), f"{percent} %", anchor="middle")
     for row, episodes in enumerate(EPISODES):
         y = TOP + STEP * row

@@ -15,10 +15,16 @@ def draw() -> str:
     (drive,) = program.agent.action
     (term,) = program.agent.reward
     drawing = Drawing(
-        340, 280, "The policy chooses an action from the observation; the world answers with a reward and the next observation"
+        340,
+        280,
+        "The policy chooses an action from the observation; the world answers with a reward and the next"
+        " observation",
     )
     middle = LEFT + WIDTH / 2
-    for top, color, name, what in ((ABOVE, "blue", "policy", "a neural network"), (BELOW, "green", "world", "cart, pole and physics")):
+    for top, color, name, what in (
+        (ABOVE, "blue", "policy", "a neural network"),
+        (BELOW, "green", "world", "cart, pole and physics"),
+    ):
         drawing.box(LEFT, top, WIDTH, HEIGHT, color)
         drawing.text((middle, top + 27), name, color, anchor="middle")
         drawing.text((middle, top + 47), what, anchor="middle")

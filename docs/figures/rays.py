@@ -38,12 +38,18 @@ def draw() -> str:
         drawing.line([_seen(x, y), _seen(*end)], "orange" if hit else "blue", dashed=not hit, arrow=not hit)
         if hit:
             drawing.circle(_seen(*end), 4, "orange", fill="solid-orange")
-        label = _seen(x + (reach + 0.013) * cos(yaw), y + (reach + 0.013) * sin(yaw)) if not hit else _seen(end[0] + 0.012, end[1])
+        label = (
+            _seen(x + (reach + 0.013) * cos(yaw), y + (reach + 0.013) * sin(yaw))
+            if not hit
+            else _seen(end[0] + 0.012, end[1])
+        )
         drawing.text((label[0], label[1] + 4), name, anchor="middle", code=True)
     drawing.line([_seen(wall, 0.1), _seen(wall, -0.1)], "ink")
     drawing.text((_seen(wall, 0.132)[0], _seen(wall, 0)[1] + 4), "wall")
     first = sensor.beams.rays[0].rpy[2]
-    drawing.text((20, 318), f"ps0 points {degrees(first):.1f} deg from x: negative angles go to the right", "soft")
+    drawing.text(
+        (20, 318), f"ps0 points {degrees(first):.1f} deg from x: negative angles go to the right", "soft"
+    )
     _table(drawing, sensor.beams.lookup.distance, sensor.beams.lookup.value)
     return drawing.svg()
 

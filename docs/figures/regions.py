@@ -25,14 +25,23 @@ TOP = 135.0
 
 
 def draw() -> str:
-    text = re.findall(r"```yaml fragment\n(.*?)```", (ROOT / "docs" / "resets.md").read_text(encoding="utf-8"), re.DOTALL)[0]
+    text = re.findall(
+        r"```yaml fragment\n(.*?)```", (ROOT / "docs" / "resets.md").read_text(encoding="utf-8"), re.DOTALL
+    )[0]
     compiled = api.compile(check(loads(f"deepbots: 1\nextends: cartpole\n{text}", base=ROOT / "scenarios")))
-    drawing = Drawing(640, 300, "Three starts from above: a cart, a ball in its region, and a group of crates")
+    drawing = Drawing(
+        640, 300, "Three starts from above: a cart, a ball in its region, and a group of crates"
+    )
     with closing(api.make(compiled, engine="mujoco")) as environment:
         for column, seed in enumerate(SEEDS):
             _, info = environment.reset(seed=seed)
             _start(drawing, (115.0 + 205.0 * column, TOP), environment, str(info["drawn"]["reset.layout"]))
-            drawing.text((115.0 + 205.0 * column, 24.0), f"seed {seed}: {info['drawn']['reset.layout']}", anchor="middle", code=True)
+            drawing.text(
+                (115.0 + 205.0 * column, 24.0),
+                f"seed {seed}: {info['drawn']['reset.layout']}",
+                anchor="middle",
+                code=True,
+            )
     drawing.line([(30, 262), (55, 262)], "green", dashed=True)
     drawing.text((62, 266), "region of the ball", "green")
     drawing.line([(230, 262), (255, 262)], "orange", dashed=True)
@@ -44,14 +53,20 @@ def draw() -> str:
 def _start(drawing: Drawing, center: Point, environment: Supervisor, layout: str) -> None:
     world = environment.scenario.world
     engine = next(iter(environment.agents.values())).engine
-    placed = {one.body: one for each in environment.scenario.reset.layouts if each.name == layout for one in each.placements}
+    placed = {
+        one.body: one
+        for each in environment.scenario.reset.layouts
+        if each.name == layout
+        for one in each.placements
+    }
 
     def seen(x: float, y: float) -> Point:
         return center[0] + SCALE * x, center[1] - SCALE * y
 
     def corners(x: float, y: float, dx: float, dy: float, yaw: float = 0.0) -> list[Point]:
         turned = [
-            (a * dx * cos(yaw) - b * dy * sin(yaw), a * dx * sin(yaw) + b * dy * cos(yaw)) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+            (a * dx * cos(yaw) - b * dy * sin(yaw), a * dx * sin(yaw) + b * dy * cos(yaw))
+            for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
         ]
         return [seen(x + u, y + v) for u, v in turned]
 
@@ -63,7 +78,9 @@ def _start(drawing: Drawing, center: Point, environment: Supervisor, layout: str
     if "ball" in placed and isinstance(spot := placed["ball"].spot, Region):
         (low_x, low_y), (high_x, high_y) = spot.low, spot.high
         drawing.polygon(
-            corners((low_x + high_x) / 2, (low_y + high_y) / 2, (high_x - low_x) / 2, (high_y - low_y) / 2), "green", dashed=True
+            corners((low_x + high_x) / 2, (low_y + high_y) / 2, (high_x - low_x) / 2, (high_y - low_y) / 2),
+            "green",
+            dashed=True,
         )
     for body in world.objects:
         (x, y, _), turn = engine.pose(body.name, body.name)()

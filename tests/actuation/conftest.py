@@ -18,7 +18,8 @@ Make = Callable[..., Supervisor]
 
 @pytest.fixture
 def rail() -> Iterator[Make]:
-    """The cart on a rail, whose motion the exact engine knows, with settings such as `robots.cart.actuators.motor.time_constant=20 ms`."""
+    """The cart on a rail, whose motion the exact engine knows, with settings such as
+    `robots.cart.actuators.motor.time_constant=20 ms`."""
     opened: list[Supervisor] = []
 
     def make(*overrides: str, engine: str = "exact", **motor: str) -> Supervisor:

@@ -1,4 +1,5 @@
-"""Arms that are told where to bring their hand: they get there, stay in their ranges, and open their fingers."""
+"""Arms that are told where to bring their hand: they get there, stay in their ranges, and open their
+fingers."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ def arm() -> Iterator[Make]:
         environment.close()
 
 
-def act(environment: Supervisor, reach: tuple[float, float, float], opening: float = -1.0, ticks: int = 1) -> None:
+def act(
+    environment: Supervisor, reach: tuple[float, float, float], opening: float = -1.0, ticks: int = 1
+) -> None:
     for _ in range(ticks):
         environment.step(np.array([*reach, opening], np.float32))
 
@@ -82,7 +85,9 @@ def test_without_an_attitude_only_the_place_counts(arm: Make):
     panda = arm(f"{HAND}}}")
     panda.reset(seed=0)
     act(panda, (-1.0, 0.5, 1.0), ticks=60)
-    assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(where((-1, 0.5, 1)), abs=1e-3)
+    assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(
+        where((-1, 0.5, 1)), abs=1e-3
+    )
 
 
 def test_what_is_out_of_reach_is_approached(arm: Make):
@@ -126,16 +131,23 @@ def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(arm: Make, rou
 
 
 def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_that_command(arm: Make):
-    spring = "robots.panda.actuators.hand={type: position_motor, joints: arm, stiffness: 500 N*m/rad, damping: 50 N*m*s/rad}"
+    spring = (
+        "robots.panda.actuators.hand={type: position_motor, joints: arm, stiffness: 500 N*m/rad,"
+        " damping: 50 N*m*s/rad}"
+    )
     steady = ("robots.panda.apply={hand: ready + 1e-9 rad * reach, grip: open}", "action.reach.range=-1 .. 1")
-    late, prompt = (arm(spring, *steady, f"messages.to_robot={{latency: {latency}}}") for latency in ("10 s", "0 s"))
+    late, prompt = (
+        arm(spring, *steady, f"messages.to_robot={{latency: {latency}}}") for latency in ("10 s", "0 s")
+    )
     found = []
     for panda in (late, prompt):
         panda.reset(seed=0)
         for _ in range(20):
             panda.step(0 * panda.action_space.sample())
         found.append([state[0] for state in panda.engine.joint_states("panda", JOINTS)()])
-    assert found[0] == pytest.approx(found[1], abs=1e-8)  # the solver stops at 1e-7; one finger follows the other
+    assert found[0] == pytest.approx(
+        found[1], abs=1e-8
+    )  # the solver stops at 1e-7; one finger follows the other
     assert found[0] != pytest.approx([0, -np.pi / 6, 0, -np.pi / 1.5, 0, np.pi / 2, np.pi / 4], abs=1e-4)
 
 

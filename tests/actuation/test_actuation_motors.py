@@ -1,4 +1,5 @@
-"""Motors of scenarios against closed forms: strength, delay, lag, limits, and what an episode draws of them."""
+"""Motors of scenarios against closed forms: strength, delay, lag, limits, and what an episode draws of
+them."""
 
 from __future__ import annotations
 
@@ -66,11 +67,28 @@ def test_an_acceleration_limit_gives_a_ramp(rail: Make):
 @pytest.mark.parametrize("kind", ["torque_motor", "velocity_motor"])
 def test_strength_multiplies_what_a_motor_exerts_whatever_the_substeps(rail: Make, substeps: int, kind: str):
     command = "drive * 10 N" if kind == "torque_motor" else "drive * 1000 m/s"
-    weak = rail(f"world.substeps={substeps}", *ENDLESS, f"robots.cart.apply.motor={command}", type=kind, strength="0.7")
-    full = rail(f"world.substeps={substeps}", *ENDLESS, f"robots.cart.apply.motor={command.replace('10 N', '7 N')}", type=kind)
+    weak = rail(
+        f"world.substeps={substeps}",
+        *ENDLESS,
+        f"robots.cart.apply.motor={command}",
+        type=kind,
+        strength="0.7",
+    )
+    full = rail(
+        f"world.substeps={substeps}",
+        *ENDLESS,
+        f"robots.cart.apply.motor={command.replace('10 N', '7 N')}",
+        type=kind,
+    )
     if kind == "velocity_motor":
         full.engine.close()
-        full = rail(f"world.substeps={substeps}", *ENDLESS, f"robots.cart.apply.motor={command}", type=kind, max_torque="7 N")
+        full = rail(
+            f"world.substeps={substeps}",
+            *ENDLESS,
+            f"robots.cart.apply.motor={command}",
+            type=kind,
+            max_torque="7 N",
+        )
     assert speeds(weak, 5) == pytest.approx(speeds(full, 5), rel=1e-12)
     torques = weak.engine.joint_torques("cart", ("slider",))
     assert torques()[0] == pytest.approx(7.0)
@@ -80,12 +98,20 @@ def test_strength_multiplies_the_spring_its_damper_and_its_limit(rail: Make):
     spring = {"type": "position_motor", "max_torque": "8 N"}
     apply = "robots.cart.apply.motor=drive * 0.2 m"
     weak = rail(*ENDLESS, apply, stiffness="50 N/m", damping="4 N*s/m", strength="0.5", **spring)
-    half = rail(*ENDLESS, apply, stiffness="25 N/m", damping="2 N*s/m", type="position_motor", max_torque="4 N")
+    half = rail(
+        *ENDLESS, apply, stiffness="25 N/m", damping="2 N*s/m", type="position_motor", max_torque="4 N"
+    )
     assert speeds(weak, 20) == pytest.approx(speeds(half, 20), rel=1e-12)
 
 
 def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rail: Make):
-    arm = rail(*ENDLESS, "robots.cart.apply.motor=drive * 0.3 m", type="position_motor", max_velocity="0.5 m/s", max_torque="100 kN")
+    arm = rail(
+        *ENDLESS,
+        "robots.cart.apply.motor=drive * 0.3 m",
+        type="position_motor",
+        max_velocity="0.5 m/s",
+        max_torque="100 kN",
+    )
     found = speeds(arm, 100)
     assert max(found) < 0.5 * 1.01
     assert arm.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-3)
@@ -103,7 +129,9 @@ def test_figures_are_drawn_once_per_episode_and_come_again_with_the_seed(rail: M
     figures = []
     for seed in (1, 2, 1):
         first = speeds(drawn, 8, seed=seed)
-        figures.append((*drive.strength, *drive.max_torque, drive.response.delay, drive.response.time_constant, first))
+        figures.append(
+            (*drive.strength, *drive.max_torque, drive.response.delay, drive.response.time_constant, first)
+        )
     assert figures[0] == figures[2] != figures[1]
     fresh = rail(
         *ENDLESS,
@@ -116,7 +144,9 @@ def test_figures_are_drawn_once_per_episode_and_come_again_with_the_seed(rail: M
 
 
 def test_a_drawn_strength_is_what_the_motor_then_exerts(rail: Make):
-    drawn = rail(*ENDLESS, "robots.cart.apply.motor=drive * 6 N", type="torque_motor", strength="uniform(0.2 .. 1)")
+    drawn = rail(
+        *ENDLESS, "robots.cart.apply.motor=drive * 6 N", type="torque_motor", strength="uniform(0.2 .. 1)"
+    )
     torques = drawn.engine.joint_torques("cart", ("slider",))
     for seed in range(5):
         drawn.reset(seed=seed)
@@ -145,7 +175,9 @@ def test_actuators_hold_while_the_world_settles(rail: Make):
     held = rail(ENDLESS[0], tilted, max_torque="100 kN")
     held.reset(seed=0)
     assert held.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.0, abs=1e-6)
-    spring = rail(ENDLESS[0], tilted, "robots.cart.apply.motor=drive * 1 m", type="position_motor", max_torque="100 kN")
+    spring = rail(
+        ENDLESS[0], tilted, "robots.cart.apply.motor=drive * 1 m", type="position_motor", max_torque="100 kN"
+    )
     spring.reset(seed=0)
     assert spring.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.0, abs=1e-3)
     let_go = rail(ENDLESS[0], tilted, "robots.cart.apply.motor=drive * 1 N", type="torque_motor")
@@ -155,10 +187,18 @@ def test_actuators_hold_while_the_world_settles(rail: Make):
 
 @pytest.mark.parametrize("target", ["1 m/s", "1 m"], ids=["velocity", "position"])
 @pytest.mark.parametrize(
-    "late", ["messages.to_robot={latency: 100 ms}", "messages.timing=delayed", "robots.cart.actuators.motor.delay=100 ms"]
+    "late",
+    [
+        "messages.to_robot={latency: 100 ms}",
+        "messages.timing=delayed",
+        "robots.cart.actuators.motor.delay=100 ms",
+    ],
 )
 def test_a_motor_holds_until_its_first_command_takes_effect(rail: Make, target: str, late: str):
-    command = (f"robots.cart.apply.motor=drive * {target}", "reset={joints: {cart.hinge: 45 deg, cart.slider: 0.3 m}}")
+    command = (
+        f"robots.cart.apply.motor=drive * {target}",
+        "reset={joints: {cart.hinge: 45 deg, cart.slider: 0.3 m}}",
+    )
     kind = {"1 m/s": "velocity_motor", "1 m": "position_motor"}[target]
     held = rail(ENDLESS[0], *command, late, type=kind, max_torque="100 kN")
     held.reset(seed=0)
@@ -167,7 +207,12 @@ def test_a_motor_holds_until_its_first_command_takes_effect(rail: Make, target: 
 
 
 def test_a_torque_motor_exerts_nothing_until_its_first_command_arrives(rail: Make):
-    limp = rail(*ENDLESS, "robots.cart.apply.motor=drive * 1 N", "messages.to_robot={latency: 100 ms}", type="torque_motor")
+    limp = rail(
+        *ENDLESS,
+        "robots.cart.apply.motor=drive * 1 N",
+        "messages.to_robot={latency: 100 ms}",
+        type="torque_motor",
+    )
     torque = limp.engine.joint_torques("cart", ("slider",))
     limp.reset(seed=0)
     found = []
@@ -178,10 +223,16 @@ def test_a_torque_motor_exerts_nothing_until_its_first_command_arrives(rail: Mak
 
 
 def test_the_target_of_a_spring_jumps_unless_the_scenario_bounds_how_fast_it_moves():
-    servo = ["robots.cart.apply.motor=drive * 0.2 m", "robots.cart.actuators.motor={type: position_motor, joint: slider}"]
+    servo = [
+        "robots.cart.apply.motor=drive * 0.2 m",
+        "robots.cart.actuators.motor={type: position_motor, joint: slider}",
+    ]
     spring = [*servo, "robots.cart.actuators.motor.stiffness=50 N/m"]
     assert "engine.position_motor(" in api.compile(RAIL, overrides=spring).code
-    assert "rates=(1.0,)" in api.compile(RAIL, overrides=[*spring, "robots.cart.actuators.motor.max_velocity=1 m/s"]).code
+    assert (
+        "rates=(1.0,)"
+        in api.compile(RAIL, overrides=[*spring, "robots.cart.actuators.motor.max_velocity=1 m/s"]).code
+    )
     assert "rates=(100.0,)" in api.compile(RAIL, overrides=servo).code
 
 
@@ -219,7 +270,9 @@ def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
 
 @pytest.mark.parametrize("given", ["20 N", "uniform(20 .. 30 N)"])
 def test_a_limit_beyond_that_of_the_robot_file_does_not_hold(given: str):
-    world = api.make(str(RAIL), overrides=[f"robots.cart.actuators.motor.max_torque={given}", *ENDLESS], engine="exact")
+    world = api.make(
+        str(RAIL), overrides=[f"robots.cart.actuators.motor.max_torque={given}", *ENDLESS], engine="exact"
+    )
     own = api.make(str(RAIL), overrides=list(ENDLESS), engine="exact")
     assert speeds(world, 3) == speeds(own, 3)
     world.close()
@@ -227,8 +280,13 @@ def test_a_limit_beyond_that_of_the_robot_file_does_not_hold(given: str):
 
 
 def test_a_limit_over_several_joints_tightens_those_that_allow_more():
-    program = api.compile("quadruped", overrides=["robots.dog.urdf=package://pybullet_data/a1/a1.urdf"]).program
+    program = api.compile(
+        "quadruped", overrides=["robots.dog.urdf=package://pybullet_data/a1/a1.urdf"]
+    ).program
     legs = program.robots[0].actuators[0]
     files = {joint.name: joint.limit.effort for joint in program.world.robots[0].model.moving_joints}
     assert isinstance(legs, Motor)
-    assert {files[name]: most for name, most in zip(legs.joints, legs.max_torque, strict=True)} == {20.0: 20.0, 55.0: 33.5}
+    assert {files[name]: most for name, most in zip(legs.joints, legs.max_torque, strict=True)} == {
+        20.0: 20.0,
+        55.0: 33.5,
+    }

@@ -53,7 +53,10 @@ def speeds(environment: Supervisor, ticks: int, seed: int = 0) -> list[tuple[flo
 @pytest.mark.parametrize("substeps", [1, 3, 8])
 @pytest.mark.parametrize("lasts", [0.04, 0.1, 0.033])
 def test_momentum_is_force_times_time_whatever_the_substeps(pushed: Make, substeps: int, lasts: float):
-    once = pushed(f"{{push: {{body: drone, force: 0.02 0 0 N, at: 50 ms, duration: {lasts} s}}}}", f"world.substeps={substeps}")
+    once = pushed(
+        f"{{push: {{body: drone, force: 0.02 0 0 N, at: 50 ms, duration: {lasts} s}}}}",
+        f"world.substeps={substeps}",
+    )
     found = speeds(once, 40)
     assert all(speed == pytest.approx((0, 0, 0), abs=1e-12) for speed in found[:5])
     assert found[5][0] > 0
@@ -82,7 +85,10 @@ def test_at_says_when_the_first_of_many_pushes_comes(pushed: Make):
 
 
 def test_pushes_are_drawn_anew_and_come_again_with_the_seed_after_any_past(pushed: Make):
-    gusts = "{gust: {body: drone, force: uniform(-10 -10 -10 .. 10 10 10 mN), every: uniform(30 .. 90 ms), duration: uniform(10 .. 30 ms)}}"
+    gusts = (
+        "{gust: {body: drone, force: uniform(-10 -10 -10 .. 10 10 10 mN), every: uniform(30 .. 90 ms),"
+        " duration: uniform(10 .. 30 ms)}}"
+    )
     used, fresh = pushed(gusts), pushed(gusts)
     speeds(used, 33, seed=4)
     first, again, other = speeds(used, 60, seed=7), speeds(fresh, 60, seed=7), speeds(fresh, 60, seed=8)
@@ -91,16 +97,21 @@ def test_pushes_are_drawn_anew_and_come_again_with_the_seed_after_any_past(pushe
 
 
 def test_another_disturbance_changes_no_draw_of_the_first(pushed: Make):
-    gust = "gust: {body: drone, force: uniform(-10 -10 0 .. 10 10 0 mN), every: uniform(50 .. 90 ms), duration: 20 ms}"
-    alone, both = (
-        pushed(f"{{{gust}}}"),
-        pushed(f"{{lift: {{body: drone, force: 0 0 1 mN, every: uniform(50 .. 90 ms), duration: 20 ms}}, {gust}}}"),
+    gust = (
+        "gust: {body: drone, force: uniform(-10 -10 0 .. 10 10 0 mN), every: uniform(50 .. 90 ms),"
+        " duration: 20 ms}"
+    )
+    alone = pushed(f"{{{gust}}}")
+    both = pushed(
+        f"{{lift: {{body: drone, force: 0 0 1 mN, every: uniform(50 .. 90 ms), duration: 20 ms}}, {gust}}}"
     )
     assert np.allclose(np.array(speeds(alone, 50))[:, :2], np.array(speeds(both, 50))[:, :2], atol=1e-9)
 
 
 def test_nothing_pushes_while_the_world_settles(pushed: Make):
-    settled = pushed("{push: {body: drone, force: 0 0.01 0 N, at: 0 s, duration: 10 ms}}", "reset.settle=0.5 s")
+    settled = pushed(
+        "{push: {body: drone, force: 0 0.01 0 N, at: 0 s, duration: 10 ms}}", "reset.settle=0.5 s"
+    )
     assert settled.reset(seed=0)
     assert settled.engine.velocity("drone")()[0] == pytest.approx((0, 0, 0), abs=1e-12)
     assert speeds(settled, 3)[-1][1] == pytest.approx(0.01 * 0.01 / MASS, rel=1e-3)
@@ -108,7 +119,8 @@ def test_nothing_pushes_while_the_world_settles(pushed: Make):
 
 def test_a_drawn_parameter_may_set_the_force_of_all_pushes_of_an_episode(pushed: Make):
     windy = pushed(
-        "{push: {body: drone, force: 'vector(wind, 0 N, 0 N)', every: 0.1 s, duration: 50 ms}}", "parameters.wind=uniform(1 .. 20 mN)"
+        "{push: {body: drone, force: 'vector(wind, 0 N, 0 N)', every: 0.1 s, duration: 50 ms}}",
+        "parameters.wind=uniform(1 .. 20 mN)",
     )
     found = speeds(windy, 40, seed=3)
     assert found[19][0] > 0

@@ -40,7 +40,9 @@ def test_a_lag_ends_at_the_command_and_then_has_nothing_to_do():
     assert response.advance() is None
 
 
-@pytest.mark.parametrize(("delay", "waits"), [(0.0, 0), (0.001, 1), (0.005, 1), (0.0051, 2), (0.020, 4), (0.3, 60)])
+@pytest.mark.parametrize(
+    ("delay", "waits"), [(0.0, 0), (0.001, 1), (0.005, 1), (0.0051, 2), (0.020, 4), (0.3, 60)]
+)
 def test_a_command_takes_effect_in_the_first_substep_that_begins_late_enough(delay: float, waits: int):
     response = Response(SUBSTEP, zero, delay=delay)
     response.send([1.0])
@@ -59,7 +61,9 @@ def test_a_delay_longer_than_a_tick_keeps_commands_in_order(substeps: int):
             found = response.advance()
             if found is not None:
                 changes[tick * substeps + k] = found[0]
-    assert changes == {tick * substeps + 3: float(tick) for tick in range(10) if tick * substeps + 3 < 10 * substeps}
+    assert changes == {
+        tick * substeps + 3: float(tick) for tick in range(10) if tick * substeps + 3 < 10 * substeps
+    }
 
 
 def test_a_rate_bounds_every_change_and_the_command_is_reached_exactly():

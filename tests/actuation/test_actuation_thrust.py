@@ -18,7 +18,10 @@ Make = Callable[..., Supervisor]
 MASS, GRAVITY, TURNING = 0.02572680943 + 4 * 0.0005, 9.81, 2.2e-5
 TICK = 0.01
 LEVEL = "reset={place: {drone: {z: 1 m}}}"
-PERFECT = "robots.drone.actuators.rotors={type: thrust, links: [prop_*], range: 0 .. 0.15 N, moment_constant: 16 mm, spin: 1}"
+PERFECT = (
+    "robots.drone.actuators.rotors={type: thrust, links: [prop_*], range: 0 .. 0.15 N,"
+    " moment_constant: 16 mm, spin: 1}"
+)
 BALANCED = PERFECT.replace("spin: 1", "spin: {prop_fl: 1, prop_fr: -1, prop_rl: -1, prop_rr: 1}")
 EXACT_HOVER = f"parameters.hover={MASS * GRAVITY / 4!r} N"
 
@@ -100,7 +103,11 @@ def test_rotors_stand_still_from_a_reset_to_the_first_command(drone: Make):
 
 
 def test_strength_is_drawn_for_each_rotor_and_multiplies_thrust_and_drag(drone: Make):
-    worn = drone("robots.drone.actuators.rotors.delay=0 ms", "robots.drone.actuators.rotors.time_constant=0 ms", EXACT_HOVER)
+    worn = drone(
+        "robots.drone.actuators.rotors.delay=0 ms",
+        "robots.drone.actuators.rotors.time_constant=0 ms",
+        EXACT_HOVER,
+    )
     worn.reset(seed=3)
     strengths = worn.robot_drone.drive_rotors.strength
     assert len(set(strengths)) == 4

@@ -28,8 +28,25 @@ PUSHED = str(Path(__file__).parents[1] / "data" / "scenarios" / "pushed.yaml")
 SHORTER = {PUSHED: ("truncation.max_time=4 s",), "quadruped": ("truncation.max_time=4 s",)}
 """Settings with which episodes end within 500 steps."""
 OTHERS = (
-    *("cartpole_continuous", "cartpole_long", "cartpole_wireless", "find_and_avoid_unmasked", "find_ball_as_printed", "find_ball_random"),
-    *("line_follower", "multi_cartpole", "panda_push", "panda_reach", "pit_escape_as_printed", "quadrotor", "quadruped", "tag", PUSHED),
+    *(
+        "cartpole_continuous",
+        "cartpole_long",
+        "cartpole_wireless",
+        "find_and_avoid_unmasked",
+        "find_ball_as_printed",
+        "find_ball_random",
+    ),
+    *(
+        "line_follower",
+        "multi_cartpole",
+        "panda_push",
+        "panda_reach",
+        "pit_escape_as_printed",
+        "quadrotor",
+        "quadruped",
+        "tag",
+        PUSHED,
+    ),
 )
 """With these, every shipped scenario that fits a batch."""
 
@@ -61,7 +78,13 @@ def assert_same(mine: Any, other: Any) -> None:
     np.testing.assert_array_equal(rows(mine), rows(other))
 
 
-def compare(name: str, worlds: int, steps: int, overrides: tuple[str, ...] = (), permissions: Permissions = Permissions()) -> int:
+def compare(
+    name: str,
+    worlds: int,
+    steps: int,
+    overrides: tuple[str, ...] = (),
+    permissions: Permissions = Permissions(),
+) -> int:
     """Step a batch beside single worlds; the number of episodes that ended."""
     compiled = api.compile(name, overrides=overrides, permissions=permissions)
     seeds = [100 + world for world in range(worlds)]
@@ -103,10 +126,12 @@ def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> N
 
 @pytest.mark.parametrize("start", ["level", "0.1"])
 def test_memories_of_apply_wait_for_late_messages_in_a_batch_too(start: str) -> None:
-    """Those with a received start begin with the first message, and all advance in the worlds that receive one."""
+    """Those with a received start begin with the first message, and all advance in the worlds that receive
+    one."""
     overrides = (
         'robots.cart.receive={level: "0.4 + time / s"}',
-        f"robots.cart.apply.wheels=accumulate(0.1 * drive, -1 .. 1, {start}) * wheel_speed + hold(level, level > 0.5) * wheel_speed",
+        f"robots.cart.apply.wheels=accumulate(0.1 * drive, -1 .. 1, {start}) * wheel_speed + hold(level,"
+        " level > 0.5) * wheel_speed",
         "messages.to_robot={latency: uniform(0 .. 100 ms) each step, order: arrival}",
     )
     assert compare("cartpole", worlds=3, steps=60, overrides=overrides) > 0
@@ -124,8 +149,10 @@ COPIES = (
     "parameters.fall_angle=uniform(10 .. 15 deg)",
     "messages.to_robot={latency: radio, loss: 5 %}",
     "messages.from_robot={latency: radio + uniform(0 .. 20 ms) each step, loss: 5 %}",
-    "robots.cart.sensors.pole_angle={type: joint_position, joint: pole_hinge, noise: 0.2 deg, latency: uniform(0 .. 40 ms)}",
-    "robots.cart.actuators.wheels={type: velocity_motor, joints: [wheel_*], max_torque: 10 N*m, delay: uniform(0 .. 16 ms)}",
+    "robots.cart.sensors.pole_angle={type: joint_position, joint: pole_hinge, noise: 0.2 deg, latency:"
+    " uniform(0 .. 40 ms)}",
+    "robots.cart.actuators.wheels={type: velocity_motor, joints: [wheel_*], max_torque: 10 N*m, delay:"
+    " uniform(0 .. 16 ms)}",
     "robots.cart.links={'*': {mass: urdf * uniform(0.9 .. 1.1)}}",
     "objects.thing={one_of: {cube: {shape: box, size: 0.1 0.1 0.1 m}, ball: {shape: sphere, radius: 5 cm}}}",
     "reset.place.thing={x: 0.3 m, y: 0 m, z: 10 cm}",
@@ -139,13 +166,17 @@ COPIES = (
 
 
 def test_copies_of_a_robot_in_a_batch_draw_sense_and_move_as_in_a_single_world() -> None:
-    """With several timesteps in a step, lossy channels, values of each copy and of all, and a body of two forms."""
+    """With several timesteps in a step, lossy channels, values of each copy and of all, and a body of two
+    forms."""
     assert compare("multi_cartpole", worlds=3, steps=40, overrides=COPIES) > 0
 
 
 def test_a_world_of_copies_that_becomes_infinite_ends_for_all_of_them() -> None:
     compiled = api.compile("multi_cartpole")
-    with closing(deepbots_cli.make_vec(compiled, 3)) as batch, closing(api.make(compiled, engine="mujoco")) as single:
+    with (
+        closing(deepbots_cli.make_vec(compiled, 3)) as batch,
+        closing(api.make(compiled, engine="mujoco")) as single,
+    ):
         batch.reset(seed=0)
         batch.batch.singles[1].engine.set_joint("cart#4", "pole_hinge", np.inf, 0.0)
         with pytest.warns(RuntimeWarning, match=r"world 1 \(seed 1\) became infinite or NaN in step 1"):
@@ -161,17 +192,34 @@ MASKABLE = "train={algorithm: MaskablePPO, total_timesteps: 1000}"
 CHOICES = "{choices: {forward: 1, keep: 0, backward: -1}, forbid: {forward: x > 5 mm, keep: step > 9}}"
 
 
-@pytest.mark.parametrize("action", [f"drive: {CHOICES}", f"other: {{choices: {{on: 1, off: 0}}}}, drive: {CHOICES}"])
+@pytest.mark.parametrize(
+    "action", [f"drive: {CHOICES}", f"other: {{choices: {{on: 1, off: 0}}}}, drive: {CHOICES}"]
+)
 def test_masks_of_a_batch_are_those_of_single_worlds(action: str) -> None:
-    assert compare("cartpole", worlds=3, steps=40, overrides=(f"action={{{action}}}", "agent={action_repeat: 2}", MASKABLE)) > 0
+    assert (
+        compare(
+            "cartpole",
+            worlds=3,
+            steps=40,
+            overrides=(f"action={{{action}}}", "agent={action_repeat: 2}", MASKABLE),
+        )
+        > 0
+    )
 
 
 def test_a_world_of_a_batch_in_which_nothing_is_allowed_is_named() -> None:
-    overrides = ("action={drive: {choices: {forward: 1, backward: -1}, forbid: {forward: step > 1, backward: x > 0 m}}}", MASKABLE)
+    overrides = (
+        "action={drive: {choices: {forward: 1, backward: -1}, forbid: {forward: step > 1, backward: x > 0"
+        " m}}}",
+        MASKABLE,
+    )
     with closing(deepbots_cli.make_vec(api.compile("cartpole", overrides=overrides), 2)) as batch:
         batch.reset(seed=0)
         batch.step(np.array([1, 0]))
-        with pytest.raises(EvaluationError, match=r"step 2 of world 1 \(seed 1\): every option of 'drive' is forbidden: forward, backward"):
+        with pytest.raises(
+            EvaluationError,
+            match=r"step 2 of world 1 \(seed 1\): every option of 'drive' is forbidden: forward, backward",
+        ):
             batch.step(np.array([1, 0]))
 
 
@@ -202,7 +250,8 @@ truncation: {{max_steps: 20}}
 
 @pytest.fixture
 def grip(tmp_path: Path) -> str:
-    """A gripper of two fingers, of which one follows the other with the multiplier -1 and the offset -5 mm."""
+    """A gripper of two fingers, of which one follows the other with the multiplier -1 and the offset -5
+    mm."""
     path = tmp_path / "grip.yaml"
     path.write_text(GRIP, encoding="utf-8")
     return str(path)
@@ -248,7 +297,9 @@ def single(cartpole: Compiled) -> Iterator[Supervisor]:
         yield made
 
 
-def test_a_world_that_becomes_infinite_begins_anew_and_leaves_the_others_alone(batch: BatchEnvironment, single: Supervisor) -> None:
+def test_a_world_that_becomes_infinite_begins_anew_and_leaves_the_others_alone(
+    batch: BatchEnvironment, single: Supervisor
+) -> None:
     batch.batch.singles[2].engine.set_joint("cart", "pole_hinge", np.inf, 0.0)
     with pytest.warns(RuntimeWarning, match=r"world 2 \(seed 2\) became infinite or NaN in step 1"):
         observations, rewards, _, truncated, infos = batch.step(np.zeros(4, int))
@@ -282,13 +333,17 @@ def test_an_action_that_does_not_fit_is_refused_and_its_world_is_named(batch: Ba
             batch.step(wrong)
     with closing(deepbots_cli.make_vec("cartpole_continuous", 2)) as continuous:
         continuous.reset(seed=0)
-        with pytest.raises(UsageError, match=r"^world 0: action \[nan\] does not fit Box\(-1.0, 1.0, \(1,\), float32\)$"):
+        with pytest.raises(
+            UsageError, match=r"^world 0: action \[nan\] does not fit Box\(-1.0, 1.0, \(1,\), float32\)$"
+        ):
             continuous.step([[np.nan], [0.0]])
 
 
 def test_each_part_of_an_action_is_checked() -> None:
     space = Dict({"choices": MultiDiscrete([2, 3]), "ranges": Box(-1.0, 1.0, (2,), np.float32)})
-    fits = fitting_rows(space, {"choices": [[0, 0], [1, 3], [1, 2]], "ranges": [[0, 0], [0, 0], [0, np.nan]]}, 3)
+    fits = fitting_rows(
+        space, {"choices": [[0, 0], [1, 3], [1, 2]], "ranges": [[0, 0], [0, 0], [0, np.nan]]}, 3
+    )
     assert fits is not None
     assert fits.tolist() == [True, False, False]
     assert fitting_rows(space, {"choices": [[0, 0]]}, 1) is None
@@ -300,12 +355,18 @@ def test_a_step_needs_a_reset(cartpole: Compiled) -> None:
 
 
 def test_a_batch_takes_the_options_of_a_single_world_back(cartpole: Compiled) -> None:
-    with closing(api.make(cartpole, engine="mujoco")) as env, closing(deepbots_cli.make_vec(cartpole, 3)) as batch:
+    with (
+        closing(api.make(cartpole, engine="mujoco")) as env,
+        closing(deepbots_cli.make_vec(cartpole, 3)) as batch,
+    ):
         observation, info = env.reset(seed=4)
         observations, infos = batch.reset(seed=0, options=info["drawn"])
         for world in range(3):
             assert_same(observation, observations[world])
-        assert infos["drawn"]["reset.joints.cart.pole_hinge"].tolist() == [info["drawn"]["reset.joints.cart.pole_hinge"]] * 3
+        assert (
+            infos["drawn"]["reset.joints.cart.pole_hinge"].tolist()
+            == [info["drawn"]["reset.joints.cart.pole_hinge"]] * 3
+        )
         assert len(set(batch.reset(seed=0)[1]["drawn"]["reset.joints.cart.pole_hinge"].tolist())) == 3
 
 
@@ -329,8 +390,17 @@ def test_masses_frictions_and_gains_are_those_of_each_world() -> None:
             with closing(api.make(compiled, engine="mujoco")) as single:
                 single.reset(seed=seed)
                 single.step(action[world])
-                for name in ("body_mass", "body_inertia", "dof_M0", "pair_friction", "actuator_biasprm", "actuator_forcerange"):
-                    np.testing.assert_array_equal(rows[name][world], getattr(single.engine._world.model, name), err_msg=name)
+                for name in (
+                    "body_mass",
+                    "body_inertia",
+                    "dof_M0",
+                    "pair_friction",
+                    "actuator_biasprm",
+                    "actuator_forcerange",
+                ):
+                    np.testing.assert_array_equal(
+                        rows[name][world], getattr(single.engine._world.model, name), err_msg=name
+                    )
         for name in ("body_mass", "dof_M0", "pair_friction", "actuator_biasprm", "actuator_forcerange"):
             assert (rows[name][0] != rows[name][1]).any(), name
 
@@ -350,12 +420,17 @@ def test_a_push_moves_its_world_alone(batch: BatchEnvironment, single: Superviso
 def test_a_world_that_becomes_unstable_in_a_step_is_named_and_leaves_the_others_alone() -> None:
     """FindBall asks for contacts in each substep."""
     compiled = api.compile("find_ball")
-    with closing(deepbots_cli.make_vec(compiled, 3)) as batch, closing(api.make(compiled, engine="mujoco")) as single:
+    with (
+        closing(deepbots_cli.make_vec(compiled, 3)) as batch,
+        closing(api.make(compiled, engine="mujoco")) as single,
+    ):
         batch.reset(seed=7)
         at, turned = batch.batch.singles[1].engine.pose("epuck")()
         batch.batch.singles[1].engine.place("epuck", at, turned, velocity=(1e200, 0.0, 0.0))
         actions = np.zeros((3, 2), np.float32)
-        with pytest.warns(RuntimeWarning, match=r"world 1 \(seed 8\) became infinite or NaN in step 1 and was reset"):
+        with pytest.warns(
+            RuntimeWarning, match=r"world 1 \(seed 8\) became infinite or NaN in step 1 and was reset"
+        ):
             observations, rewards, _, truncated, infos = batch.step(actions)
         assert truncated.tolist() == [False, True, False]
         assert rewards[1] == 0.0

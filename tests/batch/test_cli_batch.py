@@ -24,7 +24,19 @@ def test_compile_says_what_a_batch_cannot_hold(capsys: pytest.CaptureFixture[str
 
 
 def test_bench_compares_engines_and_batches(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["bench", "cartpole", "--engine", "mujoco,batch", "--worlds", "2", "--steps", "100", "--pairs", "1", "--json"]
+    arguments = [
+        "bench",
+        "cartpole",
+        "--engine",
+        "mujoco,batch",
+        "--worlds",
+        "2",
+        "--steps",
+        "100",
+        "--pairs",
+        "1",
+        "--json",
+    ]
     assert main(arguments) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [(row["engine"], row["worlds"]) for row in rows] == [("mujoco", 1), ("batch", 2)]
@@ -32,7 +44,10 @@ def test_bench_compares_engines_and_batches(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_one_round_of_a_bench_is_not_called_medians(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "cartpole", "--engine", "mujoco,batch", "--worlds", "1", "--steps", "100", "--quick"]) == 0
+    assert (
+        main(["bench", "cartpole", "--engine", "mujoco,batch", "--worlds", "1", "--steps", "100", "--quick"])
+        == 0
+    )
     ran = capsys.readouterr()
     assert "random actions, one round; CPU times" in ran.out
     assert "measuring 1 round of 100 steps" in ran.err

@@ -17,11 +17,12 @@ from deepbots_cli import api, learning
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.environments import stepping_text, supervisor_factory
+from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import LocalCollector
-from deepbots_cli.rollout.policies import play_batch, play_episodes
+from deepbots_cli.rollout.policies import in_order, play_batch, play_episodes
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from deepbots_cli.runtime import Supervisor
 
@@ -38,13 +39,19 @@ def program() -> Program:
 
 
 @pytest.mark.parametrize(
-    ("name", "overrides"), [("cartpole", ()), ("cartpole", MASKED), ("multi_cartpole", MASKED)], ids=["alone", "masked", "copies"]
+    ("name", "overrides"),
+    [("cartpole", ()), ("cartpole", MASKED), ("multi_cartpole", MASKED)],
+    ids=["alone", "masked", "copies"],
 )
-def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(name: str, overrides: tuple[str, ...]) -> None:
+def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(
+    name: str, overrides: tuple[str, ...]
+) -> None:
     program = api.compile(name, overrides=overrides).program
     told: dict[str, list[tuple[int, Episode]]] = {"batch": [], "single": []}
     batched = BatchWorlds(
-        lambda stage: api.build_batch(program, 3), SEEDS, on_episode=lambda world, episode: told["batch"].append((world, episode))
+        lambda stage: api.build_batch(program, 3),
+        SEEDS,
+        on_episode=lambda world, episode: told["batch"].append((world, episode)),
     )
     singles = [api.build(program, engine="mujoco") for _ in SEEDS]
     usual = Worlds(singles, SEEDS, on_episode=lambda world, episode: told["single"].append((world, episode)))
@@ -62,10 +69,14 @@ def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(name: str, overr
     assert told["batch"] == told["single"] != []
 
 
-@pytest.mark.parametrize(("name", "overrides"), [("cartpole", []), ("multi_cartpole", ["robots.cart.count=2"])])
+@pytest.mark.parametrize(
+    ("name", "overrides"), [("cartpole", []), ("multi_cartpole", ["robots.cart.count=2"])]
+)
 def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: list[str]) -> None:
     """When three episodes have ended, each at the end of its own, as single worlds do."""
-    program, harder = (api.compile(name, overrides=[*overrides, *more]).program for more in ([], ["fall_angle=8 deg"]))
+    program, harder = (
+        api.compile(name, overrides=[*overrides, *more]).program for more in ([], ["fall_angle=8 deg"])
+    )
     programs = [program, harder]
     steps: list[list[object]] = []
     kinds: list[list[int]] = []
@@ -83,7 +94,9 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
             stages[world] = 1
             return 50 + world
 
-        def next_world(world: int, enter: Callable[[int], int | None] = enter) -> tuple[Supervisor, int] | None:
+        def next_world(
+            world: int, enter: Callable[[int], int | None] = enter
+        ) -> tuple[Supervisor, int] | None:
             seed = enter(world)
             return None if seed is None else (api.build(harder, engine="mujoco"), seed)
 
@@ -92,7 +105,13 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
 
         env: Worlds
         if is_batch:
-            env = BatchWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages, on_episode=count, next_seed=enter)
+            env = BatchWorlds(
+                lambda stage: api.build_batch(programs[stage], 3),
+                SEEDS,
+                stages,
+                on_episode=count,
+                next_seed=enter,
+            )
         else:
             singles = [api.build(program, engine="mujoco") for _ in SEEDS]
             env = Worlds(singles, SEEDS, on_episode=count, next_world=next_world)
@@ -102,11 +121,20 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
             generator = np.random.default_rng(1)
             for _ in range(120):
                 observations, rewards, dones, _, endings = env.step_all(generator.integers(0, 2, env.rows))
-                seen.append((observations.tolist(), rewards.tolist(), dones.tolist(), [ending.episode for ending in endings]))
+                seen.append(
+                    (
+                        observations.tolist(),
+                        rewards.tolist(),
+                        dones.tolist(),
+                        [ending.episode for ending in endings],
+                    )
+                )
                 of_stages.append(sum(stages))
             if is_batch:
                 histories = env.histories()
-                with closing(BatchWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages)) as other:
+                with closing(
+                    BatchWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages)
+                ) as other:
                     assert observation_digest(other.repeat(histories)) == observation_digest(env.observations)
         steps.append(seen)
         kinds.append(of_stages)
@@ -133,14 +161,19 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
             assert [ending.episode for ending in mine.endings] == [ending.episode for ending in again.endings]
 
 
-def evaluated(name: str, worlds: int, seeds: list[int], overrides: tuple[str, ...] = ()) -> tuple[list[Episode] | None, list[Episode]]:
+def evaluated(
+    name: str, worlds: int, seeds: list[int], overrides: tuple[str, ...] = ()
+) -> tuple[list[Episode], list[Episode]]:
     """Episodes of an untrained policy in a batch, and in two single worlds."""
     program = api.compile(name, overrides=overrides).program
     assert program.agent.training is not None
-    singles = [api.build(program, engine="mujoco") for _ in range(2)]
+    singles, numbers = [api.build(program, engine="mujoco") for _ in range(2)], range(len(seeds))
     with closing(Worlds(singles, [0, 0])), closing(api.build_batch(program, worlds)) as many:
-        policy = learner.create(learner.Setup(program.agent.training, many.observation_space, many.action_space))
-        return play_batch(policy, many, seeds), play_episodes(policy, singles, seeds, deterministic=True)
+        policy = learner.create(
+            learner.Setup(program.agent.training, many.observation_space, many.action_space)
+        )
+        apart = play_episodes(policy, singles, seeds, deterministic=True, numbers=numbers)
+        return in_order(play_batch(policy, many, seeds), numbers), in_order(apart, numbers)
 
 
 @pytest.mark.parametrize(
@@ -150,18 +183,31 @@ def evaluated(name: str, worlds: int, seeds: list[int], overrides: tuple[str, ..
         ("cartpole", (*MASKED, "truncation.max_steps=20")),
         ("multi_cartpole", ("truncation.max_steps=12",)),
         ("multi_cartpole", (*MASKED, "robots.cart.count=3", "truncation.max_steps=12")),
-        ("quadrotor", ("truncation={max_steps: 2}",)),  # several timesteps in a step, and functions that numpy rounds otherwise
+        (
+            "quadrotor",
+            ("truncation={max_steps: 2}",),
+        ),  # several timesteps in a step, and functions that numpy rounds otherwise
     ],
 )
-def test_an_evaluation_in_a_batch_gives_the_episodes_of_single_worlds(name: str, overrides: tuple[str, ...]) -> None:
+def test_an_evaluation_in_a_batch_gives_the_episodes_of_single_worlds(
+    name: str, overrides: tuple[str, ...]
+) -> None:
     together, apart = evaluated(name, worlds=10, seeds=list(range(21)), overrides=overrides)
     assert together == apart
 
 
 def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None:
     """They say which episode it is, and keep it."""
-    with pytest.raises(EvaluationError, match="step 5"):
-        evaluated("cartpole", worlds=8, seeds=list(range(8)), overrides=("reward.odd=1/(5 - step)",))
+    program = api.compile("cartpole", overrides=("reward.odd=1/(5 - step)",)).program
+    assert program.agent.training is not None
+    with closing(EvaluationWorlds(supervisor_factory("mujoco"), engine="mujoco", batch=8)) as worlds:
+        worlds.enter(program)
+        assert worlds.has_batch_for(8)
+        policy = learner.create(
+            learner.Setup(program.agent.training, worlds.first.observation_space, worlds.first.action_space)
+        )
+        with pytest.raises(EvaluationError, match=r"episode 1 \(seed 0\), .*step 5"):
+            worlds.play(policy, range(8))
 
 
 def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
@@ -170,18 +216,37 @@ def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
         stepping_text(camera, 8, "mujoco", supervisor_factory("mujoco"))
         == "SeeBall steps its 8 worlds one by one: it has cameras, whose pictures are drawn world by world"
     )
-    assert stepping_text(cart, 8, "mujoco", supervisor_factory("mujoco")) == "CartPole steps its 8 worlds together, as a batch"
+    assert (
+        stepping_text(cart, 8, "mujoco", supervisor_factory("mujoco"))
+        == "CartPole steps its 8 worlds together, as a batch"
+    )
     assert stepping_text(camera, 8, "pybullet", supervisor_factory("pybullet")) == ""
 
 
 def test_a_batch_enters_the_next_stage_after_an_evaluation(tmp_path: Path) -> None:
-    stages = "curriculum=[{name: easy, set: {truncation.max_steps: 3}, until: mean_return >= 2 in evaluation}, {name: hard}]"
-    changes = [stages, "truncation.max_steps=5", "train.n_steps=32", "train.n_epochs=1", "solved=mean_return >= 195 over 8 episodes"]
-    result = learning.train(api.compile("cartpole", overrides=changes), run=tmp_path / "run", total_timesteps=1024, engine="mujoco")
+    stages = (
+        "curriculum=[{name: easy, set: {truncation.max_steps: 3}, until: mean_return >= 2 in"
+        " evaluation}, {name: hard}]"
+    )
+    changes = [
+        stages,
+        "truncation.max_steps=5",
+        "train.n_steps=32",
+        "train.n_epochs=1",
+        "solved=mean_return >= 195 over 8 episodes",
+    ]
+    result = learning.train(
+        api.compile("cartpole", overrides=changes),
+        run=tmp_path / "run",
+        total_timesteps=1024,
+        engine="mujoco",
+    )
     (done,) = result.stages
     rows = list(csv.DictReader((tmp_path / "run" / "monitor.csv").read_text().splitlines()[1:]))
     assert (done.value, done.steps % 8) == (3.0, 0)
-    assert {(row["stage"], row["l"]) for row in rows if int(row["steps"]) > done.steps + 24} == {("hard", "5")}
+    assert {(row["stage"], row["l"]) for row in rows if int(row["steps"]) > done.steps + 24} == {
+        ("hard", "5")
+    }
 
 
 @pytest.mark.slow
@@ -189,16 +254,25 @@ def test_a_batch_enters_the_next_stage_after_an_evaluation(tmp_path: Path) -> No
     ("name", "changes"),
     [
         ("cartpole", ()),
-        ("cartpole", ("curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: 480 steps}, {name: hard}]",)),
+        (
+            "cartpole",
+            ("curriculum=[{name: easy, set: {fall_angle: 20 deg}, until: 480 steps}, {name: hard}]",),
+        ),
         ("cartpole", MASKED),
         ("multi_cartpole", ()),
     ],
     ids=["alone", "curriculum", "masked", "copies"],
 )
-def test_a_training_over_a_batch_resumes_to_the_bit(tmp_path: Path, name: str, changes: tuple[str, ...]) -> None:
+def test_a_training_over_a_batch_resumes_to_the_bit(
+    tmp_path: Path, name: str, changes: tuple[str, ...]
+) -> None:
     compiled = api.compile(name, overrides=[*changes, "train.n_steps=32", "train.n_epochs=1"])
-    whole = learning.train(compiled, run=tmp_path / "whole", total_timesteps=1024, engine="mujoco", stop_when_solved=False)
-    learning.train(compiled, run=tmp_path / "parts", total_timesteps=512, engine="mujoco", stop_when_solved=False)
+    whole = learning.train(
+        compiled, run=tmp_path / "whole", total_timesteps=1024, engine="mujoco", stop_when_solved=False
+    )
+    learning.train(
+        compiled, run=tmp_path / "parts", total_timesteps=512, engine="mujoco", stop_when_solved=False
+    )
     parts = learning.resume(tmp_path / "parts", total_timesteps=1024, stop_when_solved=False)
     assert parts.inexact == ()
     assert parts.weights_digest == whole.weights_digest

@@ -2,8 +2,9 @@
 
     python tests/benchmarks/batch_share.py [ROUNDS]
 
-The same model is stepped from the same states with the same commands and gains, with positions and velocities of links at the new state
-(and eight rays for FindBall). 256 worlds, random actions, resets included. Each round measures both; the median of the ratios is printed.
+The same model is stepped from the same states with the same commands and gains, with positions and velocities
+of links at the new state (and eight rays for FindBall). 256 worlds, random actions, resets included. Each
+round measures both; the median of the ratios is printed.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ def share(name: str, rounds: int) -> tuple[float, float, float]:
     for output in ("xpos", "xmat", "xquat", "cvel"):
         bare.bind(output)
     stage = int((STAGES.mjSTAGE_POS if casts else STAGES.mjSTAGE_VEL).value)
-    starts, ways = np.tile((0.0, 0.0, 0.02), (WORLDS, 8, 1)), np.random.default_rng(0).normal(size=(WORLDS, 8, 3))
+    starts = np.tile((0.0, 0.0, 0.02), (WORLDS, 8, 1))
+    ways = np.random.default_rng(0).normal(size=(WORLDS, 8, 3))
     taken = []
     for _ in range(rounds + 1):
         state, commands, spent = engine.state.copy(), [], 0.0

@@ -2,8 +2,9 @@
 
     python -m tests.benchmarks.channel [--json]
 
-The first rows drive a radio by itself, message by message; the last go through a scenario, 100 000 steps of a cart on a rail. A
-chi-square p says how often chance alone differs as much: below 0.001, something else is behind it.
+The first rows drive a radio by itself, message by message; the last go through a scenario, 100 000 steps of a
+cart on a rail. A chi-square p says how often chance alone differs as much: below 0.001, something else is
+behind it.
 """
 
 from __future__ import annotations
@@ -41,15 +42,33 @@ def delays_and_orders() -> Iterator[Row]:
     taken = arrivals(radio(order="arrival"), latencies)
     pairs = [(tick, message) for tick, messages in enumerate(taken) for message in messages]
     yield Row(
-        "delays of latencies drawn from 0 .. 8 ticks: chi-square p", delay_p([tick - message for tick, message in pairs]), "", LIKELY, True
+        "delays of latencies drawn from 0 .. 8 ticks: chi-square p",
+        delay_p([tick - message for tick, message in pairs]),
+        "",
+        LIKELY,
+        True,
     )
-    yield Row("of them delivered before they arrived, or a tick too late", wrong_ticks(pairs, latencies), "", 0)
+    yield Row(
+        "of them delivered before they arrived, or a tick too late", wrong_ticks(pairs, latencies), "", 0
+    )
     came = [message + latencies[message] for _, message in pairs]
-    yield Row("order arrival: delivered before one that came earlier", float(sum(a > b for a, b in pairwise(came))), "", 0)
+    yield Row(
+        "order arrival: delivered before one that came earlier",
+        float(sum(a > b for a, b in pairwise(came))),
+        "",
+        0,
+    )
     sent = [message for messages in arrivals(radio(order="sent"), latencies) for message in messages]
-    yield Row("order sent: missing or out of order", float(MESSAGES - sum(a == b for a, b in enumerate(sent))), "", 0)
+    yield Row(
+        "order sent: missing or out of order",
+        float(MESSAGES - sum(a == b for a, b in enumerate(sent))),
+        "",
+        0,
+    )
     newest = [message for messages in arrivals(radio(order="newest"), latencies) for message in messages]
-    yield Row("order newest: delivered after a newer one", float(sum(a > b for a, b in pairwise(newest))), "", 0)
+    yield Row(
+        "order newest: delivered after a newer one", float(sum(a > b for a, b in pairwise(newest))), "", 0
+    )
 
 
 def wrong_ticks(pairs: list[tuple[int, int]], latencies: list[float]) -> float:
@@ -65,7 +84,13 @@ def losses() -> Iterator[Row]:
             "%",
             round(400 * spread(share), 2),
         )
-        yield Row(f"loss of {share:.0%}: lengths of gaps, chi-square p", geometric_p(runs_of(lost), share), "", LIKELY, True)
+        yield Row(
+            f"loss of {share:.0%}: lengths of gaps, chi-square p",
+            geometric_p(runs_of(lost), share),
+            "",
+            LIKELY,
+            True,
+        )
     for share, burst, seed in BURSTS:
         lost = lost_in(radio(loss=share, burst=burst, seed=seed))
         what = f"loss of {share:.0%} in bursts of {burst:g}"
@@ -75,7 +100,9 @@ def losses() -> Iterator[Row]:
             "%",
             round(400 * spread(share, burst), 2),
         )
-        yield Row(f"{what}: lengths, chi-square p", geometric_p(runs_of(lost), 1 - 1 / burst), "", LIKELY, True)
+        yield Row(
+            f"{what}: lengths, chi-square p", geometric_p(runs_of(lost), 1 - 1 / burst), "", LIKELY, True
+        )
 
 
 def through_a_scenario(*overrides: str) -> np.ndarray:  # type: ignore[type-arg]
@@ -86,7 +113,11 @@ def through_a_scenario(*overrides: str) -> np.ndarray:  # type: ignore[type-arg]
         reward = "reward={fresh: '1 if message_received(cart) else 0', age: age(cart) / (1 s)}"
         file.write_text(CART, encoding="utf-8")
         with closing(
-            api.make(file, overrides=[*overrides, reward, f"truncation.max_steps={MESSAGES + 1}"], engine="pybullet")
+            api.make(
+                file,
+                overrides=[*overrides, reward, f"truncation.max_steps={MESSAGES + 1}"],
+                engine="pybullet",
+            )
         ) as environment:
             environment.reset(seed=5)
             action = np.zeros(1, np.float32)
@@ -103,9 +134,16 @@ def scenarios() -> Iterator[Row]:
         round(400 * spread(0.2), 2),
     )
     late = through_a_scenario("messages.from_robot={latency: 50 ms}")
-    yield Row("through a scenario: latency of 50 ms at ticks of 20 ms, ages that are not 60 ms", wrong_ages(late, 0.06), "", 0)
+    yield Row(
+        "through a scenario: latency of 50 ms at ticks of 20 ms, ages that are not 60 ms",
+        wrong_ages(late, 0.06),
+        "",
+        0,
+    )
     delayed = through_a_scenario("messages.timing=delayed")
-    yield Row("through a scenario: timing delayed, ages that are not one tick", wrong_ages(delayed, 0.02), "", 0)
+    yield Row(
+        "through a scenario: timing delayed, ages that are not one tick", wrong_ages(delayed, 0.02), "", 0
+    )
 
 
 def wrong_ages(rows: np.ndarray, age: float) -> float:  # type: ignore[type-arg]

@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.compile_cost [--json] [--runs 11]
 
-Each run is a process of its own, so that nothing remembers CartPole from before; it compiles another scenario first, which
-imports whatever compiling imports. Times are CPU times; the median counts.
+Each run is a process of its own, so that nothing remembers CartPole from before; it compiles another scenario
+first, which imports whatever compiling imports. Times are CPU times; the median counts.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ print(time.process_time() - start)
 def main() -> None:
     given = options(__doc__, runs=11)
     found = [
-        float(subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True).stdout) for _ in range(given.runs)
+        float(
+            subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True).stdout
+        )
+        for _ in range(given.runs)
     ]
     show([Row("compile CartPole, text to code", 1e3 * median(found), "ms", 60.0)], as_json=given.json)
 

@@ -2,7 +2,8 @@
 
     python -m tests.benchmarks.damaged_files [--json] [--count 500000]
 
-Time is CPU time of a lint once everything is imported, and memory the peak of the one process that lints them all.
+Time is CPU time of a lint once everything is imported, and memory the peak of the one process that lints them
+all.
 """
 
 from __future__ import annotations

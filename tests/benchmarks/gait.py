@@ -2,9 +2,10 @@
 
     python -m tests.benchmarks.gait RUN [--case half_speed] [--episodes 100] [--json]
 
-The episodes are those of `deepbots eval RUN --case CASE`. A swing is a time in which a foot touches the ground in no substep, of at
-least two timesteps. Its clearance is the largest height of the foot above its median height while it touches the ground. The first
-second of each episode, in which the robot speeds up, and the swing that an episode cuts off do not count.
+The episodes are those of `deepbots eval RUN --case CASE`. A swing is a time in which a foot touches the
+ground in no substep, of at least two timesteps. Its clearance is the largest height of the foot above its
+median height while it touches the ground. The first second of each episode, in which the robot speeds up, and
+the swing that an episode cuts off do not count.
 """
 
 from __future__ import annotations
@@ -55,11 +56,16 @@ def episode(env: Any, choose: Any, seed: int) -> Episode:
             speeds.append(rotate_back(pose()[1], velocity()[0])[0])
             for track, height, touching in zip(tracks, heights, touches, strict=True):
                 track.append((height()[0][2], touching()))
-    return Episode(float(np.mean(speeds)) if speeds else 0.0, [swings(track) for track in tracks], cut or info["is_success"])
+    return Episode(
+        float(np.mean(speeds)) if speeds else 0.0,
+        [swings(track) for track in tracks],
+        cut or info["is_success"],
+    )
 
 
 def swings(track: list[tuple[float, bool]]) -> list[float]:
-    """The clearance of each swing of a foot, given its height (m) and whether it touched the ground in each timestep."""
+    """The clearance of each swing of a foot, given its height (m) and whether it touched the ground in each
+    timestep."""
     standing = [height for height, touching in track if touching]
     if not standing:
         return []
@@ -86,7 +92,10 @@ def main() -> None:
     program = run.program.case(given.case).program
     policy = load_policy(given.run)
     env = api.build(program, engine=run.engine_for(program))
-    done = [episode(env, policy.predict, derive_seed(run.record.seed, "evaluation", number)) for number in range(given.episodes)]
+    done = [
+        episode(env, policy.predict, derive_seed(run.record.seed, "evaluation", number))
+        for number in range(given.episodes)
+    ]
     env.close()
     held = [each.whole and abs(each.speed - SPEED) <= WITHIN * SPEED for each in done]
     rows = [
@@ -98,8 +107,22 @@ def main() -> None:
     for place, foot in enumerate(FEET):
         found = [clearance for each in done for clearance in each.clearances[place]]
         middle = 100 * median(found) if found else 0.0
-        rows.append(Row(f"{foot}: clearance, median of {len(found)} swings", middle, "cm", bar=100 * CLEARANCE, at_least=True))
-        rows.append(Row(f"{foot}: swings of at least 3 cm", 100 * float(np.mean(np.array(found) >= CLEARANCE)) if found else 0.0, "%"))
+        rows.append(
+            Row(
+                f"{foot}: clearance, median of {len(found)} swings",
+                middle,
+                "cm",
+                bar=100 * CLEARANCE,
+                at_least=True,
+            )
+        )
+        rows.append(
+            Row(
+                f"{foot}: swings of at least 3 cm",
+                100 * float(np.mean(np.array(found) >= CLEARANCE)) if found else 0.0,
+                "%",
+            )
+        )
     show(rows, as_json=given.json)
 
 

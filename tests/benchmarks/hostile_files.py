@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.hostile_files [--json]
 
-All of tests/hostile: bombs, depth, size, lies about size, paths that lead outside. CPU time of `deepbots lint --format json` once
-everything is imported; the memory is the peak of one process that lints them all.
+All of tests/hostile: bombs, depth, size, lies about size, paths that lead outside. CPU time of `deepbots lint
+--format json` once everything is imported; the memory is the peak of one process that lints them all.
 """
 
 from __future__ import annotations
@@ -17,12 +17,17 @@ def main() -> None:
     given = options(__doc__)
     count = sum(1 for _ in cases())
     tried = list(outcomes())
-    answered = sum(bool(set(case.codes).intersection(outcome.codes)) and outcome.exit_code == 1 for case, outcome in tried)
+    answered = sum(
+        bool(set(case.codes).intersection(outcome.codes)) and outcome.exit_code == 1
+        for case, outcome in tried
+    )
     rows = [
         Row(f"hostile files that end in a finding for them, of {count}", answered, "", count, at_least=True),
         Row("files opened outside of the project", sum(len(outcome.outside) for _, outcome in tried), "", 0),
         Row("the slowest of them", max(outcome.seconds for _, outcome in tried), "s", 1),
-        Row("memory at most, all in one process", max(outcome.memory for _, outcome in tried) / 1e6, "MB", 300),
+        Row(
+            "memory at most, all in one process", max(outcome.memory for _, outcome in tried) / 1e6, "MB", 300
+        ),
     ]
     show(rows, as_json=given.json)
 

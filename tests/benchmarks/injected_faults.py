@@ -1,4 +1,5 @@
-"""How many of the mistakes put into scenarios lint finds in the right place, by the right code, and as the only ones.
+"""How many of the mistakes put into scenarios lint finds in the right place, by the right code, and as the
+only ones.
 
     python -m tests.benchmarks.injected_faults [--json]
 
@@ -31,7 +32,10 @@ def main() -> None:
                 print(f"{case.source}: {case.kind}, {case.style}: {mistake}", file=sys.stderr)
     counts = Counter(case.kind for case in cases)
     rows = [Row("injected faults", len(cases), "", 1000, at_least=True)]
-    rows += [Row(f"of them right: {kind}, {counts[kind]}", right[kind], "", counts[kind], at_least=True) for kind in sorted(counts)]
+    rows += [
+        Row(f"of them right: {kind}, {counts[kind]}", right[kind], "", counts[kind], at_least=True)
+        for kind in sorted(counts)
+    ]
     rows.append(Row("of them right: all", right.total(), "", len(cases), at_least=True))
     show(rows, as_json=given.json)
 

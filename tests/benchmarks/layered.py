@@ -1,11 +1,14 @@
-"""The rail cart-pole as one would write it by hand: devices, a robot and a supervisor that talk in CSV; PyBullet and numpy.
+"""The rail cart-pole as one would write it by hand: devices, a robot and a supervisor that talk in CSV;
+PyBullet and numpy.
 
-It is what most such code looks like: PyBullet's own client object, one small class per sensor and motor as in robot simulators,
-the paper's two classes with queues between them, each figure of the observation named with its range and mapped by a function
-with numpy's clip, the manners of Gymnasium. Nothing is slow on purpose: no call is made twice, and constants are made once.
+It is what most such code looks like: PyBullet's own client object, one small class per sensor and motor as in
+robot simulators, the paper's two classes with queues between them, each figure of the observation named with
+its range and mapped by a function with numpy's clip, the manners of Gymnasium. Nothing is slow on purpose: no
+call is made twice, and constants are made once.
 
-It is a matter of style, though: with devices as here but all figures clipped in one call it took 25 us where this takes 31, and
-with one batched read of the joints besides 18 us, which is still half as much again as the compiled environment.
+It is a matter of style, though: with devices as here but all figures clipped in one call it took 25 us where
+this takes 31, and with one batched read of the joints besides 18 us, which is still half as much again as the
+compiled environment.
 """
 
 from __future__ import annotations
@@ -49,7 +52,9 @@ class VelocitySensor(Joint):
 
 class Motor(Joint):
     def set_velocity(self, velocity: float, force: float) -> None:
-        self.client.setJointMotorControl2(self.body, self.index, pybullet.VELOCITY_CONTROL, targetVelocity=velocity, force=force)
+        self.client.setJointMotorControl2(
+            self.body, self.index, pybullet.VELOCITY_CONTROL, targetVelocity=velocity, force=force
+        )
 
 
 class Robot:
@@ -58,10 +63,16 @@ class Robot:
     def __init__(self, client: BulletClient) -> None:
         self.client = client
         self.body = client.loadURDF(str(URDF), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
-        joints = {client.getJointInfo(self.body, i)[1].decode(): i for i in range(client.getNumJoints(self.body))}
+        joints = {
+            client.getJointInfo(self.body, i)[1].decode(): i for i in range(client.getNumJoints(self.body))
+        }
         self.joints = [joints["slider"], joints["hinge"]]
         self.motor = Motor(client, self.body, joints["slider"])
-        self.sensors = [kind(client, self.body, index) for index in self.joints for kind in (PositionSensor, VelocitySensor)]
+        self.sensors = [
+            kind(client, self.body, index)
+            for index in self.joints
+            for kind in (PositionSensor, VelocitySensor)
+        ]
         self.emitter: deque[str] = deque()
         self.receiver: deque[str] = deque()
         Motor(client, self.body, joints["hinge"]).set_velocity(0.0, 0.0)
@@ -87,7 +98,8 @@ class Robot:
 
 
 class LayeredCartPole(gym.Env[np.ndarray, int]):
-    """The supervisor: sends the action, steps the world, makes observation, reward and endings of what the robot sent."""
+    """The supervisor: sends the action, steps the world, makes observation, reward and endings of what the
+    robot sent."""
 
     def __init__(self, substeps: int = 4) -> None:
         self.client = BulletClient(pybullet.DIRECT)
@@ -101,7 +113,9 @@ class LayeredCartPole(gym.Env[np.ndarray, int]):
         self.step_count = 0
         self.message: list[float] = []
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
         self.step_count = 0
         self.robot.reset(float(self.np_random.uniform(-0.05, 0.05)))

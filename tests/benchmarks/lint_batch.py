@@ -1,4 +1,5 @@
-"""A folder of scenarios to lint: shipped ones with other names and figures, grown to a hundred lines by signals and terms of the reward."""
+"""A folder of scenarios to lint: shipped ones with other names and figures, grown to a hundred lines by
+signals and terms of the reward."""
 
 from __future__ import annotations
 
@@ -12,7 +13,12 @@ ROOT = Path(__file__).parents[2]
 FILES = 200
 LINES = 100
 # Of each scenario, a number of the order of one to write further expressions of.
-BASES = {"cartpole": "x / track", "pit_escape": "reach / radius", "find_ball": "apart / m", "line_follower": "offset / width"}
+BASES = {
+    "cartpole": "x / track",
+    "pit_escape": "reach / radius",
+    "find_ball": "apart / m",
+    "line_follower": "offset / width",
+}
 FORMS = (
     "{a} * exp(-abs({x}))",
     "clamp({a} * {x}, -1 .. 1)",
@@ -46,7 +52,9 @@ def scenario(base: str, number: int) -> str:
     names = [f"{drawn.choice('abcdefgh')}_{index}" for index in range((LINES - text.count("\n") + 1) // 2)]
     signals = "".join(_signals(names, BASES[base], drawn))
     terms = "".join(f"  {name}_term: {drawn.random():.3f} * {name}\n" for name in names)
-    return re.sub(r"(?m)^signals:.*\n", rf"\g<0>{signals}", re.sub(r"(?m)^reward:.*\n", rf"\g<0>{terms}", text))
+    return re.sub(
+        r"(?m)^signals:.*\n", rf"\g<0>{signals}", re.sub(r"(?m)^reward:.*\n", rf"\g<0>{terms}", text)
+    )
 
 
 def _signals(names: list[str], value: str, drawn: random.Random) -> Iterator[str]:

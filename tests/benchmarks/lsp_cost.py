@@ -2,11 +2,12 @@
 
     python -m tests.benchmarks.lsp_cost [--json] [--requests 100]
 
-The server runs as an editor runs it, over standard input and output. Each of completion, hover, definition, code actions, outline
-and formatting is asked for at so many places of a scenario, drawn with seed 0, a quarter of them right behind a change of the
-text, whose analysis may go on beside. The time of an answer is the CPU time of the thread that answers, once everything has been
-asked for before; that of findings is the CPU time of the whole process, its analysis included. Memory is what the server held at most
-when all this was done, which is some hundred changes of the text.
+The server runs as an editor runs it, over standard input and output. Each of completion, hover, definition,
+code actions, outline and formatting is asked for at so many places of a scenario, drawn with seed 0, a
+quarter of them right behind a change of the text, whose analysis may go on beside. The time of an answer is
+the CPU time of the thread that answers, once everything has been asked for before; that of findings is the
+CPU time of the whole process, its analysis included. Memory is what the server held at most when all this was
+done, which is some hundred changes of the text.
 """
 
 from __future__ import annotations
@@ -29,13 +30,18 @@ MOST_MEMORY = 300.0
 
 
 def cpu_milliseconds(process: int, threads: str = "*") -> float:
-    """What threads of a process have used, as the scheduler counts it; the one that answers has the number of the process."""
+    """What threads of a process have used, as the scheduler counts it; the one that answers has the number of
+    the process."""
     counts = Path(f"/proc/{process}/task").glob(f"{threads}/schedstat")
     return sum(int(count.read_text().split()[0]) for count in counts) / 1e6
 
 
 def ask(client: Client, method: str, uri: str, place: dict[str, int]) -> None:
-    params: dict[str, Any] = {"textDocument": {"uri": uri}, "position": place, "range": {"start": place, "end": place}}
+    params: dict[str, Any] = {
+        "textDocument": {"uri": uri},
+        "position": place,
+        "range": {"start": place, "end": place},
+    }
     params |= {"context": {"diagnostics": []}} if method == "codeAction" else {}
     params |= {"options": {"tabSize": 2, "insertSpaces": True}} if method == "formatting" else {}
     client.request(f"textDocument/{method}", params)
@@ -88,7 +94,9 @@ def rows(count: int) -> Iterator[Row]:
             taken = list(answers(client, uri, count))
             yield Row(f"an answer in {name}.yaml, median of {len(taken)}", median(taken), "ms", BAR)
             yield Row(f"an answer in {name}.yaml, worst of {len(taken)}", max(taken), "ms", BAR)
-            yield Row(f"from a change of {name}.yaml to its findings", median(analysis(client, uri, 11)), "ms")
+            yield Row(
+                f"from a change of {name}.yaml to its findings", median(analysis(client, uri, 11)), "ms"
+            )
         yield Row("memory that it held at most", most_memory(client.process.pid), "MB", MOST_MEMORY)
         yield Row(f"of {', '.join(HEAVY)} it imports", heavy_imports(client.process.pid), "", 0)
 

@@ -2,12 +2,13 @@
 
     python -m tests.benchmarks.plain_cost [--json] [--pairs 15] [--steps 1000] [--episodes 300]
 
-`PlainCartPole` is the same cart with the same substeps, commands, observation, reward and endings, written as a user would write
-it from PyBullet's quickstart guide: a plane and a robot file, all settings left at their defaults, no walls, no messages. Its
-wheels collide as hulls, which are 1 mm too large (docs/engines.md). Both sides are driven by the same random actions, as early in
-a training, and by the same balancing rule, as late in one. Resets are timed apart from steps. Times are CPU times. The two sides
-take turns, each pair in new worlds, because the place of a world in memory changes its times by a tenth; the median of the
-ratios of the pairs counts.
+`PlainCartPole` is the same cart with the same substeps, commands, observation, reward and endings, written as
+a user would write it from PyBullet's quickstart guide: a plane and a robot file, all settings left at their
+defaults, no walls, no messages. Its wheels collide as hulls, which are 1 mm too large (docs/engines.md). Both
+sides are driven by the same random actions, as early in a training, and by the same balancing rule, as late
+in one. Resets are timed apart from steps. Times are CPU times. The two sides take turns, each pair in new
+worlds, because the place of a world in memory changes its times by a tenth; the median of the ratios of the
+pairs counts.
 """
 
 from __future__ import annotations
@@ -51,11 +52,15 @@ class PlainCartPole(gym.Env[np.ndarray, int]):
         }
         self.wheels = [index for name, index in joints.items() if name.startswith("wheel")]
         self.hinge, self.tip = joints["pole_hinge"], joints["tip_mount"]
-        p.setJointMotorControl2(self.cart, self.hinge, p.VELOCITY_CONTROL, force=0, physicsClientId=self.client)
+        p.setJointMotorControl2(
+            self.cart, self.hinge, p.VELOCITY_CONTROL, force=0, physicsClientId=self.client
+        )
         self.observation_space = gym.spaces.Box(-1.0, 1.0, (4,), np.float32)
         self.action_space = gym.spaces.Discrete(2)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
         p.resetBasePositionAndOrientation(self.cart, [0, 0, 0.04], [0, 0, 0, 1], physicsClientId=self.client)
         p.resetBaseVelocity(self.cart, [0, 0, 0], [0, 0, 0], physicsClientId=self.client)
@@ -70,8 +75,12 @@ class PlainCartPole(gym.Env[np.ndarray, int]):
         self.x = p.getBasePositionAndOrientation(self.cart, physicsClientId=self.client)[0][0]
         self.angle = p.getJointState(self.cart, self.hinge, physicsClientId=self.client)[0]
         speed = p.getBaseVelocity(self.cart, physicsClientId=self.client)[0][0]
-        tip_speed = p.getLinkState(self.cart, self.tip, computeLinkVelocity=1, physicsClientId=self.client)[6][0]
-        values = np.array([self.x / 0.4, speed / 0.8, self.angle / radians(20), tip_speed / 2], dtype=np.float32)
+        tip_speed = p.getLinkState(self.cart, self.tip, computeLinkVelocity=1, physicsClientId=self.client)[
+            6
+        ][0]
+        values = np.array(
+            [self.x / 0.4, speed / 0.8, self.angle / radians(20), tip_speed / 2], dtype=np.float32
+        )
         return np.clip(values, -1, 1)
 
     def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -145,7 +154,14 @@ def compared(what: str, drive: Callable[[int], Choose], steps: int, count: int) 
     for which, (kind, bar) in enumerate((("a step", 1.15), ("a reset and its first step", None))):
         mine, theirs = ([pair[which] for pair in side] for side in sides)
         names = f"{kind}, {what} ({median(mine):.0f} / {median(theirs):.0f} us)"
-        rows.append(Row(f"CartPole beside a plain environment by hand: {names}", ratio(list(zip(mine, theirs, strict=True))), "x", bar))
+        rows.append(
+            Row(
+                f"CartPole beside a plain environment by hand: {names}",
+                ratio(list(zip(mine, theirs, strict=True))),
+                "x",
+                bar,
+            )
+        )
     return rows
 
 
@@ -170,7 +186,9 @@ def differing(episodes: int) -> Row:
         different += episode(used, seed) != episode(fresh, seed)
         fresh.close()
     used.close()
-    return Row(f"CartPole: episodes after a reset that differ from a fresh world's, of {episodes}", different, "", 0)
+    return Row(
+        f"CartPole: episodes after a reset that differ from a fresh world's, of {episodes}", different, "", 0
+    )
 
 
 def main() -> None:

@@ -12,7 +12,8 @@ from statistics import median
 
 @dataclass(frozen=True)
 class Row:
-    """One figure against its bar. `met` says whether it is on the right side of it; None where no bar is set."""
+    """One figure against its bar. `met` says whether it is on the right side of it; None where no bar is
+    set."""
 
     what: str
     measured: float
@@ -24,11 +25,17 @@ class Row:
     def met(self) -> bool | None:
         if self.bar is None:
             return None
-        return bool(self.measured >= self.bar if self.at_least else self.measured <= self.bar)  # numpy has truth values of its own
+        return bool(
+            self.measured >= self.bar if self.at_least else self.measured <= self.bar
+        )  # numpy has truth values of its own
 
     @property
     def bar_words(self) -> str:
-        return "" if self.bar is None else f"{'at least' if self.at_least else 'at most'} {self.bar:g} {self.unit}"
+        return (
+            ""
+            if self.bar is None
+            else f"{'at least' if self.at_least else 'at most'} {self.bar:g} {self.unit}"
+        )
 
     @property
     def verdict(self) -> str:
@@ -47,7 +54,10 @@ def options(description: str | None, **counts: int) -> argparse.Namespace:
 def show(rows: Iterable[Row], *, as_json: bool) -> None:
     rows = list(rows)
     if as_json:
-        shown = [{**asdict(row), "met": row.met, "bar_words": row.bar_words, "verdict": row.verdict} for row in rows]
+        shown = [
+            {**asdict(row), "met": row.met, "bar_words": row.bar_words, "verdict": row.verdict}
+            for row in rows
+        ]
         print(json.dumps(shown, indent=2))
         return
     width = max(len(row.what) for row in rows)
@@ -59,7 +69,8 @@ def show(rows: Iterable[Row], *, as_json: bool) -> None:
 def pairs(first: Callable[[], float], second: Callable[[], float], count: int) -> list[tuple[float, float]]:
     """What both measure, `count` times in turn, with the garbage collector off; each begins every other pair.
 
-    A machine that is busy now and then slows both sides of a pair alike, so that their ratio says more than their times.
+    A machine that is busy now and then slows both sides of a pair alike, so that their ratio says more than
+    their times.
     """
     first(), second()  # caches and clocks warm up
     gc.collect()

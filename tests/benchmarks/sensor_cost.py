@@ -2,9 +2,10 @@
 
     python -m tests.benchmarks.sensor_cost [--json] [--pairs 9] [--steps 1000]
 
-A rover drives in an arena and sends one joint velocity, with and without the sensor in question: the difference is the reading,
-what it does in the substeps, and its place in the message (struct). Both worlds make the same motion; the two sides take turns, and
-the median of the differences of the pairs counts. Times are CPU times.
+A rover drives in an arena and sends one joint velocity, with and without the sensor in question: the
+difference is the reading, what it does in the substeps, and its place in the message (struct). Both worlds
+make the same motion; the two sides take turns, and the median of the differences of the pairs counts. Times
+are CPU times.
 """
 
 from __future__ import annotations
@@ -57,7 +58,10 @@ SENSORS = (
     ("force, one link", "{type: force, link: bumper_left}"),
     ("laser, one ray", f"{{type: laser, {HERE}, range: 0 .. 1 m}}"),
     ("sonar, 13 rays", f"{{type: sonar, {HERE}, rays: 13, angle_range: 90 .. -90 deg, range: 0 .. 1 m}}"),
-    ("infrared, 8 rays with look-up and noise", f"{{type: infrared, {HERE}, rays: 8, angle_range: 90 .. -90 deg, lookup: {LOOKUP}}}"),
+    (
+        "infrared, 8 rays with look-up and noise",
+        f"{{type: infrared, {HERE}, rays: 8, angle_range: 90 .. -90 deg, lookup: {LOOKUP}}}",
+    ),
     ("lidar, 180 rays", f"{{type: lidar, {HERE}, rays: 180, angle_range: 90 .. -90 deg, range: 0 .. 3 m}}"),
     ("reflectance, 5 rays", f"{{type: reflectance, {HERE}, rays: 5, angle_range: 20 .. -20 deg}}"),
     ("camera, 84 x 84 rgb", f"{{type: camera, {HERE}, resolution: 84 84}}"),
@@ -65,7 +69,10 @@ SENSORS = (
 
 
 def cost(folder: Path, what: str, sensor: str, steps: int, count: int) -> Row:
-    texts = (SCENARIO.format(sensor=f"tested: {sensor}", sent=", tested"), SCENARIO.format(sensor="", sent=""))
+    texts = (
+        SCENARIO.format(sensor=f"tested: {sensor}", sent=", tested"),
+        SCENARIO.format(sensor="", sent=""),
+    )
     files = [folder / name for name in ("with.yaml", "without.yaml")]
     for file, text in zip(files, texts, strict=True):
         file.write_text(text, encoding="utf-8")

@@ -2,12 +2,13 @@
 
     python -m tests.benchmarks.step_cost [--json] [--pairs 15] [--steps 4000]
 
-Both sides go through the same episodes, in the same kind of engine, with the same substeps, and make the same motion: each holds
-one action throughout, so that the bare side, which takes untimed first steps to set its motors, goes where the other goes. (In
-a world with contacts, a side that stands still or drives into a wall pays another price.) That both end in the same place is
-checked. The bare side calls what `Engine.step` is, which renews the torques of springs and pushes what is to be pushed in every
-substep as anybody's would have to, but watches no contacts: who wants to know of those pays for it. Resets and first steps are
-not timed; times are CPU times; the two sides take turns, and the median of the ratios of the pairs counts.
+Both sides go through the same episodes, in the same kind of engine, with the same substeps, and make the same
+motion: each holds one action throughout, so that the bare side, which takes untimed first steps to set its
+motors, goes where the other goes. (In a world with contacts, a side that stands still or drives into a wall
+pays another price.) That both end in the same place is checked. The bare side calls what `Engine.step` is,
+which renews the torques of springs and pushes what is to be pushed in every substep as anybody's would have
+to, but watches no contacts: who wants to know of those pays for it. Resets and first steps are not timed;
+times are CPU times; the two sides take turns, and the median of the ratios of the pairs counts.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ with capture_native_output():  # PyBullet prints when it is imported and when it
 
 RAIL = str(Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml")
 WARM_UP_STEPS = 3
-"""Number of steps at the start of an episode that are not timed; delayed commands have then reached the motors."""
+"""Number of steps at the start of an episode that are not timed; delayed commands have then reached the
+motors."""
 TASKS = (
     ("quadruped", 1.15, False, "quadruped, 4 substeps with springs in 12 joints"),
     ("find_ball_random", 1.25, True, "find_ball_random, beside physics and its 8 rays"),
@@ -120,7 +122,9 @@ def whole(environment: Any, episodes: list[ConstantActionEpisode]) -> Callable[[
 
 
 def bare(
-    environment: Supervisor, episodes: list[ConstantActionEpisode], reads: tuple[Callable[[], object], ...] = ()
+    environment: Supervisor,
+    episodes: list[ConstantActionEpisode],
+    reads: tuple[Callable[[], object], ...] = (),
 ) -> Callable[[], float]:
     """Measures physics alone, and what of the world has to be read in every step whoever does it."""
     advance = environment.engine.step
@@ -135,7 +139,10 @@ def bare(
 
 
 def _per_step(
-    environment: Any, episodes: list[ConstantActionEpisode], call: Callable[[Any], object], argument: Callable[[ConstantActionEpisode], Any]
+    environment: Any,
+    episodes: list[ConstantActionEpisode],
+    call: Callable[[Any], object],
+    argument: Callable[[ConstantActionEpisode], Any],
 ) -> float:
     return 1e6 * timed(environment, episodes, call, argument) / sum(episode.steps for episode in episodes)
 
@@ -154,7 +161,8 @@ def blind(environment: Supervisor) -> None:
 
 
 def require_same_motion(one: Supervisor, other: Supervisor, episode: ConstantActionEpisode) -> None:
-    """Holding an action, a world that is stepped bare goes where one goes whose motors are set anew in every step."""
+    """Holding an action, a world that is stepped bare goes where one goes whose motors are set anew in every
+    step."""
     for environment in (one, other):
         environment.reset(seed=episode.seed)
         for _ in range(WARM_UP_STEPS):
@@ -170,24 +178,41 @@ def require_same_motion(one: Supervisor, other: Supervisor, episode: ConstantAct
 def whereabouts(environment: Supervisor) -> list[Any]:
     """Where robots are and how they move."""
     engine = environment.engine
-    return [read() for robot in environment.scenario.world.robots for read in (engine.pose(robot.name), engine.velocity(robot.name))]
+    return [
+        read()
+        for robot in environment.scenario.world.robots
+        for read in (engine.pose(robot.name), engine.velocity(robot.name))
+    ]
 
 
 def against_physics(
-    what: str, bar: float, source: str, overrides: tuple[str, ...], steps: int, count: int, *, with_rays: bool = False
+    what: str,
+    bar: float,
+    source: str,
+    overrides: tuple[str, ...],
+    steps: int,
+    count: int,
+    *,
+    with_rays: bool = False,
 ) -> Row:
     with opened(source, *overrides) as environment, rays_bound() as rays, opened(source, *overrides) as other:
         episodes = plan(environment, steps, 0)
         blind(other)
         require_same_motion(environment, other, episodes[0])
-        found = pairs(whole(environment, episodes), bare(other, episodes, tuple(rays) if with_rays else ()), count)
+        found = pairs(
+            whole(environment, episodes), bare(other, episodes, tuple(rays) if with_rays else ()), count
+        )
     step, physics = (median(side) for side in zip(*found, strict=True))
     return Row(f"{what} ({step:.2f} / {physics:.2f} us)", ratio(found), "x", bar)
 
 
 def csv_beside_struct(steps: int, count: int) -> Row:
-    """Physics is the same on both sides, and costs a hundred times what is asked for: left out, it leaves no noise."""
-    with opened("cartpole", "messages.format=csv") as csv, opened("cartpole", "messages.format=struct") as struct:
+    """Physics is the same on both sides, and costs a hundred times what is asked for: left out, it leaves no
+    noise."""
+    with (
+        opened("cartpole", "messages.format=csv") as csv,
+        opened("cartpole", "messages.format=struct") as struct,
+    ):
         episodes = plan(struct, steps, 0)
         csv.physics = struct.physics = lambda substeps: None
         found = pairs(whole(csv, episodes), whole(struct, episodes), count)
@@ -203,7 +228,13 @@ def beside_layered(steps: int, count: int) -> list[Row]:
         fair = pairs(whole(layered, episodes), bare(other, episodes), count)
     layered.close()
     return [
-        Row(f"rail, 4 substeps: the layered one by hand ({median(a for a, _ in by_hand):.2f} us) / ours", ratio(by_hand), "x", 2.4, True),
+        Row(
+            f"rail, 4 substeps: the layered one by hand ({median(a for a, _ in by_hand):.2f} us) / ours",
+            ratio(by_hand),
+            "x",
+            2.4,
+            True,
+        ),
         Row("rail, 4 substeps: the layered one by hand / bare", ratio(fair), "x", 4.2),
     ]
 
@@ -211,11 +242,26 @@ def beside_layered(steps: int, count: int) -> list[Row]:
 def main() -> None:
     given = options(__doc__, pairs=15, steps=4000)
     rail = [
-        (f"rail, {substeps} substep{'s' * (substeps > 1)}, {format}", bar, (f"world.substeps={substeps}", f"messages.format={format}"))
-        for substeps, format, bar in ((4, "struct", 1.5), (1, "struct", 2.7), (4, "none", 1.4), (1, "none", 2.4))
+        (
+            f"rail, {substeps} substep{'s' * (substeps > 1)}, {format}",
+            bar,
+            (f"world.substeps={substeps}", f"messages.format={format}"),
+        )
+        for substeps, format, bar in (
+            (4, "struct", 1.5),
+            (1, "struct", 2.7),
+            (4, "none", 1.4),
+            (1, "none", 2.4),
+        )
     ]
-    rows = [against_physics("CartPole, struct", 1.10, "cartpole", ("messages.format=struct",), given.steps, given.pairs)]
-    rows += [against_physics(what, bar, RAIL, overrides, given.steps, given.pairs) for what, bar, overrides in rail]
+    rows = [
+        against_physics(
+            "CartPole, struct", 1.10, "cartpole", ("messages.format=struct",), given.steps, given.pairs
+        )
+    ]
+    rows += [
+        against_physics(what, bar, RAIL, overrides, given.steps, given.pairs) for what, bar, overrides in rail
+    ]
     for name, bar, with_rays, what in TASKS:
         if shipped.scenario_path(name):
             steps = given.steps // (2 * api.compile(name).program.action_repeat)

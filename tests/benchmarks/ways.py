@@ -41,7 +41,9 @@ def dijkstra(blocked: NDArray[np.bool_], starts: NDArray[np.float64], cell: floa
         length = cell * paths.LENGTH_SCALE * math.hypot(rows, columns)
         edges.append((ends - (rows * blocked.shape[1] + columns), ends, np.full(len(ends), length)))
     first = np.nonzero((starts.ravel() < paths.UNREACHABLE_LENGTH) & ~blocked.ravel())[0]
-    edges.append((np.full(len(first), blocked.size), first, np.maximum(starts.ravel()[first], 1e-12)))  # 0 is no edge
+    edges.append(
+        (np.full(len(first), blocked.size), first, np.maximum(starts.ravel()[first], 1e-12))
+    )  # 0 is no edge
     here, there, length = (np.concatenate(parts) for parts in zip(*edges, strict=True))
     graph = csr_matrix((length, (here, there)), shape=(blocked.size + 1, blocked.size + 1))
     found = dijkstra(graph, directed=False, indices=blocked.size)[:-1]
@@ -53,8 +55,14 @@ def layouts(count: int, generator: np.random.Generator) -> Iterator[tuple[list[P
     for _ in range(count):
         solids = []
         for _ in range(generator.integers(1, 8)):
-            a, b, yaw = generator.uniform(0.01, 0.15), generator.uniform(0.01, 0.15), generator.uniform(-math.pi, math.pi)
-            form = Footprint((0.0, 0.0), math.hypot(a, b), (a, b)) if generator.random() < 0.7 else Footprint((0.0, 0.0), a)
+            a = generator.uniform(0.01, 0.15)
+            b = generator.uniform(0.01, 0.15)
+            yaw = generator.uniform(-math.pi, math.pi)
+            form = (
+                Footprint((0.0, 0.0), math.hypot(a, b), (a, b))
+                if generator.random() < 0.7
+                else Footprint((0.0, 0.0), a)
+            )
             solids.append(form.at(*generator.uniform(-0.45, 0.45, 2), yaw))
         yield solids, tuple(generator.uniform(-0.45, 0.45, 2))
 
@@ -77,7 +85,10 @@ def main() -> None:
                 found.append([field.length(x, y) for x, y in places])
         largest = max(largest, *(abs(a - b) for a, b in zip(*found, strict=True)))
     ours, theirs = (total / count * 1e3 for total in spent)
-    print(f"{count} layouts: lengths differ by up to {largest:.1e} m; a field takes {ours:.1f} ms, {theirs:.1f} ms by scipy")
+    print(
+        f"{count} layouts: lengths differ by up to {largest:.1e} m; a field takes {ours:.1f} ms,"
+        f" {theirs:.1f} ms by scipy"
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""The files of a bundle while they are changed, and what a forger writes again: digests, the metadata of the graph, canonical JSON."""
+"""The files of a bundle while they are changed, and what a forger writes again: digests, the metadata of the
+graph, canonical JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +18,21 @@ from onnx import helper
 
 from deepbots_robot import BundleError, bundle, model
 
-TEXTS = ("", "x", "\x1b]0;owned\x07", "a\nsigned: yes", "‮evil", "\u0000", "𝔘" * 200, "a" * 5_000, "../x", "%s{0}", "null", "\ud800", "ａ")
+TEXTS = (
+    "",
+    "x",
+    "\x1b]0;owned\x07",
+    "a\nsigned: yes",
+    "‮evil",
+    "\u0000",
+    "𝔘" * 200,
+    "a" * 5_000,
+    "../x",
+    "%s{0}",
+    "null",
+    "\ud800",
+    "ａ",
+)
 NUMBERS = (
     0, -1, 1, -0.0, 0.5, 255, 256, 1 << 31, 1 << 53, -(1 << 63), 1 << 64, 1e-320, 1e300, -1e300, 1e308,
     "@1e999@", "@-1e999@", "@NaN@", "@9e9@",
@@ -41,7 +56,11 @@ class Forged:
 
     @classmethod
     def of(cls, folder: Path) -> Forged:
-        files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+        files = {
+            path.relative_to(folder).as_posix(): path.read_bytes()
+            for path in sorted(folder.rglob("*"))
+            if path.is_file()
+        }
         return cls(json.loads(files.pop(bundle.BUNDLE_NAME)), files)
 
     @property
@@ -82,7 +101,9 @@ class Forged:
         named = self.description.get("files")
         if digests and isinstance(named, dict):
             signed = {name: content for name, content in self.files.items() if name != bundle.SIGNATURE_NAME}
-            named |= {name: hashlib.sha256(content).hexdigest() for name, content in signed.items() if name in named}
+            named |= {
+                name: hashlib.sha256(content).hexdigest() for name, content in signed.items() if name in named
+            }
         written = as_json(self.description)
         try:
             return model.encode(model.decode(written))  # byte for byte as an export writes it
@@ -92,7 +113,9 @@ class Forged:
     def fit_graph(self) -> None:
         """The graph says to which bundle.json it belongs; a forger writes this digest, too."""
         try:
-            info = model.decode(as_json(self.tree) if isinstance(self.description, dict) else self.description)
+            info = model.decode(
+                as_json(self.tree) if isinstance(self.description, dict) else self.description
+            )
         except BundleError:
             return
         graph = self.graph

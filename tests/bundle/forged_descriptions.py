@@ -25,7 +25,19 @@ def _places(tree: Any) -> list[tuple[Any, Any]]:
 
 def json_value(dice: random.Random, forged: Forged) -> None:
     node, key = dice.choice(_places(forged.tree))
-    node[key] = dice.choice([None, True, [], {}, [node[key]], {"a": node[key]}, HUGE, dice.choice(TEXTS), *dice.sample(NUMBERS, 6)])
+    node[key] = dice.choice(
+        [
+            None,
+            True,
+            [],
+            {},
+            [node[key]],
+            {"a": node[key]},
+            HUGE,
+            dice.choice(TEXTS),
+            *dice.sample(NUMBERS, 6),
+        ]
+    )
 
 
 def json_number(dice: random.Random, forged: Forged) -> None:
@@ -44,7 +56,9 @@ def json_list(dice: random.Random, forged: Forged) -> None:
     places = [(node, key) for node, key in _places(forged.tree) if isinstance(node[key], list)]
     node, key = dice.choice(places)
     value = node[key]
-    node[key] = dice.choice([value[::-1], value[:-1], value * 2, value * 5_000, [value], [*value, None], sorted(value, key=str)])
+    node[key] = dice.choice(
+        [value[::-1], value[:-1], value * 2, value * 5_000, [value], [*value, None], sorted(value, key=str)]
+    )
 
 
 def json_keys(dice: random.Random, forged: Forged) -> None:
@@ -82,9 +96,21 @@ def json_twice(dice: random.Random, forged: Forged) -> None:
 def json_layout(dice: random.Random, forged: Forged) -> None:
     text = as_json(forged.tree)
     forged.description = dice.choice(
-        [b"\xef\xbb\xbf" + text, text + b"\x00", text + text, b" " * 9_000_000 + text, b"\n" + text, text.replace(b'"', b"'"),
-         text.decode().encode("utf-16"), text.replace(b"a", b"\\u0061", 3), text.replace(b".0", b".00", 1), b"", b"null", b"[]"]
-    )  # fmt: skip
+        [
+            b"\xef\xbb\xbf" + text,
+            text + b"\x00",
+            text + text,
+            b" " * 9_000_000 + text,
+            b"\n" + text,
+            text.replace(b'"', b"'"),
+            text.decode().encode("utf-16"),
+            text.replace(b"a", b"\\u0061", 3),
+            text.replace(b".0", b".00", 1),
+            b"",
+            b"null",
+            b"[]",
+        ]
+    )
 
 
 def json_limits(dice: random.Random, forged: Forged) -> None:
@@ -95,7 +121,14 @@ def json_limits(dice: random.Random, forged: Forged) -> None:
     value = dice.choice([None, 0, -1, 1e-9, 1e12, 1e300, "@NaN@", "@1e999@"])
     if key == "range":
         low, high = output["range"]
-        ends = [[high, low], [low, low], [[None] * size] * 2, [[-1e300] * size, [1e300] * size], [low[:-1], high], [[value] * size, high]]
+        ends = [
+            [high, low],
+            [low, low],
+            [[None] * size] * 2,
+            [[-1e300] * size, [1e300] * size],
+            [low[:-1], high],
+            [[value] * size, high],
+        ]
         output["range"] = dice.choice(ends)
     else:
         output[key] = dice.choice([[value] * size, [value] * (size + 1), [], [value]])
@@ -105,11 +138,18 @@ def json_memory(dice: random.Random, forged: Forged) -> None:
     memories = forged.tree["memory"]
     if not memories or dice.random() < 0.4:
         shape = dice.choice([[1], [4_000_000], [2_000, 2_000], [1] * 4, [0], [-1], [1 << 40]])
-        new = {"name": f"m{dice.randrange(3)}", "shape": shape, "dtype": dice.choice(["float64", "uint8", "bool"]), "initial": [0]}
+        new = {
+            "name": f"m{dice.randrange(3)}",
+            "shape": shape,
+            "dtype": dice.choice(["float64", "uint8", "bool"]),
+            "initial": [0],
+        }
         memories.extend([new] * dice.choice([1, 2, 400]))
         return
     memory = dice.choice(memories)
-    memory["initial"] = [dice.choice([1e300, -1e300, 0.5, -1, 300, 1e39, "@NaN@"])] * dice.choice([1, 1, 2, len(memory["initial"])])
+    memory["initial"] = [dice.choice([1e300, -1e300, 0.5, -1, 300, 1e39, "@NaN@"])] * dice.choice(
+        [1, 1, 2, len(memory["initial"])]
+    )
     if dice.random() < 0.3:
         memory["dtype"] = dice.choice(["float64", "float32", "int64", "bool", "uint8"])
 
@@ -125,21 +165,50 @@ def json_inputs(dice: random.Random, forged: Forged) -> None:
             entry["robot"] = dice.choice(["a b", "ä", "/", None, "x" * 200])
         case 3:
             forged.tree["inputs"].append(
-                {**entry, "name": dice.choice([f"{entry['name']} ", entry["name"].replace("(", " "), "?", "(", ")"])}
+                {
+                    **entry,
+                    "name": dice.choice(
+                        [f"{entry['name']} ", entry["name"].replace("(", " "), "?", "(", ")"]
+                    ),
+                }
             )
         case 4:
-            entry["source"], entry["rate_hz"] = dice.choice(["goal", "sensor", "supervisor"]), dice.choice([1e-6, 1e6, 1.0])
+            entry["source"], entry["rate_hz"] = (
+                dice.choice(["goal", "sensor", "supervisor"]),
+                dice.choice([1e-6, 1e6, 1.0]),
+            )
         case _:
-            entry["max_age_s"], entry["latency_s"] = dice.choice([None, 1e-9, 1e6, 5e-324]), dice.choice([0, 1e6])
+            entry["max_age_s"], entry["latency_s"] = (
+                dice.choice([None, 1e-9, 1e6, 5e-324]),
+                dice.choice([0, 1e6]),
+            )
 
 
 def json_files(dice: random.Random, forged: Forged) -> None:
     files = forged.tree["files"]
     digest = dice.choice([hashlib.sha256(b"").hexdigest(), "0" * 64, "A" * 64, "", "0" * 64 + "\n"])
     name = dice.choice(
-        ["/dev/zero", "/etc/passwd", "../x", "a/../../x", "inputs", ".", "", "a" * 256, "é" * 200, "a/" * 249 + "a", "a//b", "bundle.json",
-         "C:x", "a\\b", "x\n", bundle.SIGNATURE_NAME, "README.md/x", "policy.onnx/"]
-    )  # fmt: skip
+        [
+            "/dev/zero",
+            "/etc/passwd",
+            "../x",
+            "a/../../x",
+            "inputs",
+            ".",
+            "",
+            "a" * 256,
+            "é" * 200,
+            "a/" * 249 + "a",
+            "a//b",
+            "bundle.json",
+            "C:x",
+            "a\\b",
+            "x\n",
+            bundle.SIGNATURE_NAME,
+            "README.md/x",
+            "policy.onnx/",
+        ]
+    )
     match dice.randrange(3):
         case 0:
             files[name] = digest
@@ -151,10 +220,21 @@ def json_files(dice: random.Random, forged: Forged) -> None:
 
 def json_topics(dice: random.Random, forged: Forged) -> None:
     name = dice.choice([entry["name"] for key in ("inputs", "outputs") for entry in forged.tree[key]])
-    types = ["std_msgs/Float64MultiArray", "sensor_msgs/JointState", "sensor_msgs/Image", "geometry_msgs/Twist", "x/Y", ""]
+    types = [
+        "std_msgs/Float64MultiArray",
+        "sensor_msgs/JointState",
+        "sensor_msgs/Image",
+        "geometry_msgs/Twist",
+        "x/Y",
+        "",
+    ]
     topic = dice.choice(["/a", "a", "/", "/a\n", "/a/" + "b" * 200, "/deepbots/action", "/deepbots/episode"])
     forged.tree["ros"] = {
-        name: {"topic": topic, "type": dice.choice(types), "part": dice.choice([None, "data", "position", "x", "linear.x"])}
+        name: {
+            "topic": topic,
+            "type": dice.choice(types),
+            "part": dice.choice([None, "data", "position", "x", "linear.x"]),
+        }
     }
 
 

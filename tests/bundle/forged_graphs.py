@@ -64,14 +64,20 @@ def written(parts: Sequence[tuple[int, int, Any]]) -> bytes:
     made = b""
     for number, wire_type, value in parts:
         key = varint(number << 3 | wire_type)
-        made += key + (varint(value) if wire_type == 0 else (varint(len(value)) if wire_type == 2 else b"") + value)
+        made += key + (
+            varint(value) if wire_type == 0 else (varint(len(value)) if wire_type == 2 else b"") + value
+        )
     return made
 
 
-def _at_random(content: bytes, message: str, dice: random.Random, change: Callable[[list[Any], str], bytes]) -> bytes:
+def _at_random(
+    content: bytes, message: str, dice: random.Random, change: Callable[[list[Any], str], bytes]
+) -> bytes:
     """A message with a change in it, or in a message within."""
     parts = fields(content)
-    inner = [number for number, part in enumerate(parts) if part[0] in _INNER.get(message, {}) and part[1] == 2]
+    inner = [
+        number for number, part in enumerate(parts) if part[0] in _INNER.get(message, {}) and part[1] == 2
+    ]
     if inner and dice.random() < 0.85:
         # Few messages of the model are of nodes; each kind is as likely as another.
         kind = dice.choice(sorted({parts[number][0] for number in inner}))
@@ -119,7 +125,12 @@ def wire(dice: random.Random, forged: Forged) -> None:
                     + after
                 )
             case _:  # another number
-                return before + varint(number << 3) + varint(dice.choice([0, 1, 7, 16, 255, 1 << 31, (1 << 63) - 1, (1 << 64) - 1])) + after
+                return (
+                    before
+                    + varint(number << 3)
+                    + varint(dice.choice([0, 1, 7, 16, 255, 1 << 31, (1 << 63) - 1, (1 << 64) - 1]))
+                    + after
+                )
 
     forged.set_graph(_at_random(forged.files[bundle.GRAPH_NAME], "model", dice, change))
 
@@ -139,13 +150,19 @@ def graph_operator(dice: random.Random, forged: Forged) -> None:
 def graph_weight(dice: random.Random, forged: Forged) -> None:
     """Numbers of a weight, also of those that are places, shapes or truth values."""
     graph = forged.graph
-    for weight in dice.sample(list(graph.graph.initializer), min(len(graph.graph.initializer), dice.choice([1, 1, 3, 1_000]))):
+    for weight in dice.sample(
+        list(graph.graph.initializer), min(len(graph.graph.initializer), dice.choice([1, 1, 3, 1_000]))
+    ):
         array = numpy_helper.to_array(weight).copy()
         if array.size and array.dtype.kind == "f":
-            value = dice.choice([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30, 1e-40, array.dtype.type(np.finfo(array.dtype).max)])
+            value = dice.choice(
+                [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30, 1e-40, array.dtype.type(np.finfo(array.dtype).max)]
+            )
             array.flat[slice(None) if dice.random() < 0.4 else dice.randrange(array.size)] = value
         elif array.size and array.dtype.kind == "i":
-            array.flat[dice.randrange(array.size)] = dice.choice([-1, 0, 1, 2, 1 << 31, (1 << 63) - 1, -(1 << 63)])
+            array.flat[dice.randrange(array.size)] = dice.choice(
+                [-1, 0, 1, 2, 1 << 31, (1 << 63) - 1, -(1 << 63)]
+            )
         weight.CopyFrom(numpy_helper.from_array(array, weight.name))
         if array.dtype == np.bool_:
             weight.raw_data = bytes([dice.choice([0, 1, 2, 255])]) * array.size
@@ -163,13 +180,17 @@ def graph_tensor(dice: random.Random, forged: Forged) -> None:
         case 1:
             weight.data_type = dice.randrange(0, 24)
         case 2:
-            weight.dims[:] = dice.choice([[], [0], [-1], [1 << 40], [1 << 32, 1 << 32], [1] * 40, [*weight.dims, 1]])
+            weight.dims[:] = dice.choice(
+                [[], [0], [-1], [1 << 40], [1 << 32, 1 << 32], [1] * 40, [*weight.dims, 1]]
+            )
         case 3:
             weight.raw_data = weight.raw_data[:-1]
         case 4:
             weight.float_data.extend([1.0])
         case _:
-            weight.name = dice.choice([graph.graph.input[0].name, graph.graph.node[0].output[0], "", weight.name + "x"])
+            weight.name = dice.choice(
+                [graph.graph.input[0].name, graph.graph.node[0].output[0], "", weight.name + "x"]
+            )
     forged.set_graph(graph)
 
 
@@ -227,7 +248,9 @@ def graph_attribute(dice: random.Random, forged: Forged) -> None:
     else:
         attribute = dice.choice(dice.choice(with_attributes).attribute)
         if attribute.type == AttributeProto.INTS:
-            attribute.ints[:] = dice.choice([[number] * len(attribute.ints), [], list(attribute.ints) * 2, list(attribute.ints)[::-1]])
+            attribute.ints[:] = dice.choice(
+                [[number] * len(attribute.ints), [], list(attribute.ints) * 2, list(attribute.ints)[::-1]]
+            )
         elif attribute.type == AttributeProto.INT:
             attribute.i = number
         else:
@@ -289,14 +312,25 @@ def graph_model(dice: random.Random, forged: Forged) -> None:
             graph.opset_import.add(domain=dice.choice(["com.microsoft", "ai.onnx.ml", ""]), version=1)
         case 3:
             graph.functions.append(
-                helper.make_function("d", "Relu", ["x"], ["y"], [helper.make_node("Exp", ["x"], ["y"])], [helper.make_opsetid("", 17)])
+                helper.make_function(
+                    "d",
+                    "Relu",
+                    ["x"],
+                    ["y"],
+                    [helper.make_node("Exp", ["x"], ["y"])],
+                    [helper.make_opsetid("", 17)],
+                )
             )
         case 4:
             graph.doc_string = dice.choice(TEXTS[1:6]) * dice.choice([1, 300_000])
         case 5:
-            graph.metadata_props.add(key=dice.choice([bundle.METADATA_KEY, "ort_config", "x"]), value=dice.choice(["{}", "0" * 64]))
+            graph.metadata_props.add(
+                key=dice.choice([bundle.METADATA_KEY, "ort_config", "x"]), value=dice.choice(["{}", "0" * 64])
+            )
         case _:
-            dice.choice(graph.graph.node).domain = dice.choice(["com.microsoft", "ai.onnx", "ai.onnx.ml", "\x1b"])
+            dice.choice(graph.graph.node).domain = dice.choice(
+                ["com.microsoft", "ai.onnx", "ai.onnx.ml", "\x1b"]
+            )
     forged.set_graph(graph)
 
 
@@ -320,7 +354,12 @@ def graph_work(dice: random.Random, forged: Forged) -> None:
     graph = forged.graph
 
     def add(
-        operator: str, inputs: list[str], shape: list[int], kind: int = TensorProto.DOUBLE, name: str = "bomb", **attributes: Any
+        operator: str,
+        inputs: list[str],
+        shape: list[int],
+        kind: int = TensorProto.DOUBLE,
+        name: str = "bomb",
+        **attributes: Any,
     ) -> None:
         graph.graph.node.append(helper.make_node(operator, inputs, [name], **attributes))
         graph.graph.value_info.append(helper.make_tensor_value_info(name, kind, shape))
@@ -337,13 +376,19 @@ def graph_work(dice: random.Random, forged: Forged) -> None:
         case 0:
             operator = dice.choice(["Mod", "Pow", "Add"])
             row = weigh("row", np.full((1, size), 2.3e-308))
-            add(operator, [column(1e308, size), row], [size, size], **({"fmod": 1} if operator == "Mod" else {}))
+            add(
+                operator,
+                [column(1e308, size), row],
+                [size, size],
+                **({"fmod": 1} if operator == "Mod" else {}),
+            )
         case 1:
             add("Max", ["one"] * dice.choice([100, 100_000]), [1_000_000])
             weigh("one", np.zeros(1_000_000))
         case 2:
             picture, kernel = (
-                weigh(name, np.zeros((1, 1, side, side), np.float32)) for name, side in (("picture", size), ("kernel", size // 3))
+                weigh(name, np.zeros((1, 1, side, side), np.float32))
+                for name, side in (("picture", size), ("kernel", size // 3))
             )
             side = size - size // 3 + 1
             add("Conv", [picture, kernel], [1, 1, side, side], TensorProto.FLOAT)
@@ -379,5 +424,9 @@ def graph_tiny(dice: random.Random, forged: Forged) -> None:
 
 def graph_other_format(dice: random.Random, forged: Forged) -> None:
     """A model of ONNX that begins like one in the format of onnxruntime."""
-    parts = [(number, kind, value) for number, kind, value in fields(forged.files[bundle.GRAPH_NAME]) if number not in (1, 4)]
+    parts = [
+        (number, kind, value)
+        for number, kind, value in fields(forged.files[bundle.GRAPH_NAME])
+        if number not in (1, 4)
+    ]
     forged.set_graph(b"\x08\x08\x22\x04ORTM" + written(parts))

@@ -1,13 +1,16 @@
 """Forge bundles for as long as it takes, and judge what `load` makes of them.
 
-    python -m tests.bundle.forgeries [--count 500] [--seed 1] [--start 0] [--only NUMBER] [--keep FOLDER] [--json]
+    python -m tests.bundle.forgeries [--count 500] [--seed 1] [--start 0] [--only NUMBER] [--keep FOLDER]
+    [--json]
 
-Three attackers. `changes` changes files and no digests: the bundle is refused. `digests` also computes digests, the metadata of the graph
-and the recorded steps again: the bundle is refused in one sentence, or its policy gives finite commands within its ranges and rates
-whatever it is given. `signed` does the same to a bundle with a signature, and `load` has the trusted key: the bundle is refused.
+Three attackers. `changes` changes files and no digests: the bundle is refused. `digests` also computes
+digests, the metadata of the graph and the recorded steps again: the bundle is refused in one sentence, or its
+policy gives finite commands within its ranges and rates whatever it is given. `signed` does the same to a
+bundle with a signature, and `load` has the trusted key: the bundle is refused.
 
-Each case runs in a process of its own with limits: 2 s of CPU for `load`, 500 MB beyond what was there before. The same seed and number
-are the same forgery. What fails is printed with its number and kept in FOLDER; the exit code is then 1.
+Each case runs in a process of its own with limits: 2 s of CPU for `load`, 500 MB beyond what was there
+before. The same seed and number are the same forgery. What fails is printed with its number and kept in
+FOLDER; the exit code is then 1.
 """
 
 from __future__ import annotations
@@ -53,7 +56,8 @@ BASES: Mapping[str, tuple[str, ...]] = {
     "normalized": ("find_ball_random",),
     "picture": ("see_ball",),
 }
-"""Continuous with a memory, discrete, with rates, recurrent, normalized with a history, and with a picture."""
+"""Continuous with a memory, discrete, with rates, recurrent, normalized with a history, and with a
+picture."""
 QUICK = ("balancer", "cartpole", "panda_reach")
 ATTACKERS = ("changes", "digests", "digests", "signed")
 MAX_SECONDS, MAX_MEMORY = 2.0, 500e6
@@ -105,7 +109,10 @@ def prepare(folder: Path, names: Sequence[str] = tuple(BASES)) -> Path:
         if not (folder / name).exists():
             written(folder / name, *BASES[name])
             forged = Forged.of(folder / name)
-            forged.files |= {bundle.README_NAME: b"Limits of the commands: 5 rad/s\n" * 9, bundle.SCENARIO_NAME: b"deepbots: 1\n"}
+            forged.files |= {
+                bundle.README_NAME: b"Limits of the commands: 5 rad/s\n" * 9,
+                bundle.SCENARIO_NAME: b"deepbots: 1\n",
+            }
             shutil.rmtree(folder / name)
             forged.write(folder / name, digests=True)
         content = signature.sign((folder / name / bundle.BUNDLE_NAME).read_bytes(), folder / "key")
@@ -139,7 +146,8 @@ def forge(number: int, seed: int, bases: Path, folder: Path) -> Outcome:
 
 
 def _record_again(forged: Forged) -> None:
-    """The steps of parity.npz as the forged graph computes them, without any check of ours but those against work without an end."""
+    """The steps of parity.npz as the forged graph computes them, without any check of ours but those against
+    work without an end."""
     with suppress(Exception):
         content = forged.files[bundle.GRAPH_NAME]
         if onnx_file.require_plain(content) > 20_000_000:
@@ -158,7 +166,9 @@ def _record_again(forged: Forged) -> None:
             for entry in session.get_inputs():
                 if entry.name in initial:
                     start = np.broadcast_to(np.array(initial[entry.name]["initial"]), entry.shape)
-                    feeds[entry.name] = memory.get(entry.name, start.astype(bundle._NUMPY_TYPES[initial[entry.name]["dtype"]]))
+                    feeds[entry.name] = memory.get(
+                        entry.name, start.astype(bundle._NUMPY_TYPES[initial[entry.name]["dtype"]])
+                    )
                 else:
                     feeds[entry.name] = arrays[f"input/{entry.name}"][step]
             found = dict(zip(names, session.run(None, feeds), strict=True))
@@ -170,7 +180,8 @@ def _record_again(forged: Forged) -> None:
 
 
 def examine(outcome: Outcome, folder: Path, trusted: Path, same_as: Path) -> None:
-    """Load a forgery, and let its policy act if it loads; fills in the outcome. Runs in a process of its own."""
+    """Load a forgery, and let its policy act if it loads; fills in the outcome. Runs in a process of its
+    own."""
     before = _memory("VmRSS")
     _clear_peak()
     started = time.process_time()
@@ -203,7 +214,10 @@ def examine(outcome: Outcome, folder: Path, trusted: Path, same_as: Path) -> Non
 def _is_same(folder: Path, other: Path) -> bool:
     """Whether all files of a bundle are those of another one, with nothing reached by a link."""
     names = {path.relative_to(other) for path in other.rglob("*")} - {Path(bundle.SIGNATURE_NAME)}
-    return all((folder / name).is_file() and (folder / name).read_bytes() == (other / name).read_bytes() for name in names)
+    return all(
+        (folder / name).is_file() and (folder / name).read_bytes() == (other / name).read_bytes()
+        for name in names
+    )
 
 
 class _Line:
@@ -281,7 +295,11 @@ def _check_ranges(info: deepbots_robot.BundleInfo, commands: Mapping[str, Any]) 
         if output.name not in commands:
             continue
         for value, low, high in zip(commands[output.name].tolist(), *output.range, strict=True):
-            if not np.isfinite(value) or (low is not None and value < low) or (high is not None and value > high):
+            if (
+                not np.isfinite(value)
+                or (low is not None and value < low)
+                or (high is not None and value > high)
+            ):
                 raise FailedError(f"'{output.name}' is {value}, and its range {low} .. {high}")
 
 
@@ -335,10 +353,16 @@ def judged(number: int, seed: int, bases: Path, keep: Path | None = None) -> Out
         if content is None:
             outcome.text = f"no end within {_KILLED_AFTER:g} s"
         elif not content:
-            outcome.text = f"the process ends by signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else "the process ends"
+            outcome.text = (
+                f"the process ends by signal {os.WTERMSIG(status)}"
+                if os.WIFSIGNALED(status)
+                else "the process ends"
+            )
         if outcome.end == "failed" and keep is not None and folder.exists():
             keep.mkdir(parents=True, exist_ok=True)
-            shutil.copytree(folder, keep / str(number), symlinks=True, dirs_exist_ok=True, copy_function=_copied)
+            shutil.copytree(
+                folder, keep / str(number), symlinks=True, dirs_exist_ok=True, copy_function=_copied
+            )
     return outcome
 
 
@@ -395,28 +419,46 @@ def summary(outcomes: Sequence[Outcome]) -> str:
     for attacker in dict.fromkeys(ATTACKERS):
         own = [each for each in outcomes if each.attacker == attacker]
         ends = Counter(each.end for each in own)
-        lines.append(f"{attacker:8} {len(own):5}  " + ", ".join(f"{count} {end}" for end, count in sorted(ends.items())))
-    slowest, largest = max(outcomes, key=lambda each: each.seconds), max(outcomes, key=lambda each: each.megabytes)
-    lines.append(f"slowest load {slowest.seconds:.2f} s of CPU ({slowest.number}), largest {largest.megabytes:.0f} MB ({largest.number})")
+        lines.append(
+            f"{attacker:8} {len(own):5}  "
+            + ", ".join(f"{count} {end}" for end, count in sorted(ends.items()))
+        )
+    slowest, largest = (
+        max(outcomes, key=lambda each: each.seconds),
+        max(outcomes, key=lambda each: each.megabytes),
+    )
+    lines.append(
+        f"slowest load {slowest.seconds:.2f} s of CPU ({slowest.number}), largest {largest.megabytes:.0f} MB"
+        f" ({largest.number})"
+    )
     loaded = [each for each in outcomes if each.end == "loaded"]
     lines.append(f"of {len(loaded)} that load, {sum(each.stopped > 0 for each in loaded)} refuse a step")
     return "\n".join(lines)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.bundle.forgeries", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.bundle.forgeries", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("--count", type=int, default=500, help="forgeries, by default 500")
     parser.add_argument("--seed", type=int, default=1, help="of the dice, by default 1")
     parser.add_argument("--start", type=int, default=0, help="the first number, by default 0")
     parser.add_argument("--only", type=int, help="one number alone")
-    parser.add_argument("--keep", type=Path, default=Path("build/forgeries"), help="where forgeries that fail are kept")
-    parser.add_argument("--bases", type=Path, help="the folder of the bundles that are forged, by default a new one")
+    parser.add_argument(
+        "--keep", type=Path, default=Path("build/forgeries"), help="where forgeries that fail are kept"
+    )
+    parser.add_argument(
+        "--bases", type=Path, help="the folder of the bundles that are forged, by default a new one"
+    )
     parser.add_argument("--json", action="store_true", help="print an outcome a line")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         bases = given.bases or Path(place) / "bases"
         if given.bases is None:  # in a process of its own: torch has threads, and what forks must have none
-            code = f"from pathlib import Path; from tests.bundle.forgeries import prepare; prepare(Path({str(bases)!r}))"
+            code = (
+                "from pathlib import Path; from tests.bundle.forgeries import prepare;"
+                f" prepare(Path({str(bases)!r}))"
+            )
             subprocess.run([sys.executable, "-c", code], check=True)
         start, count = (given.start, given.count) if given.only is None else (given.only, 1)
         outcomes = []
@@ -426,7 +468,11 @@ def main() -> int:
             if given.json or given.only is not None:
                 print(json.dumps(asdict(outcome)), flush=True)
             elif outcome.end == "failed":
-                print(f"{number} ({outcome.attacker}, {outcome.base}, {outcome.area}, {outcome.way}): {outcome.text}", flush=True)
+                print(
+                    f"{number} ({outcome.attacker}, {outcome.base}, {outcome.area}, {outcome.way}):"
+                    f" {outcome.text}",
+                    flush=True,
+                )
         if not given.json:
             print(summary(outcomes))
     return int(any(outcome.end == "failed" for outcome in outcomes))

@@ -1,4 +1,5 @@
-"""How the files of a bundle are forged: each way changes one of them at random, and `forgeries.py` judges what `load` makes of it."""
+"""How the files of a bundle are forged: each way changes one of them at random, and `forgeries.py` judges
+what `load` makes of it."""
 
 from __future__ import annotations
 
@@ -71,13 +72,32 @@ def parity_array(dice: random.Random, forged: Forged) -> None:
     arrays = forged.arrays
     name = dice.choice(sorted(arrays))
     array = arrays[name]
-    types: list[Any] = [np.float16, np.int8, ">f8", "U3", "S4", object, [("a", "f4")], "V8", "M8[s]", np.complex128, np.longdouble]
+    types: list[Any] = [
+        np.float16,
+        np.int8,
+        ">f8",
+        "U3",
+        "S4",
+        object,
+        [("a", "f4")],
+        "V8",
+        "M8[s]",
+        np.complex128,
+        np.longdouble,
+    ]
     match dice.randrange(8):
         case 0:
             arrays[name] = np.zeros(array.shape, dice.choice(types))
         case 1:
             arrays[name] = dice.choice(
-                [array[:-1], array[:0], array[None], array.reshape(-1), array[..., None], array[:, :0] if array.ndim > 1 else array]
+                [
+                    array[:-1],
+                    array[:0],
+                    array[None],
+                    array.reshape(-1),
+                    array[..., None],
+                    array[:, :0] if array.ndim > 1 else array,
+                ]
             )
         case 2:
             del arrays[name]
@@ -87,9 +107,13 @@ def parity_array(dice: random.Random, forged: Forged) -> None:
             if array.dtype.kind == "f" and array.size:
                 array.flat[dice.randrange(array.size)] = dice.choice([np.nan, np.inf, 1e30, -1e30, 0.0])
         case 5:
-            arrays["starts"] = np.array(dice.choice([[], [1], [-1], [0, 0], [0, 1 << 62], [0.0], [[0]], list(range(len(array)))]))
+            arrays["starts"] = np.array(
+                dice.choice([[], [1], [-1], [0, 0], [0, 1 << 62], [0.0], [[0]], list(range(len(array)))])
+            )
         case 6:
-            arrays = {key: np.repeat(value, dice.choice([2, 300]), axis=0) for key, value in arrays.items()} | {"starts": np.array([0])}
+            arrays = {
+                key: np.repeat(value, dice.choice([2, 300]), axis=0) for key, value in arrays.items()
+            } | {"starts": np.array([0])}
         case _:
             arrays = {key: value[:1] for key, value in arrays.items()}
     forged.set_arrays(arrays)
@@ -102,18 +126,50 @@ def _npy(header: bytes, data: bytes = b"", version: bytes = b"\x01\x00") -> byte
 
 def parity_header(dice: random.Random, forged: Forged) -> None:
     """An array whose header promises another one."""
-    descr = dice.choice(["'<f8'", "'|O'", "'<U2000000000'", "'V0'", "[('a','<f8')]*1", "1", "'<f8','<f8'", "'M8'"])
-    shape = dice.choice(["(400, 1)", "(1<<62,)", "(4611686018427387904, 0)", "(-1,)", "(True,)", "(1.0,)", "()", "(" + "1," * 3_000 + ")"])
+    descr = dice.choice(
+        ["'<f8'", "'|O'", "'<U2000000000'", "'V0'", "[('a','<f8')]*1", "1", "'<f8','<f8'", "'M8'"]
+    )
+    shape = dice.choice(
+        [
+            "(400, 1)",
+            "(1<<62,)",
+            "(4611686018427387904, 0)",
+            "(-1,)",
+            "(True,)",
+            "(1.0,)",
+            "()",
+            "(" + "1," * 3_000 + ")",
+        ]
+    )
     header = f"{{'descr': {descr}, 'fortran_order': {dice.choice(['False', 'True', '1'])}, 'shape': {shape}, }}".encode()
-    header = dice.choice([header, header, b"(" * 5_000, b"-" * 5_000 + b"1", b"[" * 90 + b"]" * 90, b"\xff" * 100, header + b" " * 60_000])
-    content = _npy(header, dice.randbytes(80), dice.choice([b"\x01\x00", b"\x02\x00", b"\x03\x00", b"\x09\x00"]))
-    _with_entry(forged, dice.choice(sorted(forged.arrays)), dice.choice([content, content, b"\x93NUMPY", b"\x80\x04\x95.", b""]))
+    header = dice.choice(
+        [
+            header,
+            header,
+            b"(" * 5_000,
+            b"-" * 5_000 + b"1",
+            b"[" * 90 + b"]" * 90,
+            b"\xff" * 100,
+            header + b" " * 60_000,
+        ]
+    )
+    content = _npy(
+        header, dice.randbytes(80), dice.choice([b"\x01\x00", b"\x02\x00", b"\x03\x00", b"\x09\x00"])
+    )
+    _with_entry(
+        forged,
+        dice.choice(sorted(forged.arrays)),
+        dice.choice([content, content, b"\x93NUMPY", b"\x80\x04\x95.", b""]),
+    )
 
 
 def _with_entry(forged: Forged, name: str, content: bytes, **settings: Any) -> None:
     """parity.npz with another content of one array."""
     stream = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(forged.files[bundle.PARITY_NAME])) as old, zipfile.ZipFile(stream, "w", **settings) as new:
+    with (
+        zipfile.ZipFile(io.BytesIO(forged.files[bundle.PARITY_NAME])) as old,
+        zipfile.ZipFile(stream, "w", **settings) as new,
+    ):
         for entry in old.infolist():
             new.writestr(entry.filename, content if entry.filename == f"{name}.npy" else old.read(entry))
     forged.files[bundle.PARITY_NAME] = stream.getvalue()
@@ -124,18 +180,26 @@ def parity_archive(dice: random.Random, forged: Forged) -> None:
     old = forged.files[bundle.PARITY_NAME]
     match dice.randrange(8):
         case 0:
-            _with_entry(forged, name, bytes(dice.choice([50_000_000, 150_000_000])), compression=zipfile.ZIP_DEFLATED)
+            _with_entry(
+                forged, name, bytes(dice.choice([50_000_000, 150_000_000])), compression=zipfile.ZIP_DEFLATED
+            )
         case 1:
-            _with_entry(forged, name, bytes(1_000_000), compression=dice.choice([zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2]))
+            _with_entry(
+                forged, name, bytes(1_000_000), compression=dice.choice([zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+            )
         case 2:
             stream = io.BytesIO(old)
             with zipfile.ZipFile(stream, "a") as archive:
-                archive.writestr(zipfile.ZipInfo(dice.choice([f"{name}.npy ", "../../x.npy", "/x.npy", "x\x00y"])), b"x")
+                archive.writestr(
+                    zipfile.ZipInfo(dice.choice([f"{name}.npy ", "../../x.npy", "/x.npy", "x\x00y"])), b"x"
+                )
             forged.files[bundle.PARITY_NAME] = stream.getvalue()
         case 3:  # hundreds of thousands of entries without content
             count = dice.choice([1_000, 400_000])
             entry = b"PK\x01\x02" + bytes(24) + struct.pack("<H", 1) + bytes(16) + b"x"
-            end = b"PK\x05\x06" + struct.pack("<HHHHIIH", 0, 0, count & 0xFFFF, count & 0xFFFF, len(entry) * count, 0, 0)
+            end = b"PK\x05\x06" + struct.pack(
+                "<HHHHIIH", 0, 0, count & 0xFFFF, count & 0xFFFF, len(entry) * count, 0, 0
+            )
             forged.files[bundle.PARITY_NAME] = entry * count + end
         case 4:  # a size, a way of compression, a flag or a checksum in the directory
             at = old.rindex(b"PK\x01\x02")
@@ -241,10 +305,19 @@ def signatures(dice: random.Random, forged: Forged) -> None:
     }
     key = dice.choice(["key", "signature", "format"])
     made = dice.choice(
-        [{**tree, key: other[key]}, {**tree, "x": 1}, [], None, [tree], {**tree, "signature": tree["signature"][:-8] + "AAAAAA=="}]
+        [
+            {**tree, key: other[key]},
+            {**tree, "x": 1},
+            [],
+            None,
+            [tree],
+            {**tree, "signature": tree["signature"][:-8] + "AAAAAA=="},
+        ]
     )
     nested = dice.choice([b"[" * 9_000, b'{"x":' * 1_800, b'{"format":1,"key":' + b"[" * 9_000])
-    forged.files[bundle.SIGNATURE_NAME] = dice.choice([as_json(made), nested, changed(old, dice), b"", b"x" * 20_000])
+    forged.files[bundle.SIGNATURE_NAME] = dice.choice(
+        [as_json(made), nested, changed(old, dice), b"", b"x" * 20_000]
+    )
     forged.tree["rate_hz"] = forged.tree["rate_hz"] * 2
     forged.tree["timestep_s"] = forged.tree["timestep_s"] / 2
     forged.fit_graph()
@@ -252,13 +325,39 @@ def signatures(dice: random.Random, forged: Forged) -> None:
 
 OTHER_FILES = (bundle.SCENARIO_NAME, bundle.README_NAME)
 JSON_WAYS: tuple[Way, ...] = (
-    json_value, json_number, json_text, json_list, json_keys, json_depth, json_twice, json_layout, json_limits, json_memory, json_inputs,
-    json_files, json_topics, json_actions,
-)  # fmt: skip
+    json_value,
+    json_number,
+    json_text,
+    json_list,
+    json_keys,
+    json_depth,
+    json_twice,
+    json_layout,
+    json_limits,
+    json_memory,
+    json_inputs,
+    json_files,
+    json_topics,
+    json_actions,
+)
 AREAS: dict[str, tuple[Way, ...]] = {
-    "bytes": (_bytes_of(bundle.BUNDLE_NAME), _bytes_of(bundle.GRAPH_NAME), _bytes_of(bundle.PARITY_NAME), _bytes_of(*OTHER_FILES)),
+    "bytes": (
+        _bytes_of(bundle.BUNDLE_NAME),
+        _bytes_of(bundle.GRAPH_NAME),
+        _bytes_of(bundle.PARITY_NAME),
+        _bytes_of(*OTHER_FILES),
+    ),
     "wire": (wire,),
-    "graph": (graph_operator, graph_weight, graph_tensor, graph_nodes, graph_attribute, graph_shape, graph_names, graph_model),
+    "graph": (
+        graph_operator,
+        graph_weight,
+        graph_tensor,
+        graph_nodes,
+        graph_attribute,
+        graph_shape,
+        graph_names,
+        graph_model,
+    ),
     "behavior": (graph_output, graph_weight, json_limits),
     "cost": (graph_work, graph_tiny, graph_other_format, graph_work),
     "json": JSON_WAYS,

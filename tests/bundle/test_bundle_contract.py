@@ -1,4 +1,5 @@
-"""An exported policy commands what the robots of the simulation apply, to 1e-5 of each command's range, in every scenario that exports."""
+"""An exported policy commands what the robots of the simulation apply, to 1e-5 of each command's range, in
+every scenario that exports."""
 
 from __future__ import annotations
 
@@ -48,7 +49,8 @@ def test_lint_knows_which_readings_nothing_on_a_robot_measures(scenario):
     """`DB617` asks for a supplier of each."""
     step, _, known = made(scenario)
     of_source = {
-        source: {entry.name for entry in known.info.inputs if entry.source == source} for source in ("sensor", "supervisor", "goal")
+        source: {entry.name for entry in known.info.inputs if entry.source == source}
+        for source in ("sensor", "supervisor", "goal")
     }
     deployment = Deployment(step.program)
     assert of_source["supervisor"] == {*deployment.unmeasured}
@@ -69,7 +71,12 @@ def test_over_a_thousand_steps_too(scenario):
         ("find_and_avoid", ["agent={action_repeat: 3, frame_stack: 2}"]),
         (
             "line_follower",
-            ["agent={action_repeat: 4}", "observation.time=0 .. 60 s", "observation.step=0 .. 100", "train.algorithm=RecurrentPPO"],
+            [
+                "agent={action_repeat: 4}",
+                "observation.time=0 .. 60 s",
+                "observation.step=0 .. 100",
+                "train.algorithm=RecurrentPPO",
+            ],
         ),
     ],
 )
@@ -97,8 +104,14 @@ def test_scenarios_of_other_tests_too(name, overrides):
 @pytest.mark.parametrize(
     ("overrides", "named"),
     [
-        (["messages.timing=delayed"], "`apply` of rover reads sensors or keeps values, and messages to it arrive late"),
-        (["observation={previous_reward: -1 .. 1}"], "the policy sees 'previous_reward', and the reward is known in a training alone"),
+        (
+            ["messages.timing=delayed"],
+            "`apply` of rover reads sensors or keeps values, and messages to it arrive late",
+        ),
+        (
+            ["observation={previous_reward: -1 .. 1}"],
+            "the policy sees 'previous_reward', and the reward is known in a training alone",
+        ),
     ],
 )
 def test_what_cannot_be_exported_is_named(overrides, named):
@@ -114,7 +127,9 @@ def test_what_cannot_be_exported_is_named(overrides, named):
         ("balancer", {"bot.accel": {1}, "bot.gyro": {0, 2}}),
     ],
 )
-def test_numbers_that_the_graph_does_not_read_change_nothing_and_all_others_do(scenario: str, unused: dict[str, set[int]]) -> None:
+def test_numbers_that_the_graph_does_not_read_change_nothing_and_all_others_do(
+    scenario: str, unused: dict[str, set[int]]
+) -> None:
     step, _, known = made(scenario)
     read = numbers_read(step.model({}))
     found = {entry.name: {*range(entry.shape[0])} - read[entry.name] for entry in known.info.inputs}
@@ -128,7 +143,9 @@ def test_numbers_that_the_graph_does_not_read_change_nothing_and_all_others_do(s
             other = {key: value.copy() for key, value in values.items()}
             other[name][place] += 0.05
             changed[name, place] += results(known, other) != wanted
-    assert {key for key, count in changed.items() if not count} == {(name, place) for name, places in unused.items() for place in places}
+    assert {key for key, count in changed.items() if not count} == {
+        (name, place) for name, places in unused.items() for place in places
+    }
 
 
 def results(known: Bundle, values: dict[str, Any]) -> list[bytes]:

@@ -1,4 +1,5 @@
-"""Forged bundles: who writes new digests cannot make a bundle run code, read files, hang, or command beyond its ranges."""
+"""Forged bundles: who writes new digests cannot make a bundle run code, read files, hang, or command beyond
+its ranges."""
 
 from __future__ import annotations
 
@@ -55,12 +56,18 @@ def _part(key: bytes, content: bytes) -> bytes:
     return key + _varint(len(content)) + content
 
 
-def _graph(*nodes: onnx.NodeProto, size: int = 4, shapes: dict[str, list[int]] | None = None, **parts: Any) -> bytes:
+def _graph(
+    *nodes: onnx.NodeProto, size: int = 4, shapes: dict[str, list[int]] | None = None, **parts: Any
+) -> bytes:
     """A graph from `x` (float32 [size]) to `y`, with nodes between."""
     ends = [helper.make_tensor_value_info(name, FLOAT, [size]) for name in "xy"]
     between = [helper.make_tensor_value_info(name, FLOAT, shape) for name, shape in (shapes or {}).items()]
-    made = helper.make_graph(list(nodes), "g", ends[:1], ends[1:], parts.pop("weights", []), value_info=between)
-    return helper.make_model(made, opset_imports=parts.pop("opsets", [helper.make_opsetid("", 17)]), **parts).SerializeToString()
+    made = helper.make_graph(
+        list(nodes), "g", ends[:1], ends[1:], parts.pop("weights", []), value_info=between
+    )
+    return helper.make_model(
+        made, opset_imports=parts.pop("opsets", [helper.make_opsetid("", 17)]), **parts
+    ).SerializeToString()
 
 
 def _node(operator: str = "Relu", inputs: str = "x", outputs: str = "y", **attributes: Any) -> onnx.NodeProto:
@@ -94,34 +101,70 @@ _WIDE = helper.make_tensor_value_info("x", FLOAT, [1, 30_000])
 GRAPHS: dict[str, tuple[bytes, str]] = {
     "a plain one": (_graph(_node()), ""),
     "another operator behind a field number of 33 bits": (
-        _with_bytes_in_node(_part(_varint((1 << 32) + (4 << 3 | 2)), b"RandomNormal")), "is damaged"
+        _with_bytes_in_node(_part(_varint((1 << 32) + (4 << 3 | 2)), b"RandomNormal")),
+        "is damaged",
     ),
-    "a field number that is longer than it needs to be": (_with_bytes_in_node(_part(_varint(4 << 3 | 2, 3), b"Loop")), "is damaged"),
-    "a second operator in a node": (_with_bytes_in_node(_part(b"\x22", b"Relu")), "field 4 of a node occurs twice"),
+    "a field number that is longer than it needs to be": (
+        _with_bytes_in_node(_part(_varint(4 << 3 | 2, 3), b"Loop")),
+        "is damaged",
+    ),
+    "a second operator in a node": (
+        _with_bytes_in_node(_part(b"\x22", b"Relu")),
+        "field 4 of a node occurs twice",
+    ),
     "a field of a node that is not known": (_with_bytes_in_node(_part(b"\x42", b"x")), "field 8 of a node"),
-    "a weight in another file": (_graph(_node(), weights=[_outside()]), "a weight (its numbers may be in another file)"),
-    "a weight with too few bytes": (_graph(_node(), weights=[_short()]), "another number of bytes than its shape"),
+    "a weight in another file": (
+        _graph(_node(), weights=[_outside()]),
+        "a weight (its numbers may be in another file)",
+    ),
+    "a weight with too few bytes": (
+        _graph(_node(), weights=[_short()]),
+        "another number of bytes than its shape",
+    ),
     "a loop": (_graph(_node("Loop", body=_INNER)), "'Loop' is not one"),
     "a constant with a tensor": (_graph(_node("Constant", "", value=_outside())), "'Constant' is not one"),
     "an inner graph": (_graph(_node("Relu", body=_INNER)), "of an attribute"),
     "an operator of another domain": (_graph(_node("Relu", domain="com.evil")), "of the domain 'com.evil'"),
-    "operators of another domain": (_graph(_node(), opsets=[helper.make_opsetid("com.evil", 1)]), "operators of 'com.evil'"),
-    "functions": (
-        _graph(_node(), functions=[helper.make_function("d", "f", [], [], [], [helper.make_opsetid("", 17)])]), "field 25 of the model"
+    "operators of another domain": (
+        _graph(_node(), opsets=[helper.make_opsetid("com.evil", 1)]),
+        "operators of 'com.evil'",
     ),
-    "a tensor without a shape": (_graph(_node("Relu", "x", "a"), _node("Relu", "a", "y")), "'a' has no shape"),
-    "a tensor that is read before it is made": (_graph(_node("Relu", "a", "y"), shapes={"a": [4]}), "that is not made before it"),
+    "functions": (
+        _graph(
+            _node(), functions=[helper.make_function("d", "f", [], [], [], [helper.make_opsetid("", 17)])]
+        ),
+        "field 25 of the model",
+    ),
+    "a tensor without a shape": (
+        _graph(_node("Relu", "x", "a"), _node("Relu", "a", "y")),
+        "'a' has no shape",
+    ),
+    "a tensor that is read before it is made": (
+        _graph(_node("Relu", "a", "y"), shapes={"a": [4]}),
+        "that is not made before it",
+    ),
     "a shape from an input": (_graph(_node("Reshape", "xx", "y")), "depends on an input"),
     "a square of 30,000": (
-        _graph(_node("Add", "xc", "a"), weights=[numpy_helper.from_array(np.zeros((30_000, 1), np.float32), "c")],
-               size=30_000, shapes={"a": [30_000, 30_000]}), "has more than"
+        _graph(
+            _node("Add", "xc", "a"),
+            weights=[numpy_helper.from_array(np.zeros((30_000, 1), np.float32), "c")],
+            size=30_000,
+            shapes={"a": [30_000, 30_000]},
+        ),
+        "has more than",
     ),
     "a chain of 6,000 nodes": (_graph(*[_node("Relu", "x", "y")] * 6_000), "more than 5000 nodes"),
     "work without an end": (
-        _graph(_node("MatMul", "xw", "a"), _node("MatMul", "aw", "y"), size=1100, shapes={"a": [1100, 1100]},
-               weights=[numpy_helper.from_array(np.zeros((1100, 1100), np.float32), "w")]), "operations"
+        _graph(
+            _node("MatMul", "xw", "a"),
+            _node("MatMul", "aw", "y"),
+            size=1100,
+            shapes={"a": [1100, 1100]},
+            weights=[numpy_helper.from_array(np.zeros((1100, 1100), np.float32), "w")],
+        ),
+        "operations",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", GRAPHS)
@@ -135,7 +178,9 @@ def test_a_graph_is_read_strictly(name: str) -> None:
     assert message in str(caught.value)
 
 
-def test_a_shape_that_is_not_that_of_the_operator_is_refused_by_onnxruntime(folder: Path, forged: Path) -> None:
+def test_a_shape_that_is_not_that_of_the_operator_is_refused_by_onnxruntime(
+    folder: Path, forged: Path
+) -> None:
     known = deepbots_robot.load(folder)
     graph = onnx.load_from_string((folder / bundle.GRAPH_NAME).read_bytes())
     value = next(each for each in graph.graph.value_info if len(each.type.tensor_type.shape.dim) == 1)
@@ -178,9 +223,18 @@ DESCRIPTIONS: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "a topic of nothing": (_topic(name="nothing"), "'nothing' has a topic"),
     "a topic of an unknown type": (_topic(type="std_msgs/Evil"), "the unknown type 'std_msgs/Evil'"),
     "51 GB of memories": (_memories, "more than 4000000 numbers together"),
-    "a file outside of the bundle": (lambda tree: tree["files"].update({"../x": "0" * 64}), "'../x' is no path in a bundle"),
-    "a file at a fixed place": (lambda tree: tree["files"].update({"/etc/passwd": "0" * 64}), "is no path in a bundle"),
-    "no digest of the scenario": (lambda tree: tree["files"].pop("scenario.yaml"), "no digest of scenario.yaml"),
+    "a file outside of the bundle": (
+        lambda tree: tree["files"].update({"../x": "0" * 64}),
+        "'../x' is no path in a bundle",
+    ),
+    "a file at a fixed place": (
+        lambda tree: tree["files"].update({"/etc/passwd": "0" * 64}),
+        "is no path in a bundle",
+    ),
+    "no digest of the scenario": (
+        lambda tree: tree["files"].pop("scenario.yaml"),
+        "no digest of scenario.yaml",
+    ),
 }
 
 
@@ -205,10 +259,19 @@ def _parity_with(name: str, array: Any) -> Callable[[dict[str, Any]], None]:
 
 PARITIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "strings": (_parity_with("output/action", lambda rows: np.full(len(rows), "a")), "another shape or type"),
-    "records": (_parity_with("output/scores", lambda rows: np.zeros(rows.shape, [("a", "f4")])), "another shape or type"),
+    "records": (
+        _parity_with("output/scores", lambda rows: np.zeros(rows.shape, [("a", "f4")])),
+        "another shape or type",
+    ),
     "no numbers": (_parity_with("output/scores", lambda rows: rows[:, :0]), "another shape or type"),
-    "scores that are no numbers": (_parity_with("output/scores", lambda rows: rows * np.nan), "is not finite"),
-    "infinite scores": (_parity_with("output/scores", lambda rows: rows + np.float32("inf")), "is not finite"),
+    "scores that are no numbers": (
+        _parity_with("output/scores", lambda rows: rows * np.nan),
+        "is not finite",
+    ),
+    "infinite scores": (
+        _parity_with("output/scores", lambda rows: rows + np.float32("inf")),
+        "is not finite",
+    ),
     "starts out of order": (_parity_with("starts", lambda rows: np.array([0, 5, 5])), "not in order"),
 }
 
@@ -278,10 +341,17 @@ def _public(key: Path) -> Path:
     return key.with_name(f"{key.name}.pub")
 
 
-def test_a_signed_bundle_loads_with_its_key_and_a_key_is_private_and_never_overwritten(signed: Path, key: Path, tmp_path: Path) -> None:
+def test_a_signed_bundle_loads_with_its_key_and_a_key_is_private_and_never_overwritten(
+    signed: Path, key: Path, tmp_path: Path
+) -> None:
     assert deepbots_robot.load(signed, trusted=_public(key)).operations > 0
     other = signature.write_key(tmp_path / "other").read_text()
-    assert deepbots_robot.load(signed, trusted=["# keys of the lab", other, f"{_public(key).read_text().strip()} bench"]).folder == signed
+    assert (
+        deepbots_robot.load(
+            signed, trusted=["# keys of the lab", other, f"{_public(key).read_text().strip()} bench"]
+        ).folder
+        == signed
+    )
     assert key.stat().st_mode & 0o077 == 0
     with pytest.raises(signature.KeyFileError, match="a key is never overwritten"):
         signature.write_key(key)
@@ -289,7 +359,9 @@ def test_a_signed_bundle_loads_with_its_key_and_a_key_is_private_and_never_overw
 
 def _changed_description(folder: Path) -> None:
     known = deepbots_robot.load(folder)
-    changed = msgspec.structs.replace(known.info, training=msgspec.structs.replace(known.info.training, seed=7))
+    changed = msgspec.structs.replace(
+        known.info, training=msgspec.structs.replace(known.info.training, seed=7)
+    )
     graph = onnx.load_from_string((folder / bundle.GRAPH_NAME).read_bytes())
     helper.set_model_props(graph, {bundle.METADATA_KEY: bundle.description_digest(changed)})
     write(folder, changed, graph.SerializeToString(), (folder / bundle.PARITY_NAME).read_bytes())
@@ -297,7 +369,9 @@ def _changed_description(folder: Path) -> None:
 
 def _other_key(folder: Path) -> None:
     signature.write_key(folder / "mine")
-    (folder / bundle.SIGNATURE_NAME).write_bytes(signature.sign((folder / bundle.BUNDLE_NAME).read_bytes(), folder / "mine"))
+    (folder / bundle.SIGNATURE_NAME).write_bytes(
+        signature.sign((folder / bundle.BUNDLE_NAME).read_bytes(), folder / "mine")
+    )
 
 
 def _borrowed_key(folder: Path) -> None:
@@ -313,8 +387,14 @@ FORGERIES: dict[str, tuple[Callable[[Path], object], str]] = {
     "another key": (_other_key, "a key that is not trusted"),
     "the name of the key": (_borrowed_key, "is not the file that was signed"),
     "no signature": (lambda folder: (folder / bundle.SIGNATURE_NAME).unlink(), "bundle.sig is missing"),
-    "another format": (lambda folder: (folder / bundle.SIGNATURE_NAME).write_text("{}"), "bundle.sig is damaged"),
-    "other weights": (lambda folder: (folder / bundle.GRAPH_NAME).write_bytes(b"\x00"), "is not the file that was exported"),
+    "another format": (
+        lambda folder: (folder / bundle.SIGNATURE_NAME).write_text("{}"),
+        "bundle.sig is damaged",
+    ),
+    "other weights": (
+        lambda folder: (folder / bundle.GRAPH_NAME).write_bytes(b"\x00"),
+        "is not the file that was exported",
+    ),
 }
 
 

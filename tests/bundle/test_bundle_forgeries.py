@@ -1,4 +1,5 @@
-"""What a forger can still make of a bundle: a share of `python -m tests.bundle.forgeries`, and ways that were written by hand."""
+"""What a forger can still make of a bundle: a share of `python -m tests.bundle.forgeries`, and ways that were
+written by hand."""
 
 from __future__ import annotations
 
@@ -30,7 +31,9 @@ from tests.bundle.forged_graphs import fields, varint, written
 from tests.bundle.forgeries import QUICK, prepare
 
 ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the limits of processes and their memory are those of Linux")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="the limits of processes and their memory are those of Linux"
+)
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +42,26 @@ def bases(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _run(bases: Path, *words: object) -> list[dict[str, Any]]:
-    command = [sys.executable, "-m", "tests.bundle.forgeries", "--bases", str(bases), "--json", *map(str, words)]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.bundle.forgeries",
+        "--bases",
+        str(bases),
+        "--json",
+        *map(str, words),
+    ]
     ran = subprocess.run(command, cwd=ROOT, text=True, capture_output=True, check=False)
     return [json.loads(line) for line in ran.stdout.splitlines()]
 
 
-@pytest.mark.parametrize(("count", "seed"), [pytest.param(64, 1, id="some"), pytest.param(500, 2, id="many", marks=pytest.mark.slow)])
-def test_a_forged_bundle_is_refused_in_a_sentence_or_acts_within_its_limits(bases: Path, tmp_path: Path, count: int, seed: int) -> None:
+@pytest.mark.parametrize(
+    ("count", "seed"),
+    [pytest.param(64, 1, id="some"), pytest.param(500, 2, id="many", marks=pytest.mark.slow)],
+)
+def test_a_forged_bundle_is_refused_in_a_sentence_or_acts_within_its_limits(
+    bases: Path, tmp_path: Path, count: int, seed: int
+) -> None:
     outcomes = _run(bases, "--count", count, "--seed", seed, "--keep", tmp_path)
     assert len(outcomes) == count
     assert [each for each in outcomes if each["end"] == "failed"] == []
@@ -55,7 +71,9 @@ def test_a_forged_bundle_is_refused_in_a_sentence_or_acts_within_its_limits(base
 
 def test_a_number_is_always_the_same_forgery(bases: Path, tmp_path: Path) -> None:
     found = [_run(bases, "--only", 37, "--keep", tmp_path)[0] for _ in range(2)]
-    assert [{**each, "seconds": 0, "megabytes": 0} for each in found] == [{**found[0], "seconds": 0, "megabytes": 0}] * 2
+    assert [{**each, "seconds": 0, "megabytes": 0} for each in found] == [
+        {**found[0], "seconds": 0, "megabytes": 0}
+    ] * 2
 
 
 # By hand. Each way changes a copy of a bundle; its digests are those of the forger.
@@ -73,13 +91,20 @@ def _loaded(forged: Forged, place: Path) -> deepbots_robot.Bundle:
 
 
 def _command(
-    forged: Forged, *nodes: onnx.NodeProto, weights: dict[str, Any] | None = None, shapes: dict[str, list[int]] | None = None
+    forged: Forged,
+    *nodes: onnx.NodeProto,
+    weights: dict[str, Any] | None = None,
+    shapes: dict[str, list[int]] | None = None,
 ) -> None:
-    """The command of the balancer is made by these nodes, of which the last one makes `forged`; the recorded steps are made to fit."""
+    """The command of the balancer is made by these nodes, of which the last one makes `forged`; the recorded
+    steps are made to fit."""
     graph = forged.graph
     end = next(node for node in graph.graph.node if node.output[0] == "bot.wheels")
     own = end.input[0]
-    made = [helper.make_node(node.op_type, [own if name == "own" else name for name in node.input], node.output) for node in nodes]
+    made = [
+        helper.make_node(node.op_type, [own if name == "own" else name for name in node.input], node.output)
+        for node in nodes
+    ]
     for made_node, node in zip(made, nodes, strict=True):
         made_node.attribute.extend(node.attribute)
     at = list(graph.graph.node).index(end)
@@ -87,7 +112,9 @@ def _command(
     rest = list(graph.graph.node)
     del graph.graph.node[:]
     graph.graph.node.extend([*rest[:at], *made, *rest[at:]])
-    graph.graph.initializer.extend([numpy_helper.from_array(np.asarray(value), name) for name, value in (weights or {}).items()])
+    graph.graph.initializer.extend(
+        [numpy_helper.from_array(np.asarray(value), name) for name, value in (weights or {}).items()]
+    )
     for name, shape in {**(shapes or {}), "forged": [2]}.items():
         graph.graph.value_info.append(helper.make_tensor_value_info(name, TensorProto.DOUBLE, shape))
     forged.set_graph(graph)
@@ -100,7 +127,8 @@ def _values(known: deepbots_robot.Bundle, **changes: Any) -> dict[str, Any]:
 
 
 def test_a_model_in_the_format_of_onnxruntime_is_none(bases: Path, tmp_path: Path) -> None:
-    """A model that was ONNX for our reader and RandomNormalLike for onnxruntime, whose own format begins with "ORTM" at byte 4, was run."""
+    """A model that was ONNX for our reader and RandomNormalLike for onnxruntime, whose own format begins with
+    "ORTM" at byte 4, was run."""
     ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [4]) for name in "xy"]
     opset = helper.make_opsetid("", 17)
     evil = helper.make_graph([helper.make_node("RandomNormalLike", ["x"], ["y"])], "g", ends[:1], ends[1:])
@@ -122,7 +150,9 @@ def test_a_model_in_the_format_of_onnxruntime_is_none(bases: Path, tmp_path: Pat
     moved[root - 32 : root - 32 + index_size] = inner[index : index + index_size]
     moved[root : root + table_size] = inner[table : table + table_size]
     moved[root : root + 4] = struct.pack("<i", 32)
-    for slot in filter(None, struct.unpack(f"<{index_size // 2 - 2}H", inner[index + 4 : index + index_size])):
+    for slot in filter(
+        None, struct.unpack(f"<{index_size // 2 - 2}H", inner[index + 4 : index + index_size])
+    ):
         target = table + slot + struct.unpack("<I", inner[table + slot : table + slot + 4])[0]
         moved[root + slot : root + slot + 4] = struct.pack("<I", start + target - root - slot)
     text = b"\x32" + varint(len(moved) - len(head) - 5)  # all of it is the documentation of the model
@@ -130,7 +160,9 @@ def test_a_model_in_the_format_of_onnxruntime_is_none(bases: Path, tmp_path: Pat
     plain = helper.make_graph([helper.make_node("Relu", ["x"], ["y"])], "g", ends[:1], ends[1:])
     both = bytes(moved) + helper.make_model(plain, opset_imports=[opset]).SerializeToString()[2:]
     session = onnxruntime.InferenceSession(both, providers=["CPUExecutionProvider"])
-    assert session.run(None, {"x": np.zeros(4, np.float32)})[0].any()  # onnxruntime alone runs the other model
+    assert session.run(None, {"x": np.zeros(4, np.float32)})[
+        0
+    ].any()  # onnxruntime alone runs the other model
     with pytest.raises(BundleError, match="more than 1,000,000 bytes without the numbers"):
         onnx_file.require_plain(both)
     forged = _forged(bases)
@@ -171,7 +203,10 @@ def test_a_command_that_is_no_number_is_an_error_and_changes_nothing(bases: Path
     policy, other = known.start(), known.start()
     with pytest.raises(BundleError, match=r"computes 'bot.wheels' as nan, nan"):
         policy.step(_values(known, bot_gyro=np.full(3, 1e12)))
-    assert policy.step(_values(known))["bot.wheels"].tolist() == other.step(_values(known))["bot.wheels"].tolist()
+    assert (
+        policy.step(_values(known))["bot.wheels"].tolist()
+        == other.step(_values(known))["bot.wheels"].tolist()
+    )
 
 
 def test_a_place_beyond_a_table_is_an_error_of_the_bundle(bases: Path, tmp_path: Path) -> None:
@@ -196,7 +231,8 @@ def test_a_place_beyond_a_table_is_an_error_of_the_bundle(bases: Path, tmp_path:
 
 
 def test_a_policy_that_counts_its_steps_stays_within_its_range_and_rate(bases: Path, tmp_path: Path) -> None:
-    """Within the recorded steps it is the one that was exported; later it commands more, from one end to the other."""
+    """Within the recorded steps it is the one that was exported; later it commands more, from one end to the
+    other."""
     forged = _forged(bases)
     graph = forged.graph
     forged.tree["memory"].append({"name": "count", "shape": [1], "dtype": "float64", "initial": [1.0]})
@@ -230,7 +266,9 @@ def test_a_policy_that_counts_its_steps_stays_within_its_range_and_rate(bases: P
         limited = limits.limit(commands, known.info.timestep_s)
         assert limited is not None
         assert np.abs(limited["bot.wheels"]).max() <= 0.1
-        assert last is None or np.abs(limited["bot.wheels"] - last).max() <= 0.5 * known.info.timestep_s + 1e-12
+        assert (
+            last is None or np.abs(limited["bot.wheels"] - last).max() <= 0.5 * known.info.timestep_s + 1e-12
+        )
         last = limited["bot.wheels"]
     assert {raw[-1], raw[-2]} == {0.1, -0.1}
 
@@ -281,7 +319,9 @@ def test_a_name_has_no_hidden_characters(bases: Path, tmp_path: Path, name: str)
         _loaded(forged, tmp_path)
 
 
-def test_a_name_in_a_graph_is_shown_without_control_characters(bases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_name_in_a_graph_is_shown_without_control_characters(
+    bases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     forged = _forged(bases)
     graph = forged.graph
     graph.graph.node[0].output[0] = "\x1b[2J\nerror: none"
@@ -332,14 +372,19 @@ def _many_fields(forged: Forged) -> None:
     entry = {**forged.tree["inputs"][0], "components": [], "joints": [], "range": None, "shape": [1]}
     forged.tree["inputs"] += [{**entry, "name": f"{number:04}" + "x" * 150} for number in range(4_000)]
     graph = forged.graph
-    more = [helper.make_tensor_value_info(each["name"], TensorProto.DOUBLE, [1]) for each in forged.tree["inputs"][-4_000:]]
+    more = [
+        helper.make_tensor_value_info(each["name"], TensorProto.DOUBLE, [1])
+        for each in forged.tree["inputs"][-4_000:]
+    ]
     before = list(graph.graph.input)
     memories = len(forged.tree["memory"])
     del graph.graph.input[:]
     graph.graph.input.extend([*before[:-memories], *more, *before[-memories:]])
     forged.set_graph(graph)
     arrays = {name: rows[:2] for name, rows in forged.arrays.items()} | {"starts": np.array([0])}
-    forged.set_arrays(arrays | {f"input/{each['name']}": np.zeros((2, 1)) for each in forged.tree["inputs"][-4_000:]})
+    forged.set_arrays(
+        arrays | {f"input/{each['name']}": np.zeros((2, 1)) for each in forged.tree["inputs"][-4_000:]}
+    )
     forged.fit_graph()
 
 
@@ -349,7 +394,9 @@ def _no_room(forged: Forged) -> None:
 
 def _whole_numbers_divided(forged: Forged) -> None:
     graph = forged.graph
-    graph.graph.initializer.extend([numpy_helper.from_array(np.array([number], np.int64), f"i{number}") for number in (0, 1)])
+    graph.graph.initializer.extend(
+        [numpy_helper.from_array(np.array([number], np.int64), f"i{number}") for number in (0, 1)]
+    )
     graph.graph.node.append(helper.make_node("Div", ["i1", "i0"], ["crash"]))
     graph.graph.value_info.append(helper.make_tensor_value_info("crash", TensorProto.INT64, [1]))
     forged.set_graph(graph)
@@ -373,10 +420,18 @@ def _sequence_lengths(forged: Forged) -> None:
 
 def _many_worlds(forged: Forged) -> None:
     graph = forged.graph
-    for name, shape in {"steps": (60, 4_000, 1), "weights": (1, 1_600, 1), "recurrent": (1, 1_600, 400)}.items():
+    for name, shape in {
+        "steps": (60, 4_000, 1),
+        "weights": (1, 1_600, 1),
+        "recurrent": (1, 1_600, 400),
+    }.items():
         graph.graph.initializer.append(numpy_helper.from_array(np.zeros(shape, np.float32), name))
-    graph.graph.node.append(helper.make_node("LSTM", ["steps", "weights", "recurrent"], ["", "hidden_after"], hidden_size=400))
-    graph.graph.value_info.append(helper.make_tensor_value_info("hidden_after", TensorProto.FLOAT, [1, 4_000, 400]))
+    graph.graph.node.append(
+        helper.make_node("LSTM", ["steps", "weights", "recurrent"], ["", "hidden_after"], hidden_size=400)
+    )
+    graph.graph.value_info.append(
+        helper.make_tensor_value_info("hidden_after", TensorProto.FLOAT, [1, 4_000, 400])
+    )
     forged.set_graph(graph)
 
 
@@ -389,7 +444,9 @@ def _no_inputs(forged: Forged) -> None:
 
 def _long_shape(forged: Forged) -> None:
     graph = forged.graph
-    graph.graph.value_info.append(helper.make_tensor_value_info("long", TensorProto.DOUBLE, [(1 << 30) + 1] * 50_000))
+    graph.graph.value_info.append(
+        helper.make_tensor_value_info("long", TensorProto.DOUBLE, [(1 << 30) + 1] * 50_000)
+    )
     forged.set_graph(graph)
 
 
@@ -440,12 +497,30 @@ def _same_bytes(forged: Forged) -> None:
         quoted = len(body)
         directory += (
             struct.pack(
-                "<IHHHHIIIIHHHHHII", 0x02014B50, 20, 20, 0, 8, 0, zlib.crc32(plain), quoted, len(plain), len(encoded), 0, 0, 0, 0, 0, 0
+                "<IHHHHIIIIHHHHHII",
+                0x02014B50,
+                20,
+                20,
+                0,
+                8,
+                0,
+                zlib.crc32(plain),
+                quoted,
+                len(plain),
+                len(encoded),
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
             )
             + encoded
         )
     content = body
-    end = struct.pack("<IHHHHIIH", 0x06054B50, 0, 0, len(entries), len(entries), len(directory), len(content), 0)
+    end = struct.pack(
+        "<IHHHHIIH", 0x06054B50, 0, 0, len(entries), len(entries), len(directory), len(content), 0
+    )
     forged.files[bundle.PARITY_NAME] = content + directory + end
 
 
@@ -511,13 +586,17 @@ def test_another_signature_for_the_same_bytes_is_refused(bases: Path, tmp_path: 
     content = base64.b64decode(tree["signature"])
     order = (1 << 252) + 27742317777372353535851937790883648493
     other = content[:32] + (int.from_bytes(content[32:], "little") + order).to_bytes(32, "little")
-    forged.files[bundle.SIGNATURE_NAME] = json.dumps({**tree, "signature": base64.b64encode(other).decode()}).encode()
+    forged.files[bundle.SIGNATURE_NAME] = json.dumps(
+        {**tree, "signature": base64.b64encode(other).decode()}
+    ).encode()
     forged.write(tmp_path / "forged", digests=True)
     with pytest.raises(BundleError, match="is not the file that was signed"):
         deepbots_robot.load(tmp_path / "forged", trusted=bases / "key.pub")
 
 
-@pytest.mark.parametrize("content", [b"[" * 9_000, b'{"format":1,"key":' + b"[" * 9_000, b'{"format":1e400}', b"\xff"])
+@pytest.mark.parametrize(
+    "content", [b"[" * 9_000, b'{"format":1,"key":' + b"[" * 9_000, b'{"format":1e400}', b"\xff"]
+)
 def test_a_damaged_signature_is_a_sentence(bases: Path, tmp_path: Path, content: bytes) -> None:
     forged = Forged.of(bases / "balancer")
     forged.files[bundle.SIGNATURE_NAME] = content
@@ -528,7 +607,9 @@ def test_a_damaged_signature_is_a_sentence(bases: Path, tmp_path: Path, content:
 
 def test_a_pipe_instead_of_a_signature_does_not_wait(bases: Path, tmp_path: Path) -> None:
     forged = Forged.of(bases / "balancer")
-    forged.last.append(lambda folder: ((folder / bundle.SIGNATURE_NAME).unlink(), os.mkfifo(folder / bundle.SIGNATURE_NAME)))
+    forged.last.append(
+        lambda folder: ((folder / bundle.SIGNATURE_NAME).unlink(), os.mkfifo(folder / bundle.SIGNATURE_NAME))
+    )
     forged.write(tmp_path / "forged", digests=True)
     with pytest.raises(BundleError, match="is no regular file"):
         deepbots_robot.load(tmp_path / "forged", trusted=bases / "key.pub")

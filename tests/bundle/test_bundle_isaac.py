@@ -51,7 +51,9 @@ class Runner:
             seen += rows
         (actions,) = self._session.run(["actions"], {"obs": np.concatenate(seen)[None].astype(np.float32)})
         self._last = actions[0]
-        return np.clip(self._last * self._action["scale"] + self._action["offset"], *np.transpose(self._action["clip"]))
+        return np.clip(
+            self._last * self._action["scale"] + self._action["offset"], *np.transpose(self._action["clip"])
+        )
 
 
 def test_a_runner_commands_what_the_simulated_robot_applies() -> None:
@@ -88,11 +90,20 @@ def test_the_file_has_all_digits_and_the_order_of_joints() -> None:
     settings = yaml.safe_load(isaac_files(step.program, learner)[DEPLOY_NAME])
     assert settings == deploy_settings(step.program)
     assert settings["default_joint_pos"][4] == np.pi / 4
-    in_file = [joint.name for joint in step.program.world.robots[0].model.joints if joint.name in settings["joint_names"]]
+    in_file = [
+        joint.name
+        for joint in step.program.world.robots[0].model.joints
+        if joint.name in settings["joint_names"]
+    ]
     assert [in_file[index] for index in settings["joint_ids_map"]] == settings["joint_names"]
     assert settings["step_dt"] == 0.02
     assert settings["stiffness"] == [40.0] * 12
-    assert settings["observations"]["joint_vel_rel"] == {"params": {}, "clip": [-20.0, 20.0], "scale": [0.05] * 12, "history_length": 2}
+    assert settings["observations"]["joint_vel_rel"] == {
+        "params": {},
+        "clip": [-20.0, 20.0],
+        "scale": [0.05] * 12,
+        "history_length": 2,
+    }
 
 
 @pytest.mark.parametrize(
@@ -101,8 +112,16 @@ def test_the_file_has_all_digits_and_the_order_of_joints() -> None:
         ("cartpole", [], "choices, goals, images, copies"),
         ("find_ball", [], "the scenario commands epuck.left_wheel, epuck.right_wheel"),
         ("quadrotor", [], "'rotors' is none"),
-        (WALK, ["observation.vx=-0.5 .. 1 m/s"], "the range of the observation 'vx' must be the same for all components and symmetric"),
-        (WALK, ["robots.dog.apply.legs=stand + reach * stride^3"], "`apply.legs` is not a scale and an offset"),
+        (
+            WALK,
+            ["observation.vx=-0.5 .. 1 m/s"],
+            "the range of the observation 'vx' must be the same for all components and symmetric",
+        ),
+        (
+            WALK,
+            ["robots.dog.apply.legs=stand + reach * stride^3"],
+            "`apply.legs` is not a scale and an offset",
+        ),
     ],
 )
 def test_a_scenario_that_does_not_fit_is_refused(scenario: str, overrides: list[str], named: str) -> None:

@@ -24,7 +24,9 @@ def folder(tmp_path: Path) -> Path:
     return written(tmp_path / "bundle", "cartpole")
 
 
-def test_large_files_leave_less_time_for_recorded_steps(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_files_leave_less_time_for_recorded_steps(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     deepbots_robot.load(folder)
     monkeypatch.setattr(bundle, "_BYTE_OPERATIONS", 1_000_000)
     with pytest.raises(BundleError, match="recorded steps take more than 0 operations"):

@@ -1,4 +1,5 @@
-"""Loading a bundle: what is damaged, changed or put together from two exports is refused in a sentence, or acts the same."""
+"""Loading a bundle: what is damaged, changed or put together from two exports is refused in a sentence, or
+acts the same."""
 
 from __future__ import annotations
 
@@ -54,7 +55,9 @@ def test_a_policy_remembers_until_it_is_reset(folder: Path) -> None:
     assert first != again
     policy.reset()
     assert [policy.step(row)["bot.wheels"].tolist() for row in rows] == first
-    assert [other.step(row)["bot.wheels"].tolist() for row in rows] == first  # each policy has a memory of its own
+    assert [
+        other.step(row)["bot.wheels"].tolist() for row in rows
+    ] == first  # each policy has a memory of its own
 
 
 def test_in_a_loop_that_is_a_multiple_faster_the_policy_acts_on_every_nth_call(folder: Path) -> None:
@@ -63,7 +66,9 @@ def test_in_a_loop_that_is_a_multiple_faster_the_policy_acts_on_every_nth_call(f
     dice = np.random.default_rng(0)
     rows = [values_of(known, dice) for _ in range(12)]
     wanted = [policy.step(row)["bot.wheels"].tolist() for row in rows[::3]]
-    assert [fast.step(row)["bot.wheels"].tolist() for row in rows] == [command for command in wanted for _ in range(3)]
+    assert [fast.step(row)["bot.wheels"].tolist() for row in rows] == [
+        command for command in wanted for _ in range(3)
+    ]
     fast.reset()
     assert fast.step(rows[0])["bot.wheels"].tolist() == wanted[0]
 
@@ -105,10 +110,14 @@ def test_a_missing_value_is_named(folder: Path) -> None:
 # Mutations
 
 
-Mutation = Callable[[random.Random, model.BundleInfo, bytes, bytes], tuple[model.BundleInfo | bytes, bytes, bytes]]
+Mutation = Callable[
+    [random.Random, model.BundleInfo, bytes, bytes], tuple[model.BundleInfo | bytes, bytes, bytes]
+]
 
 
-def _json(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[bytes, bytes, bytes]:
+def _json(
+    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+) -> tuple[bytes, bytes, bytes]:
     """One value of bundle.json changed, removed, repeated or exchanged with its neighbor."""
     tree = json.loads(model.encode(info))
     places: list[tuple[Any, Any]] = []
@@ -121,13 +130,20 @@ def _json(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: byt
 
     collect({key: value for key, value in tree.items() if key != "files"})
     collect(tree)
-    node, key = dice.choice([place for place in places if place[0] is not tree["files"] and place[1] != "files"])
+    node, key = dice.choice(
+        [place for place in places if place[0] is not tree["files"] and place[1] != "files"]
+    )
     value = node[key]
     options: list[Any] = [None, True, -1, 1e6, "other", [], {}, [value], value]
     if isinstance(value, int | float) and not isinstance(value, bool):
         options += [-value, value * 2, value + 1, value * 180 / 3.14159, value * 1.01]
     if isinstance(value, str):
-        options += [value.upper(), value[:-1], value + "x", {"rad": "deg", "m": "cm", "sensor": "goal"}.get(value, "rad/s")]
+        options += [
+            value.upper(),
+            value[:-1],
+            value + "x",
+            {"rad": "deg", "m": "cm", "sensor": "goal"}.get(value, "rad/s"),
+        ]
     if isinstance(value, list):
         options += [value[::-1], value[:-1], value * 2]
     chosen = dice.choice([each for each in options if each != value or type(each) is not type(value)])
@@ -152,11 +168,15 @@ def _bytes_of(content: bytes, dice: random.Random) -> bytes:
     return bytes(changed)
 
 
-def _graph_bytes(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[model.BundleInfo, bytes, bytes]:
+def _graph_bytes(
+    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+) -> tuple[model.BundleInfo, bytes, bytes]:
     return info, _bytes_of(graph, dice), parity
 
 
-def _graph_parts(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[model.BundleInfo, bytes, bytes]:
+def _graph_parts(
+    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+) -> tuple[model.BundleInfo, bytes, bytes]:
     """A weight, an operator, or the order of arguments, inputs or outputs."""
     found = onnx.load_from_string(graph)
     node = dice.choice(found.graph.node)
@@ -165,10 +185,14 @@ def _graph_parts(dice: random.Random, info: model.BundleInfo, graph: bytes, pari
             weight = dice.choice(found.graph.initializer)
             array = numpy_helper.to_array(weight).copy()
             if array.size and array.dtype.kind == "f":
-                array.flat[dice.randrange(array.size)] *= dice.choice([-1.0, 0.0, 1.5, 1.001, 1e3, float("nan")])
+                array.flat[dice.randrange(array.size)] *= dice.choice(
+                    [-1.0, 0.0, 1.5, 1.001, 1e3, float("nan")]
+                )
             weight.CopyFrom(numpy_helper.from_array(array, weight.name))
         case 2:
-            node.op_type = dice.choice(["Add", "Sub", "Mul", "Tanh", "Relu", "Max", "Min", "Loop", "Identity"])
+            node.op_type = dice.choice(
+                ["Add", "Sub", "Mul", "Tanh", "Relu", "Max", "Min", "Loop", "Identity"]
+            )
         case 3:
             node.input[:] = list(node.input)[::-1]
         case _:
@@ -180,7 +204,9 @@ def _graph_parts(dice: random.Random, info: model.BundleInfo, graph: bytes, pari
     return info, found.SerializeToString(), parity
 
 
-def _parity_arrays(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[model.BundleInfo, bytes, bytes]:
+def _parity_arrays(
+    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+) -> tuple[model.BundleInfo, bytes, bytes]:
     with np.load(io.BytesIO(parity)) as archive:
         arrays = {name: archive[name].copy() for name in archive.files}
     name = dice.choice(sorted(arrays))
@@ -201,7 +227,9 @@ def _parity_arrays(dice: random.Random, info: model.BundleInfo, graph: bytes, pa
     return info, graph, stream.getvalue()
 
 
-def _parity_bytes(dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes) -> tuple[model.BundleInfo, bytes, bytes]:
+def _parity_bytes(
+    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+) -> tuple[model.BundleInfo, bytes, bytes]:
     return info, graph, _bytes_of(parity, dice)
 
 
@@ -215,7 +243,9 @@ MUTATIONS: dict[str, Mutation] = {
 
 
 @pytest.mark.parametrize("kind", MUTATIONS)
-def test_each_of_many_mutations_with_new_digests_is_refused_or_acts_the_same(folder: Path, tmp_path: Path, kind: str) -> None:
+def test_each_of_many_mutations_with_new_digests_is_refused_or_acts_the_same(
+    folder: Path, tmp_path: Path, kind: str
+) -> None:
     """200 mutations in all; what is loaded acts as the original does on inputs that were not recorded."""
     original = deepbots_robot.load(folder)
     graph, parity = (folder / bundle.GRAPH_NAME).read_bytes(), (folder / bundle.PARITY_NAME).read_bytes()
@@ -241,13 +271,17 @@ def test_each_of_many_mutations_with_new_digests_is_refused_or_acts_the_same(fol
         one, other, rows = found.start(), original.start(), np.random.default_rng(number)
         for _ in range(200):
             values = values_of(original, rows)
-            assert one.step(values)["bot.wheels"] == pytest.approx(other.step(values)["bot.wheels"], abs=1e-5 * 0.2)
+            assert one.step(values)["bot.wheels"] == pytest.approx(
+                other.step(values)["bot.wheels"], abs=1e-5 * 0.2
+            )
     assert refused >= 25
 
 
 def test_a_graph_of_another_export_is_refused(folder: Path, choosing: Path, tmp_path: Path) -> None:
     known = deepbots_robot.load(folder)
-    other = msgspec.structs.replace(known.info, scenario=msgspec.structs.replace(known.info.scenario, summary="other"))
+    other = msgspec.structs.replace(
+        known.info, scenario=msgspec.structs.replace(known.info.scenario, summary="other")
+    )
     place = tmp_path / "mixed"
     place.mkdir()
     write(place, other, (folder / bundle.GRAPH_NAME).read_bytes(), (folder / bundle.PARITY_NAME).read_bytes())
@@ -255,7 +289,9 @@ def test_a_graph_of_another_export_is_refused(folder: Path, choosing: Path, tmp_
         deepbots_robot.load(place)
 
 
-def test_an_option_that_is_not_the_best_is_refused_unless_two_are_equally_good(choosing: Path, tmp_path: Path) -> None:
+def test_an_option_that_is_not_the_best_is_refused_unless_two_are_equally_good(
+    choosing: Path, tmp_path: Path
+) -> None:
     known = deepbots_robot.load(choosing)
     parity = bundle.read_parity((choosing / bundle.PARITY_NAME).read_bytes(), known.info)
     bundle.replay(known, parity)
@@ -283,7 +319,9 @@ def test_bytes_that_are_no_description_are_refused(content: bytes) -> None:
         model.decode(content)
 
 
-def test_an_archive_that_unpacks_to_too_much_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_archive_that_unpacks_to_too_much_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     known = deepbots_robot.load(folder)
     unpacked = sum(entry.file_size for entry in zipfile.ZipFile(folder / bundle.PARITY_NAME).infolist())
     monkeypatch.setattr(bundle, "_MAX_PARITY_BYTES", unpacked - 1)

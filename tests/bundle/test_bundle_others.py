@@ -29,8 +29,11 @@ Files = Mapping[PurePosixPath, bytes]
 
 
 def scaled(files: Files, name: str, key: str, values: Any, *, back: bool = False) -> Any:
-    """What a normalizer of LeRobot computes in float32, by the files of a pipeline; `back` is the unnormalizer."""
-    (step,) = [each for each in json.loads(files[PurePosixPath(f"{name}.json")])["steps"] if "state_file" in each]
+    """What a normalizer of LeRobot computes in float32, by the files of a pipeline; `back` is the
+    unnormalizer."""
+    (step,) = [
+        each for each in json.loads(files[PurePosixPath(f"{name}.json")])["steps"] if "state_file" in each
+    ]
     assert step["registry_name"] == ("unnormalizer_processor" if back else "normalizer_processor")
     assert step["config"]["features"][key]["shape"] == [len(values)]
     assert step["config"]["norm_map"][step["config"]["features"][key]["type"]] == "MIN_MAX"
@@ -49,10 +52,14 @@ CARTPOLE: Mapping[str, Callable[[Mapping[str, Any]], float]] = {
 
 
 @pytest.mark.parametrize("scenario", ["cartpole", "cartpole_continuous"])
-def test_processors_of_lerobot_around_the_graph_command_what_the_simulated_robot_applies(scenario: str) -> None:
+def test_processors_of_lerobot_around_the_graph_command_what_the_simulated_robot_applies(
+    scenario: str,
+) -> None:
     step, learner, _ = made(scenario)
     files = lerobot_files(step.program, learner)
-    session = onnxruntime.InferenceSession(files[PurePosixPath("policy.onnx")], providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        files[PurePosixPath("policy.onnx")], providers=["CPUExecutionProvider"]
+    )
     features = json.loads(files[PurePosixPath("features.json")])["features"]
     recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world))
     for each in islice(recorded, 60):
@@ -61,7 +68,9 @@ def test_processors_of_lerobot_around_the_graph_command_what_the_simulated_robot
         commands = scaled(files, "policy_postprocessor", ACTION, action[0], back=True)
         assert commands == pytest.approx(each.commands["cart.wheels"], abs=1e-4 * 25)
     recorded.close()
-    assert [name.removeprefix("cart.wheels.") for name in features[ACTION]["names"]] == [*step.outputs[0].components]
+    assert [name.removeprefix("cart.wheels.") for name in features[ACTION]["names"]] == [
+        *step.outputs[0].components
+    ]
     assert features[ACTION]["units"] == ["rad/s"] * 4
 
 
@@ -92,24 +101,42 @@ def test_a_scenario_that_lerobot_cannot_represent_is_refused(scenario: str, name
 def test_a_pipeline_of_leapp_passes_memories_on_and_commands_what_the_simulated_robot_applies() -> None:
     step, learner, bundle = made("quadruped")
     graph = step.model({})
-    files = leapp_files({PurePosixPath("bundle.json"): model.encode(bundle.info), PurePosixPath("policy.onnx"): graph})
+    files = leapp_files(
+        {PurePosixPath("bundle.json"): model.encode(bundle.info), PurePosixPath("policy.onnx"): graph}
+    )
     (file,) = [name for name in files if name.suffix == ".yaml"]
     pipeline = yaml.safe_load(files[file])
     (node,) = pipeline["models"]
     known, flow = pipeline["models"][node], pipeline["pipeline"]
     first = load(files[PurePosixPath(flow["initial_values"])])
-    session = onnxruntime.InferenceSession(files[PurePosixPath(known["parameters"]["model_path"])], providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        files[PurePosixPath(known["parameters"]["model_path"])], providers=["CPUExecutionProvider"]
+    )
     for side, tensors in (("inputs", session.get_inputs()), ("outputs", session.get_outputs())):
-        assert [(each["name"], each["shape"]) for each in known[side]] == [(each.name, each.shape) for each in tensors]
+        assert [(each["name"], each["shape"]) for each in known[side]] == [
+            (each.name, each.shape) for each in tensors
+        ]
     fed = [target for targets in flow["feedback_flow"].values() for target in targets]
     assert sorted(fed) == sorted(first)
-    assert {each["name"] for each in known["inputs"]} == {*flow["inputs"][node], *(name.partition("/")[2] for name in fed)}
+    assert {each["name"] for each in known["inputs"]} == {
+        *flow["inputs"][node],
+        *(name.partition("/")[2] for name in fed),
+    }
     memory: dict[str, Any] = {}
     recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world))
     for each in islice(recorded, 40):
         memory = {name.partition("/")[2]: value for name, value in first.items()} if each.first else memory
-        found = dict(zip([out["name"] for out in known["outputs"]], session.run(None, {**each.inputs, **memory}), strict=True))
-        memory = {targets[0].partition("/")[2]: found[source.partition("/")[2]] for source, targets in flow["feedback_flow"].items()}
+        found = dict(
+            zip(
+                [out["name"] for out in known["outputs"]],
+                session.run(None, {**each.inputs, **memory}),
+                strict=True,
+            )
+        )
+        memory = {
+            targets[0].partition("/")[2]: found[source.partition("/")[2]]
+            for source, targets in flow["feedback_flow"].items()
+        }
         for name, command in each.commands.items():
             assert found[name] == pytest.approx(command, abs=1e-5)
     recorded.close()

@@ -1,4 +1,5 @@
-"""Expressions in a graph compute what they compute in a simulation: each function, and each function with a memory."""
+"""Expressions in a graph compute what they compute in a simulation: each function, and each function with a
+memory."""
 
 from __future__ import annotations
 
@@ -25,7 +26,11 @@ NAMES = ("a", "b", "c")
 TRUTHS = ("p", "q")
 CORNERS = (0.0, -0.0, 1.0, -1.0, 2.5, math.pi, -math.pi, 3 * math.pi, 1e-9, 1e6)
 numbers = st.sampled_from(CORNERS) | st.floats(-100.0, 100.0)
-PURE = [name for name, function in {**OPERATORS, **FUNCTIONS}.items() if function.family is Family.PURE and function.python]
+PURE = [
+    name
+    for name, function in {**OPERATORS, **FUNCTIONS}.items()
+    if function.family is Family.PURE and function.python
+]
 BOOLEAN = {"not": 1, "and": 2, "or": 2}
 
 
@@ -67,12 +72,18 @@ def test_a_function_in_a_graph_is_the_function_of_the_language(name: str) -> Non
     @given(st.tuples(numbers, numbers, numbers), st.tuples(st.booleans(), st.booleans()))
     def check(given_numbers: tuple[float, ...], given_truths: tuple[bool, ...]) -> None:
         values: dict[str, Any] = dict(zip((*NAMES, *TRUTHS), (*given_numbers, *given_truths), strict=True))
-        args = [values[arg.name] if isinstance(arg, Name) else arg.value for arg in _arguments(name) if isinstance(arg, Name | Const)]
+        args = [
+            values[arg.name] if isinstance(arg, Name) else arg.value
+            for arg in _arguments(name)
+            if isinstance(arg, Name | Const)
+        ]
         try:
             wanted = function(*args)
         except (ArithmeticError, ValueError):
             return  # no value in a simulation either
-        feeds = {key: np.array([value], np.bool_ if key in TRUTHS else np.float64) for key, value in values.items()}
+        feeds = {
+            key: np.array([value], np.bool_ if key in TRUTHS else np.float64) for key, value in values.items()
+        }
         used = {entry.name for entry in session.get_inputs()}
         (found,) = session.run(None, {key: value for key, value in feeds.items() if key in used})
         assert found[0] == pytest.approx(wanted, rel=1e-12, abs=1e-12)
@@ -83,13 +94,22 @@ def test_a_function_in_a_graph_is_the_function_of_the_language(name: str) -> Non
 def test_vectors_of_one_form_are_one_operation_and_others_are_joined() -> None:
     same = [Op("mul", (Name(name), Const(number))) for name, number in (("a", 2.0), ("b", 3.0), ("c", 4.0))]
     session = _session([*same, Op("sin", (Name("a"),))])
-    feeds = {"a": np.array([0.5]), "b": np.array([1.0]), "c": np.array([-2.0]), "p": np.array([True]), "q": np.array([True])}
+    feeds = {
+        "a": np.array([0.5]),
+        "b": np.array([1.0]),
+        "c": np.array([-2.0]),
+        "p": np.array([True]),
+        "q": np.array([True]),
+    }
     assert session.run(None, feeds)[0] == pytest.approx([1.0, 3.0, -8.0, math.sin(0.5)])
 
 
 def test_true_is_not_one_and_zero_has_a_sign() -> None:
     """The trees are equal in Python, and are not the same."""
-    choices = Op("where", (Name("p"), Const(True), Const(False))), Op("where", (Name("p"), Const(1.0), Const(0.0)))
+    choices = (
+        Op("where", (Name("p"), Const(True), Const(False))),
+        Op("where", (Name("p"), Const(1.0), Const(0.0))),
+    )
     feeds = {name: np.zeros(1) for name in NAMES} | {"p": np.array([True]), "q": np.array([True])}
     assert _session([Op("where", (choices[0], choices[1], Const(7.0)))]).run(None, feeds)[0].tolist() == [1.0]
     turns = [Op("atan2", (Const(zero), Name("a"))) for zero in (0.0, -0.0)]
@@ -100,9 +120,17 @@ def test_true_is_not_one_and_zero_has_a_sign() -> None:
 # Functions with a memory
 
 STATEFUL = {
-    "delta": (1, 2), "previous": (1, 2), "running_max": (1,), "running_min": (1,), "hold": (2,), "low_pass": (2,), "integral": (1,),
-    "accumulate": (4,), "duration": (1,), "rising_edge": (1,),
-}  # fmt: skip
+    "delta": (1, 2),
+    "previous": (1, 2),
+    "running_max": (1,),
+    "running_min": (1,),
+    "hold": (2,),
+    "low_pass": (2,),
+    "integral": (1,),
+    "accumulate": (4,),
+    "duration": (1,),
+    "rising_edge": (1,),
+}
 STEP = 0.02
 
 
@@ -110,17 +138,23 @@ def test_every_function_with_a_memory_is_tried() -> None:
     assert {*STATEFUL} == {name for name, function in FUNCTIONS.items() if function.family is Family.STATEFUL}
 
 
-@pytest.mark.parametrize(("name", "count"), [(name, count) for name, counts in STATEFUL.items() for count in counts])
+@pytest.mark.parametrize(
+    ("name", "count"), [(name, count) for name, counts in STATEFUL.items() for count in counts]
+)
 def test_a_memory_in_a_graph_is_that_of_a_simulation(name: str, count: int) -> None:
     memory = getattr(formulas, FUNCTIONS[name].memory)(STEP)
     truth = name in ("duration", "rising_edge")
     graph = Graph()
     arithmetic = Arithmetic(graph)
     started = Value(graph.input("started", np.bool_, 1), truth=True)
-    kept = Value(graph.input("kept", np.bool_ if name == "rising_edge" else np.float64, 1), truth=name == "rising_edge")
+    kept = Value(
+        graph.input("kept", np.bool_ if name == "rising_edge" else np.float64, 1), truth=name == "rising_edge"
+    )
     args = [Value(graph.input("x", np.bool_ if truth else np.float64, 1), truth=truth)]
     if count > 1:
-        args.append(Value(graph.input("y", np.bool_ if name == "hold" else np.float64, 1), truth=name == "hold"))
+        args.append(
+            Value(graph.input("y", np.bool_ if name == "hold" else np.float64, 1), truth=name == "hold")
+        )
     if name == "accumulate":
         args = [args[0], arithmetic.constant([-0.5]), arithmetic.constant([0.7]), arithmetic.constant([0.1])]
     made = MemoryFormulas(arithmetic, STEP)
@@ -132,7 +166,12 @@ def test_a_memory_in_a_graph_is_that_of_a_simulation(name: str, count: int) -> N
     dice, state = np.random.default_rng(1), np.zeros(1, kept.dtype)
     for step in range(50):
         x, y = dice.normal(), dice.random() < 0.4 if name == "hold" else abs(dice.normal())
-        feeds = {"x": np.array([x > 0.0 if truth else x]), "y": np.array([y]), "kept": state, "started": np.array([step > 0])}
+        feeds = {
+            "x": np.array([x > 0.0 if truth else x]),
+            "y": np.array([y]),
+            "kept": state,
+            "started": np.array([step > 0]),
+        }
         given_args = {"accumulate": (x, -0.5, 0.7, 0.1)}.get(name, (feeds["x"][0], y)[:count])
         used = {entry.name for entry in session.get_inputs()}
         state, value = session.run(None, {key: each for key, each in feeds.items() if key in used})

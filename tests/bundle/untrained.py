@@ -46,17 +46,36 @@ def made(source: str, *overrides: str) -> tuple[ControlStep, Any, deepbots_robot
     learner = learner_of(program)
     step = control_step(program, learner)
     info = info_of(step)
-    return step, learner, bundle.Bundle(info, step.model({bundle.METADATA_KEY: bundle.description_digest(info)}))
+    return (
+        step,
+        learner,
+        bundle.Bundle(info, step.model({bundle.METADATA_KEY: bundle.description_digest(info)})),
+    )
 
 
 def info_of(step: ControlStep) -> model.BundleInfo:
     program = step.program
-    parts = [model.ActionPart(name=name, low=part.low, high=part.high) for part in program.agent.ranges for name in part.names]
-    parts += [model.ActionPart(name=part.name, options={option.name: {} for option in part.options}) for part in program.agent.choices]
+    parts = [
+        model.ActionPart(name=name, low=part.low, high=part.high)
+        for part in program.agent.ranges
+        for name in part.names
+    ]
+    parts += [
+        model.ActionPart(name=part.name, options={option.name: {} for option in part.options})
+        for part in program.agent.choices
+    ]
     return model.BundleInfo(
         format=1,
         deepbots="0",
-        scenario=model.Scenario(name=program.name, summary="", digest=DIGEST, task_digest=DIGEST, robots={}, interface={}, licenses={}),
+        scenario=model.Scenario(
+            name=program.name,
+            summary="",
+            digest=DIGEST,
+            task_digest=DIGEST,
+            robots={},
+            interface={},
+            licenses={},
+        ),
         training=model.Training(algorithm="", model="best", seed=0, steps=0, engine="", versions={}),
         rate_hz=1.0 / step.timestep,
         timestep_s=step.timestep,
@@ -90,7 +109,12 @@ def written(folder: Path, source: str, *overrides: str) -> Path:
 
 
 def write(folder: Path, info: model.BundleInfo, graph: bytes, parity: bytes) -> None:
-    files = {bundle.GRAPH_NAME: graph, bundle.PARITY_NAME: parity, bundle.README_NAME: b"", bundle.SCENARIO_NAME: b""}
+    files = {
+        bundle.GRAPH_NAME: graph,
+        bundle.PARITY_NAME: parity,
+        bundle.README_NAME: b"",
+        bundle.SCENARIO_NAME: b"",
+    }
     for name, content in files.items():
         (folder / name).write_bytes(content)
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}

@@ -35,10 +35,13 @@ reward: {sent: cart.rate / (0.1 m/s), truth: joint_velocity(cart.slider) / (0.1 
 
 @pytest.fixture
 def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
-    """As in `make("messages.to_robot={latency: 20 ms}")`, with `more` sections, a further robot, or of another `text`."""
+    """As in `make("messages.to_robot={latency: 20 ms}")`, with `more` sections, a further robot, or of
+    another `text`."""
     opened: list[Supervisor] = []
 
-    def make_one(*overrides: str, more: str = "", text: str = CART, rival: str = "", engine: str = "exact") -> Supervisor:
+    def make_one(
+        *overrides: str, more: str = "", text: str = CART, rival: str = "", engine: str = "exact"
+    ) -> Supervisor:
         file = tmp_path / f"cart_{len(opened)}.yaml"
         file.write_text(text.replace("observation:", f"{rival}observation:") + more)
         opened.append(api.make(file, overrides=overrides, engine=engine))

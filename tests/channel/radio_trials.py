@@ -1,4 +1,5 @@
-"""Many messages over one radio: what arrives, when, and how likely it is that chance made the difference to what was asked for."""
+"""Many messages over one radio: what arrives, when, and how likely it is that chance made the difference to
+what was asked for."""
 
 from __future__ import annotations
 
@@ -15,7 +16,12 @@ from tests.named import constant
 
 MESSAGES = 100_000
 TICK = 0.01
-BURSTS = ((0.05, 3.0, 1), (0.2, 10.0, 2), (0.5, 1.5, 3), (0.3, 1.0, 4))  # share that is lost, mean length, seed
+BURSTS = (
+    (0.05, 3.0, 1),
+    (0.2, 10.0, 2),
+    (0.5, 1.5, 3),
+    (0.3, 1.0, 4),
+)  # share that is lost, mean length, seed
 SINGLE = ((0.05, 1), (0.3, 2), (0.9, 3))  # share, seed
 
 
@@ -30,14 +36,17 @@ class Plain:
     decode = encode
 
 
-def radio(*, latency: float = 0.0, loss: float = 0.0, seed: int = 0, name: str = "cart.to_robot", **others: Any) -> LossyChannel:
+def radio(
+    *, latency: float = 0.0, loss: float = 0.0, seed: int = 0, name: str = "cart.to_robot", **others: Any
+) -> LossyChannel:
     made = LossyChannel(name, Route(constant(latency), constant(loss), **others), TICK, wire=Plain())
     made.begin(Streams(seed))
     return made
 
 
 def arrivals(link: LossyChannel, latencies: Sequence[float]) -> list[list[Any]]:
-    """What is taken in each tick, when message k is sent in tick k with the k-th latency (in ticks), and until all is quiet."""
+    """What is taken in each tick, when message k is sent in tick k with the k-th latency (in ticks), and
+    until all is quiet."""
     taken = []
     for number, latency in enumerate(latencies):
         link.latency = latency * TICK
@@ -71,21 +80,29 @@ def spread(share: float, burst: float | None = None) -> float:
 
 
 def chi_square_p(observed: Sequence[float], expected: Sequence[float]) -> float:
-    """How often chance alone differs as much, where the counts of all classes together are given: Pearson's test."""
+    """How often chance alone differs as much, where the counts of all classes together are given: Pearson's
+    test."""
     half = sum((count - wanted) ** 2 / wanted for count, wanted in zip(observed, expected, strict=True)) / 2
     freedom = len(observed) - 1
     tail = erfc(sqrt(half)) if freedom % 2 else 0.0
-    return tail + sum(half**k * exp(-half) / gamma(k + 1) for k in (order / 2 for order in range(freedom % 2, freedom, 2)))
+    return tail + sum(
+        half**k * exp(-half) / gamma(k + 1) for k in (order / 2 for order in range(freedom % 2, freedom, 2))
+    )
 
 
 def delay_p(delays: Sequence[int]) -> float:
     """Of delays that are uniform over 1 to 8 ticks."""
     counts = Counter(delays)
-    return chi_square_p([counts[ticks] for ticks in range(1, 9)], [len(delays) / 8] * 8) if set(counts) <= set(range(1, 9)) else 0.0
+    return (
+        chi_square_p([counts[ticks] for ticks in range(1, 9)], [len(delays) / 8] * 8)
+        if set(counts) <= set(range(1, 9))
+        else 0.0
+    )
 
 
 def geometric_p(runs: Sequence[int], stay: float) -> float:
-    """Of runs whose length is k with the share (1 - stay) stay^(k-1); classes with an expectation of at least 10, the rest together."""
+    """Of runs whose length is k with the share (1 - stay) stay^(k-1); classes with an expectation of at least
+    10, the rest together."""
     counts, observed, expected = Counter(runs), [], []
     length, left = 1, float(len(runs))
     while (wanted := len(runs) * (1 - stay) * stay ** (length - 1)) >= 10 and left - wanted >= 10:

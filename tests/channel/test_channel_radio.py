@@ -1,4 +1,5 @@
-"""The radio on its own: how late, in which order and how seldom messages arrive, against what the route says."""
+"""The radio on its own: how late, in which order and how seldom messages arrive, against what the route
+says."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ from tests.named import constant
 
 
 @pytest.mark.parametrize(
-    ("latency", "ticks"), [(0.0, 0), (0.001, 1), (0.01, 1), (0.01 + 1e-13, 1), (0.0101, 2), (0.03, 3), (0.1 + 0.2, 30), (-1.0, 0)]
+    ("latency", "ticks"),
+    [(0.0, 0), (0.001, 1), (0.01, 1), (0.01 + 1e-13, 1), (0.0101, 2), (0.03, 3), (0.1 + 0.2, 30), (-1.0, 0)],
 )
 def test_a_message_is_delivered_in_the_first_tick_at_or_after_its_arrival(latency: float, ticks: int) -> None:
     link = radio(latency=latency)
@@ -68,7 +70,10 @@ def test_newest_drops_what_is_older_than_what_was_delivered() -> None:
     assert arrivals(radio(order="newest"), [3.0, 0.0, 0.0, 0.0, 0.0])[:5] == [[], [1], [2], [3], [4]]
 
 
-@pytest.mark.parametrize(("order", "latest", "measured"), [("sent", 1, [0, 0, 2]), ("arrival", 0, [0, 2, 1]), ("newest", 1, [0, 2, 2])])
+@pytest.mark.parametrize(
+    ("order", "latest", "measured"),
+    [("sent", 1, [0, 0, 2]), ("arrival", 0, [0, 2, 1]), ("newest", 1, [0, 2, 2])],
+)
 def test_what_is_gone_by_is_the_message_that_came_last(order: Any, latest: int, measured: list[int]) -> None:
     link = radio(order=order)
     seen = []
@@ -93,7 +98,9 @@ def test_without_bursts_each_message_is_lost_or_not_by_itself(share: float, seed
 
 
 @pytest.mark.parametrize(("share", "burst", "seed"), BURSTS)
-def test_losses_in_bursts_have_the_share_and_the_mean_length_that_are_asked_for(share: float, burst: float, seed: int) -> None:
+def test_losses_in_bursts_have_the_share_and_the_mean_length_that_are_asked_for(
+    share: float, burst: float, seed: int
+) -> None:
     lost = lost_in(radio(loss=share, burst=burst, seed=seed))
     assert abs(np.mean(lost) - share) < 4 * spread(share, burst)
     runs, stay = runs_of(lost), 1 - 1 / burst
@@ -122,9 +129,15 @@ def test_beyond_the_range_nothing_arrives() -> None:
 
 @pytest.mark.parametrize(
     ("on_loss", "taken", "latest"),
-    [("hold", [["a"], ["a"], ["c"]], "c"), ("zero", [["a"], ["zeros"], ["c"]], "c"), ("skip", [["a"], [], ["c"]], "c")],
+    [
+        ("hold", [["a"], ["a"], ["c"]], "c"),
+        ("zero", [["a"], ["zeros"], ["c"]], "c"),
+        ("skip", [["a"], [], ["c"]], "c"),
+    ],
 )
-def test_a_lost_message_is_a_gap_that_the_receiver_fills_as_the_route_says(on_loss: Any, taken: list[Any], latest: str) -> None:
+def test_a_lost_message_is_a_gap_that_the_receiver_fills_as_the_route_says(
+    on_loss: Any, taken: list[Any], latest: str
+) -> None:
     link = radio(on_loss=on_loss)
     link._loses, link._random = True, lambda: 0.5
     found, fresh = [], []

@@ -17,7 +17,9 @@ TICK = 0.02
 THREE = "agent.action_repeat=3"
 
 
-def episode(environment: Supervisor, steps: int, drive: float = 0.5, seed: int = 0) -> list[tuple[float, bool, bool, dict[str, float]]]:
+def episode(
+    environment: Supervisor, steps: int, drive: float = 0.5, seed: int = 0
+) -> list[tuple[float, bool, bool, dict[str, float]]]:
     environment.reset(seed=seed)
     rows = []
     for _ in range(steps):
@@ -64,12 +66,15 @@ def test_max_steps_counts_steps_and_max_time_simulated_time(make: Make) -> None:
 
 
 def test_rewards_of_the_last_tick_see_the_limit_of_steps(make: Make) -> None:
-    rows = episode(make(THREE, "reward={cut: 1 when truncated, over: 1 when ended}", "truncation={max_steps: 2}"), 9)
+    rows = episode(
+        make(THREE, "reward={cut: 1 when truncated, over: 1 when ended}", "truncation={max_steps: 2}"), 9
+    )
     assert [row[0] for row in rows] == [0.0, 2.0]
 
 
 @pytest.mark.parametrize(
-    ("limits", "first"), [("max_steps: 2, max_time: 100 ms", "max_time"), ("max_steps: 2, max_time: 1 s", "max_steps")]
+    ("limits", "first"),
+    [("max_steps: 2, max_time: 100 ms", "max_time"), ("max_steps: 2, max_time: 1 s", "max_steps")],
 )
 def test_of_two_limits_the_one_that_is_met_first_cuts_short(make: Make, limits: str, first: str) -> None:
     environment = make(THREE, f"truncation={{{limits}}}")
@@ -88,7 +93,9 @@ def test_all_options_may_be_forbidden_while_none_has_to_be_chosen(make: Make) ->
 
 
 def test_an_ending_in_the_last_tick_beats_the_limit_of_steps(make: Make) -> None:
-    rows = episode(make(THREE, "truncation={max_steps: 2}", "termination={success: {late: time > 110 ms}}"), 99)
+    rows = episode(
+        make(THREE, "truncation={max_steps: 2}", "termination={success: {late: time > 110 ms}}"), 99
+    )
     assert rows[-1][1:3] == (True, False)
 
 
@@ -101,7 +108,11 @@ def test_memories_advance_in_every_tick_and_step_counts_steps(make: Make) -> Non
 
 
 def test_one_message_goes_to_a_robot_per_step_and_one_comes_back_per_tick(make: Make) -> None:
-    environment = make(THREE, "robots.cart.emit={place: place, count: integral(rate * 0 + 1 m/s)}", "reward={ticks: cart.count / (20 mm)}")
+    environment = make(
+        THREE,
+        "robots.cart.emit={place: place, count: integral(rate * 0 + 1 m/s)}",
+        "reward={ticks: cart.count / (20 mm)}",
+    )
     sent = []
     environment.robot_cart.use_message_data = sent.append
     rows = episode(environment, 2)
@@ -116,12 +127,16 @@ def test_what_a_robot_applies_advances_per_message_and_not_per_tick(make: Make) 
 
 
 def test_paper_timing_is_a_tick_late_and_not_a_step(make: Make) -> None:
-    environment = make(THREE, "messages.timing=delayed", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}")
+    environment = make(
+        THREE, "messages.timing=delayed", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}"
+    )
     assert [row[0] for row in episode(environment, 2, drive=1.0)] == pytest.approx([2.0, 3.0], abs=1e-3)
 
 
 def test_a_message_may_arrive_in_the_midst_of_a_step(make: Make) -> None:
-    environment = make(THREE, "messages.to_robot={latency: 30 ms}", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}")
+    environment = make(
+        THREE, "messages.to_robot={latency: 30 ms}", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}"
+    )
     assert [row[0] for row in episode(environment, 2, drive=1.0)] == pytest.approx([1.0, 3.0], abs=1e-3)
 
 
@@ -135,7 +150,9 @@ def test_a_step_without_a_value_names_it_also_in_the_midst(make: Make) -> None:
 # Redraws
 
 
-def drawn(make: Make, parameters: str, steps: int = 200, *overrides: str, seed: int = 0, term: str = "w") -> list[float]:
+def drawn(
+    make: Make, parameters: str, steps: int = 200, *overrides: str, seed: int = 0, term: str = "w"
+) -> list[float]:
     environment = make(f"reward={{w: {term}}}", *overrides, more=f"parameters: {{{parameters}}}\n")
     return [row[3]["w"] for row in episode(environment, steps, seed=seed)]
 
@@ -159,7 +176,9 @@ def test_a_period_that_is_no_multiple_of_the_timestep_is_kept_on_average(make: M
 def test_each_step_is_a_new_draw_with_the_distribution_it_is_drawn_from(make: Make) -> None:
     values = drawn(make, "w: uniform(0 .. 8) each step", 1000)
     counts = Counter(int(value) for value in values)
-    assert sum((count - 125) ** 2 / 125 for count in counts.values()) < 24.3  # 0.1 % of chi-square, 7 degrees of freedom
+    assert (
+        sum((count - 125) ** 2 / 125 for count in counts.values()) < 24.3
+    )  # 0.1 % of chi-square, 7 degrees of freedom
 
 
 def test_a_period_may_be_drawn_anew_each_time(make: Make) -> None:
@@ -170,10 +189,24 @@ def test_a_period_may_be_drawn_anew_each_time(make: Make) -> None:
 
 
 def test_with_repeats_a_draw_stands_for_a_whole_step(make: Make) -> None:
-    environment = make(THREE, "reward={w: abs(delta(w))}", more="parameters: {w: uniform(0 .. 1) each step}\n")
+    environment = make(
+        THREE, "reward={w: abs(delta(w))}", more="parameters: {w: uniform(0 .. 1) each step}\n"
+    )
     values = [row[3]["w"] for row in episode(environment, 50)]
     assert all(0 < value < 1 for value in values)
-    assert changes(drawn(make, "w: uniform(0 .. 1) every 100 ms", 20, THREE)) == [3, 5, 6, 8, 10, 11, 13, 15, 16, 18, 20]
+    assert changes(drawn(make, "w: uniform(0 .. 1) every 100 ms", 20, THREE)) == [
+        3,
+        5,
+        6,
+        8,
+        10,
+        11,
+        13,
+        15,
+        16,
+        18,
+        20,
+    ]
 
 
 def test_what_is_made_of_a_value_follows_it(make: Make) -> None:
@@ -198,7 +231,9 @@ def test_every_episode_begins_its_periods_anew_and_a_seed_gives_the_same(make: M
 
 def test_a_new_draw_changes_no_other(make: Make) -> None:
     alone = drawn(make, "w: uniform(0 .. 1) every 100 ms")
-    assert alone == drawn(make, "v: uniform(0 .. 1) each step, w: uniform(0 .. 1) every 100 ms", term="w + 0 * v")
+    assert alone == drawn(
+        make, "v: uniform(0 .. 1) each step, w: uniform(0 .. 1) every 100 ms", term="w + 0 * v"
+    )
 
 
 def test_a_robot_is_told_of_such_a_value_by_message(make: Make) -> None:

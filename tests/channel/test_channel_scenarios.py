@@ -1,4 +1,5 @@
-"""Messages on their way, from the text of a scenario to what a step returns, on a cart that does at once what it is told."""
+"""Messages on their way, from the text of a scenario to what a step returns, on a cart that does at once what
+it is told."""
 
 from __future__ import annotations
 
@@ -25,14 +26,18 @@ def terms(environment: Supervisor, drives: Sequence[float] = DRIVES, seed: int =
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
-@pytest.mark.parametrize(("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)])
+@pytest.mark.parametrize(
+    ("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)]
+)
 def test_a_robot_acts_when_the_message_arrives(make: Make, latency: str, ticks: int) -> None:
     found = terms(make(f"messages.to_robot={{latency: {latency}}}"))
     assert found["truth"] == pytest.approx([*[0.0] * ticks, *DRIVES][:6], abs=NEARLY)
     assert found["sent"] == pytest.approx(found["truth"])
 
 
-@pytest.mark.parametrize(("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)])
+@pytest.mark.parametrize(
+    ("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)]
+)
 def test_a_supervisor_goes_by_what_has_arrived(make: Make, latency: str, ticks: int) -> None:
     found = terms(make(f"messages.from_robot={{latency: {latency}}}"))
     assert found["truth"] == pytest.approx(DRIVES, abs=NEARLY)
@@ -41,7 +46,9 @@ def test_a_supervisor_goes_by_what_has_arrived(make: Make, latency: str, ticks: 
 
 def test_paper_timing_is_one_tick_more_either_way(make: Make) -> None:
     route = "{to_robot: {latency: 20 ms}, from_robot: {latency: 20 ms}"
-    immediate, paper = (terms(make(f"messages={route}, timing: {timing}}}")) for timing in ("immediate", "delayed"))
+    immediate, paper = (
+        terms(make(f"messages={route}, timing: {timing}}}")) for timing in ("immediate", "delayed")
+    )
     assert immediate["truth"] == pytest.approx([0.0, *DRIVES[:5]], abs=NEARLY)
     assert immediate["sent"] == pytest.approx([0.0, 0.0, *DRIVES[:4]], abs=NEARLY)
     assert paper["truth"] == pytest.approx([0.0, 0.0, *DRIVES[:4]], abs=NEARLY)
@@ -50,21 +57,31 @@ def test_paper_timing_is_one_tick_more_either_way(make: Make) -> None:
 
 @pytest.mark.parametrize("format", ["struct", "csv", "json", "msgpack"])
 def test_every_format_may_be_late_and_lost(make: Make, format: str) -> None:
-    environment = make(f"messages={{format: {format}, to_robot: {{loss: 100 %, on_loss: zero}}, from_robot: {{latency: 20 ms}}}}")
+    environment = make(
+        f"messages={{format: {format}, to_robot: {{loss: 100 %, on_loss: zero}}, from_robot: {{latency: 20"
+        f" ms}}}}"
+    )
     assert terms(environment)["truth"] == pytest.approx([0.0] * 6, abs=NEARLY)
 
 
 @pytest.mark.parametrize(
-    ("on_loss", "moves"), [("hold", [0.0] * 6), ("skip", [0.0] * 6), ("zero", [1.0] * 6)], ids=lambda value: str(value)[:4]
+    ("on_loss", "moves"),
+    [("hold", [0.0] * 6), ("skip", [0.0] * 6), ("zero", [1.0] * 6)],
+    ids=lambda value: str(value)[:4],
 )
 def test_what_a_robot_makes_of_a_lost_message(make: Make, on_loss: str, moves: list[float]) -> None:
     """All is lost here: the robot acts on zeros or on nothing at all."""
-    environment = make(f"messages.to_robot={{loss: 1, on_loss: {on_loss}}}", "robots.cart.apply.motor=0.1 m/s + drive * 0.1 m/s")
+    environment = make(
+        f"messages.to_robot={{loss: 1, on_loss: {on_loss}}}",
+        "robots.cart.apply.motor=0.1 m/s + drive * 0.1 m/s",
+    )
     assert terms(environment, [0.5] * 6)["truth"] == pytest.approx(moves, abs=NEARLY)
 
 
 @pytest.mark.parametrize(("on_loss", "grown"), [("hold", True), ("skip", False)])
-def test_a_held_message_counts_as_one_more_for_what_the_robot_remembers(make: Make, on_loss: str, grown: bool) -> None:
+def test_a_held_message_counts_as_one_more_for_what_the_robot_remembers(
+    make: Make, on_loss: str, grown: bool
+) -> None:
     environment = make(
         f"messages.to_robot={{loss: 50 %, on_loss: {on_loss}}}",
         "robots.cart.apply.motor=accumulate(drive * 0.1 m/s, -9 .. 9 m/s, 0 m/s)",
@@ -75,7 +92,10 @@ def test_a_held_message_counts_as_one_more_for_what_the_robot_remembers(make: Ma
 
 
 def test_what_the_supervisor_holds_or_zeroes_is_what_arrived(make: Make) -> None:
-    held, zeroed = (terms(make(f"messages.from_robot={{loss: 0.5, on_loss: {word}}}"), [1.0] * 60) for word in ("hold", "zero"))
+    held, zeroed = (
+        terms(make(f"messages.from_robot={{loss: 0.5, on_loss: {word}}}"), [1.0] * 60)
+        for word in ("hold", "zero")
+    )
     lost = [value == 0.0 for value in zeroed["sent"]]
     assert 10 < sum(lost) < 50
     first = lost.index(False)
@@ -106,7 +126,9 @@ SEEN = "reward={age: stale / (20 ms), came: 1 when came}"
         ("messages.format=none", [0, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 1]),
     ],
 )
-def test_age_counts_from_measurement_and_fresh_says_that_one_came(make: Make, route: str, ages: list[int], fresh: list[int]) -> None:
+def test_age_counts_from_measurement_and_fresh_says_that_one_came(
+    make: Make, route: str, ages: list[int], fresh: list[int]
+) -> None:
     found = terms(make(route, SEEN, more=TOLD))
     assert found["age"] == pytest.approx(ages)
     assert found["came"] == fresh
@@ -114,17 +136,26 @@ def test_age_counts_from_measurement_and_fresh_says_that_one_came(make: Make, ro
 
 def test_the_first_message_of_an_episode_is_there_at_once(make: Make) -> None:
     observed = "observation={stale: 0 .. 1 s, came: auto, cart.place: -2.4 .. 2.4 m}"
-    environment = make("messages.from_robot={latency: 300 ms, loss: 0.9}", observed, "reset.joints={cart.slider: 1.2 m}", more=TOLD)
+    environment = make(
+        "messages.from_robot={latency: 300 ms, loss: 0.9}",
+        observed,
+        "reset.joints={cart.slider: 1.2 m}",
+        more=TOLD,
+    )
     assert environment.reset(seed=0)[0].tolist() == pytest.approx([-1.0, 1.0, 0.5])
 
 
 def test_ages_of_a_drawn_latency_lie_between_its_ends(make: Make) -> None:
-    environment = make("messages.from_robot={latency: uniform(0 .. 60 ms) each step, order: newest}", SEEN, more=TOLD)
+    environment = make(
+        "messages.from_robot={latency: uniform(0 .. 60 ms) each step, order: newest}", SEEN, more=TOLD
+    )
     ages = {round(age) for age in terms(environment, [0.0] * 200)["age"]}
     assert ages == {1, 2, 3}
 
 
-@pytest.mark.parametrize("signal", ["age(cart) / s", "limit * step * inner", "wind * cart.place / m", "position(cart.cart).x / m"])
+@pytest.mark.parametrize(
+    "signal", ["age(cart) / s", "limit * step * inner", "wind * cart.place / m", "position(cart.cart).x / m"]
+)
 def test_a_signal_is_never_observed_whatever_it_is_made_of(make: Make, tmp_path: Path, signal: str) -> None:
     names = f'{{inner: cart.rate * s / m, seen: "{signal}"}}'
     make(more=f"parameters: {{limit: 2, wind: uniform(0 .. 1)}}\nsignals: {names}\n")
@@ -136,7 +167,10 @@ def test_a_signal_is_never_observed_whatever_it_is_made_of(make: Make, tmp_path:
 
 
 def test_a_new_episode_knows_nothing_of_the_last(make: Make) -> None:
-    route = "{to_robot: {latency: 60 ms, loss: 0.3, burst: 4}, from_robot: {latency: uniform(0 .. 50 ms) each step, loss: 0.3}}"
+    route = (
+        "{to_robot: {latency: 60 ms, loss: 0.3, burst: 4}, from_robot: {latency: uniform(0 .. 50 ms)"
+        " each step, loss: 0.3}}"
+    )
     environment = make(f"messages={route}")
     first = terms(environment)
     terms(environment, [0.3] * 11, seed=5)
@@ -145,11 +179,16 @@ def test_a_new_episode_knows_nothing_of_the_last(make: Make) -> None:
 
 
 def test_what_happens_on_one_channel_leaves_the_other_alone(make: Make) -> None:
-    """Robot `left` is out of reach of the supervisor in one world; what `right` hears and says stays the same, bit by bit."""
+    """Robot `left` is out of reach of the supervisor in one world; what `right` hears and says stays the
+    same, bit by bit."""
 
     def right(reach: str, *overrides: str) -> list[float]:
-        drawn = "{latency: uniform(0 .. 60 ms) each step, loss: 0.3, burst: 2, range: REACH}".replace("REACH", reach)
-        environment = make(f"messages={{to_robot: {drawn}, from_robot: {drawn}}}", *overrides, text=PAIR.read_text())
+        drawn = "{latency: uniform(0 .. 60 ms) each step, loss: 0.3, burst: 2, range: REACH}".replace(
+            "REACH", reach
+        )
+        environment = make(
+            f"messages={{to_robot: {drawn}, from_robot: {drawn}}}", *overrides, text=PAIR.read_text()
+        )
         observations = [environment.reset(seed=3)[0]]
         observations += [environment.step(np.array([step % 3, 0]))[0] for step in range(50)]
         return [float(observation[2]) for observation in observations]
@@ -170,7 +209,9 @@ def test_what_happens_on_one_channel_leaves_the_other_alone(make: Make) -> None:
     ],
 )
 @pytest.mark.parametrize("format", ["struct", "csv"])
-def test_the_age_of_a_reading_is_its_own_and_that_of_the_message(make: Make, sensor: str, route: str, ages: list[int], format: str) -> None:
+def test_the_age_of_a_reading_is_its_own_and_that_of_the_message(
+    make: Make, sensor: str, route: str, ages: list[int], format: str
+) -> None:
     faults = [f"robots.cart.sensors.place.{sensor.replace(': ', '=')}"] if sensor else []
     messages = f"messages={{format: {format}, from_robot: {route}}}"
     found = terms(make(messages, *faults, "reward={place: age(cart.place) / (20 ms)}"))
@@ -196,7 +237,8 @@ SCRIPTED = """\
 
 @pytest.mark.parametrize("format", ["struct", "csv", "none"])
 def test_a_scripted_robot_goes_by_its_own_sensors_and_what_it_is_told(make: Make, format: str) -> None:
-    """No action variable reaches it: it goes forth and back around 3 mm, by what it senses, and drifts with where the other one is."""
+    """No action variable reaches it: it goes forth and back around 3 mm, by what it senses, and drifts with
+    where the other one is."""
     environment = make(f"messages.format={format}", REWARD, rival=SCRIPTED)
     found = terms(environment, [0.0] * 4)
     assert found["rival"] == pytest.approx([1.0, 1.0, -1.0, 1.0], abs=NEARLY)
@@ -209,5 +251,7 @@ def test_a_message_on_a_foreign_channel_is_refused(make: Make) -> None:
     environment = make(REWARD, rival=SCRIPTED)
     environment.reset(seed=0)
     environment.to_rival.transmit(environment.to_cart.wire.encode((1.0,)))
-    with pytest.raises(MessageError, match="robot 'rival', to the robot, step 1: the message has another layout"):
+    with pytest.raises(
+        MessageError, match="robot 'rival', to the robot, step 1: the message has another layout"
+    ):
         environment.step(np.zeros(1))

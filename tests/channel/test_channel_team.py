@@ -1,4 +1,5 @@
-"""Copies of a robot in one world under one policy: each as if it were alone, all of them together one environment."""
+"""Copies of a robot in one world under one policy: each as if it were alone, all of them together one
+environment."""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ def team() -> Iterator[Make]:
 
 
 def rows(environment: CopiesSupervisor, steps: int, seed: int | None = 0) -> list[Any]:
-    """All that an episode gives, with one action for all that changes every five steps, and other ones for the last copy."""
+    """All that an episode gives, with one action for all that changes every five steps, and other ones for
+    the last copy."""
     given: list[Any] = [environment.reset(seed=seed)]
     for step in range(steps):
         action = np.array([step // 5 % 2] * (len(environment.agents) - 1) + [step // 3 % 2])
@@ -70,13 +72,15 @@ def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
 @pytest.mark.parametrize("engine", ["exact", "pybullet"])
 @pytest.mark.parametrize(
     "overrides",
-    [(), ("messages.format=csv", "messages.timing=delayed"), ("agent={each: cart, action_repeat: 3, frame_stack: 2}", "termination={}")],
+    [
+        (),
+        ("messages.format=csv", "messages.timing=delayed"),
+        ("agent={each: cart, action_repeat: 3, frame_stack: 2}", "termination={}"),
+    ],
 )
 def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, overrides: tuple[str, ...]) -> None:
-    together, alone = (
-        team(CALM, *overrides, engine=engine),
-        team(CALM, *(text.replace("each: cart, ", "") for text in overrides), source=RAIL, engine=engine),
-    )
+    together = team(CALM, *overrides, engine=engine)
+    alone = team(CALM, *(text.replace("each: cart, ", "") for text in overrides), source=RAIL, engine=engine)
     seen = [observation for observation, *_ in rows(together, 12)]
     for copy in range(3):
         observation = alone.reset(seed=0)[0]
@@ -94,18 +98,29 @@ def test_copies_stand_in_a_row_around_the_place_of_the_robot(team: Make) -> None
 
 def test_an_environment_holds_its_agents_by_name(team: Make) -> None:
     together, alone = team(), team(source=RAIL)
-    assert list(together.agents) == [robot.name for robot in together.world.robots] == ["cart#1", "cart#2", "cart#3"]
+    assert (
+        list(together.agents)
+        == [robot.name for robot in together.world.robots]
+        == ["cart#1", "cart#2", "cart#3"]
+    )
     assert list(alone.agents.values()) == [alone]
 
 
 def test_a_copy_means_itself_by_the_name_of_the_robot(team: Make) -> None:
     environment = team()
     environment.reset(seed=0)
-    world, first, second = environment.engine, *(environment.agents[name].engine for name in ("cart#1", "cart#2"))
+    world, first, second = (
+        environment.engine,
+        *(environment.agents[name].engine for name in ("cart#1", "cart#2")),
+    )
     second.set_joint("cart", "slider", 0.25, 0.0)
     assert world.joint_states("cart#2", ["slider"])()[0][0] == 0.25
     # A link of the robot has its name too. It stays a link, whether arguments go by place or by name.
-    assert second.pose("cart", "cart")() == second.pose(body="cart", link="cart")() == world.pose("cart#2", "cart")()
+    assert (
+        second.pose("cart", "cart")()
+        == second.pose(body="cart", link="cart")()
+        == world.pose("cart#2", "cart")()
+    )
     second.set_parameter("joint_damping", ("cart", "slider"), 0.5)
     second.set_parameter("mass", ("other", ""), 3.0)  # the first copy sets what is not of a copy
     with pytest.raises(EngineError, match="no body 'other'"):
@@ -136,7 +151,9 @@ def test_the_reward_is_the_mean_and_each_has_its_own(team: Make) -> None:
 
 
 def test_failure_of_one_beats_success_of_another(team: Make) -> None:
-    endings = "termination={failure: {back: drive < -0.5 and step > 2}, success: {forth: drive > 0.5 and step > 2}}"
+    endings = (
+        "termination={failure: {back: drive < -0.5 and step > 2}, success: {forth: drive > 0.5 and step > 2}}"
+    )
     environment = team(CALM, endings)
     for action, is_success, ended_by in (((0, 0, 0), True, "forth"), ((0, 1, 0), False, "back")):
         environment.reset(seed=0)
@@ -162,7 +179,8 @@ def test_draws_are_each_copys_own_and_parameters_are_shared(team: Make) -> None:
 
 def test_channels_of_copies_share_no_draw(team: Make) -> None:
     environment = team(
-        "messages={to_robot: {loss: 50 %}, from_robot: {latency: uniform(0 .. 100 ms) each step, loss: 50 %}}",
+        "messages={to_robot: {loss: 50 %}, from_robot: {latency: uniform(0 .. 100 ms) each step, loss: 50"
+        " %}}",
         "reward={a: 1 when message_received(cart)}",
     )
     environment.reset(seed=0)
@@ -172,7 +190,8 @@ def test_channels_of_copies_share_no_draw(team: Make) -> None:
 
 
 @pytest.mark.parametrize(
-    "overrides", [(), ("messages={from_robot: {latency: 30 ms, loss: 0.2}}",), ("agent={each: cart, action_repeat: 4}",)]
+    "overrides",
+    [(), ("messages={from_robot: {latency: 30 ms, loss: 0.2}}",), ("agent={each: cart, action_repeat: 4}",)],
 )
 def test_a_seed_gives_the_same_and_a_reset_world_is_as_new(team: Make, overrides: tuple[str, ...]) -> None:
     environment = team(*overrides)
@@ -201,7 +220,9 @@ def test_it_is_a_gymnasium_environment(team: Make) -> None:
         environment.step(np.zeros(3, int))
 
 
-@pytest.mark.parametrize("bad", [0, [0, 0], [0, 0, 2], [0.5, 0, 0], "x", None, np.zeros((3, 1), int), [0, 0, -1]])
+@pytest.mark.parametrize(
+    "bad", [0, [0, 0], [0, 0, 2], [0.5, 0, 0], "x", None, np.zeros((3, 1), int), [0, 0, -1]]
+)
 def test_an_action_that_does_not_fit_changes_nothing(team: Make, bad: Any) -> None:
     environment, other = team(), team()
     environment.reset(seed=0)
@@ -223,7 +244,10 @@ def test_numbers_that_do_not_fit_change_nothing(team: Make, bad: Any) -> None:
 
 def test_copies_act_by_choices_and_ranges_together(team: Make) -> None:
     environment = team(
-        CALM, "cart_speed=0.1 m/s", "reward={speed: joint_velocity(cart.slider) / (0.1 m/s)}", source=TEAM.with_name("mixed_team.yaml")
+        CALM,
+        "cart_speed=0.1 m/s",
+        "reward={speed: joint_velocity(cart.slider) / (0.1 m/s)}",
+        source=TEAM.with_name("mixed_team.yaml"),
     )
     environment.reset(seed=0)
     action = {"choices": np.array([0, 1, 0]), "ranges": np.array([[1.0], [1.0], [-1.0]])}
@@ -246,7 +270,9 @@ def test_errors_name_the_expression_as_ever(team: Make) -> None:
 
 @pytest.mark.parametrize("base", ["fixed", "free"])
 def test_a_team_can_be_filmed(base: str) -> None:
-    with closing(api.make(TEAM, overrides=[f"robots.cart.base={base}"], render_mode="rgb_array")) as environment:
+    with closing(
+        api.make(TEAM, overrides=[f"robots.cart.base={base}"], render_mode="rgb_array")
+    ) as environment:
         environment.reset(seed=0)
         assert environment.render().shape == (320, 480, 3)
 
@@ -257,6 +283,11 @@ def test_a_team_of_one_is_a_team(team: Make) -> None:
 
 
 def test_a_team_without_sense_is_refused_in_words() -> None:
-    for overrides in (["agent={each: carts}"], ["robots.cart.count=integer(1 .. 3)"], ["robots.cart.count=2.5"], ["robots.cart.count=0"]):
+    for overrides in (
+        ["agent={each: carts}"],
+        ["robots.cart.count=integer(1 .. 3)"],
+        ["robots.cart.count=2.5"],
+        ["robots.cart.count=0"],
+    ):
         with pytest.raises(DeepbotsError):
             api.compile(TEAM, overrides=overrides)

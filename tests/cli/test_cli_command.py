@@ -32,7 +32,8 @@ def in_process_of_its_own(code: str) -> str:
 
 @pytest.fixture
 def hostile(tmp_path):
-    """A folder with modules that leave a file beside them when they are imported, under names that deepbots and Python import."""
+    """A folder with modules that leave a file beside them when they are imported, under names that deepbots
+    and Python import."""
     folder = tmp_path / "hostile"
     folder.mkdir()
     for name in ("typer", "numpy", "torch", "yaml", "json", "pickle", "signal", "sitecustomize"):
@@ -43,7 +44,9 @@ def hostile(tmp_path):
 def test_a_process_of_ours_does_not_import_from_the_working_directory(hostile, monkeypatch):
     command = python_command("deepbots_cli", "--version")
     monkeypatch.setenv("PYTHONPATH", os.pathsep)  # empty entries are the working directory too
-    done = subprocess.run(command, cwd=hostile, env=python_environment(), capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=hostile, env=python_environment(), capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n"), done.stderr
     assert not list(hostile.glob("*.ran"))
 
@@ -73,7 +76,9 @@ def test_lint_in_several_processes_does_not_import_from_the_working_directory(ho
 
 def test_only_one_module_starts_python():
     package = Path(deepbots_cli.__file__).parent
-    naming = [path.name for path in package.rglob("*.py") if "sys.executable" in path.read_text(encoding="utf-8")]
+    naming = [
+        path.name for path in package.rglob("*.py") if "sys.executable" in path.read_text(encoding="utf-8")
+    ]
     assert sorted(naming) == ["installation.py", "processes.py"]  # the former prints it
 
 
@@ -86,8 +91,14 @@ def test_every_verb_explains_itself_with_examples(deepbots, verb):
 
 
 def test_the_help_of_test_names_a_test_of_the_scenario(deepbots):
-    (example,) = [line.split() for line in deepbots("test", "--help").out.splitlines() if " -k " in line and "deepbots test" in line]
-    assert any(example[example.index("-k") + 1] in test.name for test in api.load("cartpole", tests=True).tests)
+    (example,) = [
+        line.split()
+        for line in deepbots("test", "--help").out.splitlines()
+        if " -k " in line and "deepbots test" in line
+    ]
+    assert any(
+        example[example.index("-k") + 1] in test.name for test in api.load("cartpole", tests=True).tests
+    )
 
 
 @pytest.mark.parametrize("verb", COMMANDS)
@@ -105,11 +116,16 @@ def test_the_overview_lists_every_verb(deepbots):
 
 
 @pytest.mark.parametrize(
-    ("line", "expected"), [("deepbots tr", ["try", "train", "transfer"]), ("deepbots train --se", ["--set", "--seed", "--seeds"])]
+    ("line", "expected"),
+    [("deepbots tr", ["try", "train", "transfer"]), ("deepbots train --se", ["--set", "--seed", "--seeds"])],
 )
 def test_a_shell_completes_commands_and_options(deepbots, monkeypatch, line, expected):
     words = line.split()
-    for name, value in {"_DEEPBOTS_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}.items():
+    for name, value in {
+        "_DEEPBOTS_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(len(words) - 1),
+    }.items():
         monkeypatch.setenv(name, value)
     assert deepbots().out.split() == expected
 
@@ -122,13 +138,18 @@ def test_eval_has_at_most_twelve_options_outside_advanced(deepbots):
     shown = deepbots("eval", "--help").out
     common = shown[shown.index("\nOptions:") : shown.index("\nAdvanced:")]
     assert len([line for line in common.splitlines() if line.startswith("  -")]) <= 12
-    assert all(option in shown[shown.index("\nAdvanced:") :] for option in ("--allow-code", "--force", "--stochastic"))
+    assert all(
+        option in shown[shown.index("\nAdvanced:") :]
+        for option in ("--allow-code", "--force", "--stochastic")
+    )
 
 
 def test_the_overview_has_at_most_32_commands_in_groups_and_begins_with_three(deepbots):
     shown = deepbots("--help").out
     assert len(COMMANDS) <= 32
-    assert [line[:-1] for line in shown.splitlines() if line in {f"{group}:" for group in GROUPS}] == list(GROUPS)
+    assert [line[:-1] for line in shown.splitlines() if line in {f"{group}:" for group in GROUPS}] == list(
+        GROUPS
+    )
     assert len([line for line in shown.splitlines() if line.startswith("    deepbots ")]) == 3
 
 
@@ -140,7 +161,11 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
     assert (ran.code, ran.out) == (2, "")
     assert f"use `{new}`" in ran.err
     meant = new.split()[1] if new.startswith("deepbots ") else new.split()[0]
-    assert meant in COMMANDS or any(meant in parameter.opts for verb in COMMANDS for parameter in Commands().get_command(None, verb).params)
+    assert meant in COMMANDS or any(
+        meant in parameter.opts
+        for verb in COMMANDS
+        for parameter in Commands().get_command(None, verb).params
+    )
 
 
 def test_a_misspelled_verb_is_wrong_usage_and_the_right_one_is_suggested(deepbots):
@@ -150,7 +175,14 @@ def test_a_misspelled_verb_is_wrong_usage_and_the_right_one_is_suggested(deepbot
 
 
 @pytest.mark.parametrize(
-    "words", [["lint"], ["train", "--seed", "x", "cartpole"], ["try", "cartpole", "--engine", "nosuch"], ["eval"], ["--nosuch"]]
+    "words",
+    [
+        ["lint"],
+        ["train", "--seed", "x", "cartpole"],
+        ["try", "cartpole", "--engine", "nosuch"],
+        ["eval"],
+        ["--nosuch"],
+    ],
 )
 def test_wrong_usage_ends_with_2_and_no_traceback(deepbots, words):
     ran = deepbots(*words)
@@ -189,18 +221,22 @@ def test_a_misspelled_scenario_is_suggested(deepbots):
         ((), "everything works"),
         (
             ("torch",),
-            "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and TQC, policies as ONNX,"
+            "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and"
+            " TQC, policies as ONNX,"
             " --cluster, searches by tune",
         ),
         (
             ("mujoco",),
             "everything works except what needs a missing extra:"
-            " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play, policies as ONNX,"
+            " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play, policies"
+            " as ONNX,"
             " --cluster, searches by tune",
         ),
     ],
 )
-def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing(deepbots, monkeypatch, gone, said):
+def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing(
+    deepbots, monkeypatch, gone, said
+):
     def version(name):
         if name in gone:
             raise PackageNotFoundError(name)
@@ -212,13 +248,19 @@ def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing
 
 
 def test_the_doctor_misses_nothing_that_is_for_other_systems(monkeypatch):
-    monkeypatch.setattr(installation, "requires", lambda _: ["lost; sys_platform != 'win32' and extra == 'sim'", "there; extra == 'sim'"])
+    monkeypatch.setattr(
+        installation,
+        "requires",
+        lambda _: ["lost; sys_platform != 'win32' and extra == 'sim'", "there; extra == 'sim'"],
+    )
     assert installation._requirements()["sim"] == ["lost", "there"]
     monkeypatch.setattr(sys, "platform", "win32")
     assert installation._requirements()["sim"] == ["there"]
 
 
-@pytest.mark.parametrize("words", [["try", "cartpole"], ["train", "cartpole"], ["bench", "cartpole"], ["eval", "run"]])
+@pytest.mark.parametrize(
+    "words", [["try", "cartpole"], ["train", "cartpole"], ["bench", "cartpole"], ["eval", "run"]]
+)
 def test_a_seed_that_no_record_could_hold_is_refused_and_does_not_fill_the_help(deepbots, words):
     ran = deepbots(*words, "--seed", 10**20)
     assert (ran.code, ran.out) == (2, "")
@@ -274,20 +316,30 @@ def test_a_file_that_cannot_be_written_is_one_line(deepbots, tmp_path):
 def test_a_terminal_that_knows_ascii_only_gets_escapes_instead_of_an_error(tmp_path):
     (tmp_path / "a.yaml").write_text("deepbots: 1\nname: Pölé\n", encoding="utf-8")
     command = [sys.executable, "-m", "deepbots_cli", "lint", "a.yaml"]
-    done = subprocess.run(command, cwd=tmp_path, env=os.environ | {"PYTHONIOENCODING": "ascii"}, capture_output=True, check=False)
+    done = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        check=False,
+    )
     assert done.returncode == 1
     assert done.stdout.isascii()
     assert b"Traceback" not in done.stderr
 
 
 def test_linting_imports_neither_simulator_nor_learner():
-    code = "import sys; from deepbots_cli.cli import main; assert main(['lint', 'cartpole']) == 0; print([*sys.modules])"
+    code = (
+        "import sys; from deepbots_cli.cli import main; assert main(['lint', 'cartpole']) == 0;"
+        " print([*sys.modules])"
+    )
     loaded = in_process_of_its_own(code)
     assert not [name for name in (*EXTRA, "rich", "jinja2") if f"'{name}'" in loaded]
 
 
 WITHOUT = [("try", "gymnasium", "sim"), ("bench", "msgspec", "sim"), ("train", "torch", "train")]
-"""A command, a package that it needs, and the extra that brings it; a package is imported by none of the commands before."""
+"""A command, a package that it needs, and the extra that brings it; a package is imported by none of the
+commands before."""
 
 
 def test_a_missing_extra_is_one_line_with_the_command_that_installs_it():
@@ -318,8 +370,13 @@ def test_what_runs_nothing_needs_no_extra(tmp_path):
         "compile cartpole --project here",
     ]
     block = "".join(f"sys.modules['{name}'] = None; " for name in EXTRA)
-    code = f"import sys; {block}from deepbots_cli.cli import main; print([main(line.split()) for line in {lines}], file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    code = (
+        f"import sys; {block}from deepbots_cli.cli import main; print([main(line.split()) for line in"
+        f" {lines}], file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert done.stderr.splitlines()[-1] == str([0] * len(lines)), done.stderr
 
 
@@ -331,7 +388,9 @@ def test_the_overview_imports_no_verb_and_not_even_the_language():
 
 
 def test_the_package_runs_as_a_module():
-    done = subprocess.run([sys.executable, "-m", "deepbots_cli", "--version"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "deepbots_cli", "--version"], capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n")
 
 
@@ -341,7 +400,9 @@ def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
     (tmp_path / "runs" / "no_run").mkdir()
     assert "cartpole" in [row["name"] for row in json.loads(deepbots("scenarios", "--json").out)["scenarios"]]
     assert "free pole" in deepbots("scenarios").out
-    assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [("broken", "unreadable")]
+    assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [
+        ("broken", "unreadable")
+    ]
     shown = deepbots("runs")
     assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in shown.err
 
@@ -357,7 +418,9 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
     report = json.loads(ran.out)
     assert ran.code == 0
     assert report["ok"]
-    assert {"mujoco", "scenarios", "engine pybullet", "engine mujoco", "learning"} <= {look["what"] for look in report["checks"]}
+    assert {"mujoco", "scenarios", "engine pybullet", "engine mujoco", "learning"} <= {
+        look["what"] for look in report["checks"]
+    }
     absent = set() if ENGINES["pybullet"].is_installed else {"engine pybullet"}
     assert {look["what"] for look in report["checks"] if look["state"] != "ok"} == absent
 
@@ -370,13 +433,21 @@ def test_printed_findings_can_be_read():
 def _in_shell(line: str) -> str:
     command = f"{sys.executable} -m deepbots_cli"
     return subprocess.run(
-        ["bash", "-c", line.replace("deepbots", command, 1)], capture_output=True, text=True, check=False, timeout=60
+        ["bash", "-c", line.replace("deepbots", command, 1)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     ).stdout
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell's pipes")
 @pytest.mark.parametrize(
-    "verb", few(["inspect cartpole", "compile cartpole --program", "lint cartpole", "scenarios", "--help"], ("scenarios", "--help"))
+    "verb",
+    few(
+        ["inspect cartpole", "compile cartpole --program", "lint cartpole", "scenarios", "--help"],
+        ("scenarios", "--help"),
+    ),
 )
 def test_the_exit_code_is_the_same_when_nobody_reads_the_output_and_no_error_is_printed(verb):
     *notes, code = _in_shell(f"(deepbots {verb} 2>&3 | true; echo ${{PIPESTATUS[0]}}) 3>&1").splitlines()
@@ -400,7 +471,11 @@ def test_streams_that_were_closed_from_the_start_are_no_failure(verb, closed):
 @pytest.mark.parametrize("verb", ["schema", "--help"])
 def test_a_full_disk_is_one_clear_line(verb):
     message, code = _in_shell(f"(deepbots {verb} >/dev/full) 2>&1; echo $?").splitlines()
-    assert (message.startswith("error: "), message.endswith("no space left on device"), code) == (True, True, "2")
+    assert (message.startswith("error: "), message.endswith("no space left on device"), code) == (
+        True,
+        True,
+        "2",
+    )
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
@@ -420,9 +495,22 @@ def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
     assert (tmp_path / "cartpole.yaml").read_bytes() == before
 
 
-@pytest.mark.parametrize("words", [("view", "cartpole"), ("serve", "cartpole", "--as-robot"), ("render", "cartpole", "-o", "x.png")])
-def test_without_a_simulator_a_command_names_the_extra_that_it_needs(tmp_path: Path, words: tuple[str, ...]) -> None:
-    code = "import sys; sys.modules['gymnasium'] = None; from deepbots_cli.cli import main; sys.exit(main(sys.argv[1:]))"
-    found = subprocess.run([sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize(
+    "words",
+    [("view", "cartpole"), ("serve", "cartpole", "--as-robot"), ("render", "cartpole", "-o", "x.png")],
+)
+def test_without_a_simulator_a_command_names_the_extra_that_it_needs(
+    tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    code = (
+        "import sys; sys.modules['gymnasium'] = None; from deepbots_cli.cli import main;"
+        " sys.exit(main(sys.argv[1:]))"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert found.returncode == 2
-    assert re.fullmatch(r"error: .* needs .*'sim' extra; install it with: pip install '.*\[sim\]'\n", found.stderr.splitlines(True)[-1])
+    assert re.fullmatch(
+        r"error: .* needs .*'sim' extra; install it with: pip install '.*\[sim\]'\n",
+        found.stderr.splitlines(True)[-1],
+    )

@@ -20,12 +20,16 @@ def test_a_copy_of_any_shipped_scenario_means_the_same_from_any_folder(deepbots,
     assert ran.code == 0
     copied = api.compile(tmp_path / "a" / "b" / f"{name}.yaml")
     assert copied.digest == api.compile(name).digest
-    assert all(path.is_relative_to(tmp_path) for path in api.load(tmp_path / "a" / "b" / f"{name}.yaml").document.files)
+    assert all(
+        path.is_relative_to(tmp_path)
+        for path in api.load(tmp_path / "a" / "b" / f"{name}.yaml").document.files
+    )
 
 
 def test_a_copy_keeps_comments_and_reads_its_own_robot(deepbots, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
-    before, after = shipped.scenario_path("cartpole").read_text(encoding="utf-8"), (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
+    before = shipped.scenario_path("cartpole").read_text(encoding="utf-8")
+    after = (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
     changed = [line for line in after.splitlines() if line not in before.splitlines()]
     assert len(changed) == 1
     assert "urdf: robots/urdf/cartpole.urdf" in changed[0]
@@ -35,14 +39,24 @@ def test_a_copy_keeps_comments_and_reads_its_own_robot(deepbots, tmp_path):
 
 
 def test_a_copy_of_another_name_is_that_scenario_under_the_name(deepbots, tmp_path):
-    assert deepbots("new", "my_cart", "--from", "cartpole_continuous").out.split()[:2] == ["my_cart.yaml", "cartpole.yaml"]
-    assert (tmp_path / "my_cart.yaml").read_text(encoding="utf-8").startswith("deepbots: 1\nextends: cartpole.yaml\nname: MyCart\n")
+    assert deepbots("new", "my_cart", "--from", "cartpole_continuous").out.split()[:2] == [
+        "my_cart.yaml",
+        "cartpole.yaml",
+    ]
+    assert (
+        (tmp_path / "my_cart.yaml")
+        .read_text(encoding="utf-8")
+        .startswith("deepbots: 1\nextends: cartpole.yaml\nname: MyCart\n")
+    )
     assert deepbots("diff", "my_cart.yaml", "cartpole_continuous").code == 0
 
 
 def test_a_copy_is_not_called_as_a_scenario_that_it_reads(deepbots, tmp_path):
     ran = deepbots("new", "cartpole", "--from", "cartpole_continuous")
-    assert (ran.code, ran.err) == (2, "error: 'cartpole' is the name of a file that cartpole_continuous reads; choose another name\n")
+    assert (ran.code, ran.err) == (
+        2,
+        "error: 'cartpole' is the name of a file that cartpole_continuous reads; choose another name\n",
+    )
     assert not any(tmp_path.iterdir())
 
 
@@ -91,14 +105,22 @@ def test_what_a_scenario_extends_and_includes_comes_along(tmp_path, monkeypatch)
         (data / folder).mkdir(parents=True)
     text = "# a comment\nextends: more/base.yaml\nrobots: {arm: {include: ../robots/arm.yaml}}  # kept\n"
     (data / "scenarios" / "top.yaml").write_text(text)
-    (data / "scenarios" / "more" / "base.yaml").write_text("deepbots: 1\nobjects: {a: {mesh: '../../robots/meshes/a b.stl'}}\n")
+    (data / "scenarios" / "more" / "base.yaml").write_text(
+        "deepbots: 1\nobjects: {a: {mesh: '../../robots/meshes/a b.stl'}}\n"
+    )
     (data / "robots" / "arm.yaml").write_text("urdf: arm\n")
     (data / "robots" / "urdf" / "arm.urdf").write_text("<robot name='arm'><link name='base'/></robot>")
     (data / "robots" / "meshes" / "a b.stl").write_text("solid a\nendsolid a\n")
     monkeypatch.setattr(shipped, "data_dir", lambda: data)
     files = {str(path): content.decode() for path, content in new.from_shipped("top", "top").items()}
     assert next(iter(files)) == "top.yaml"
-    assert set(files) == {"top.yaml", "more/base.yaml", "robots/arm.yaml", "robots/urdf/arm.urdf", "robots/meshes/a b.stl"}
+    assert set(files) == {
+        "top.yaml",
+        "more/base.yaml",
+        "robots/arm.yaml",
+        "robots/urdf/arm.urdf",
+        "robots/meshes/a b.stl",
+    }
     assert files["top.yaml"] == text.replace("../robots", "robots")
     assert '"../robots/meshes/a b.stl"' in files["more/base.yaml"]
     assert files["robots/arm.yaml"] == "urdf: urdf/arm.urdf\n"
@@ -109,9 +131,13 @@ def test_a_compiled_project_runs_on_its_own(deepbots, tmp_path):
     project = tmp_path / "mine"
     assert ran.code == 0
     assert "python run.py" in ran.err
-    assert (project / "environment.py").read_text() == deepbots("compile", "cartpole", "--set", "truncation.max_steps=7").out
+    assert (project / "environment.py").read_text() == deepbots(
+        "compile", "cartpole", "--set", "truncation.max_steps=7"
+    ).out
     assert api.compile(project / "resolved.yaml").program.truncation.max_steps == 7
-    done = subprocess.run([sys.executable, "run.py"], cwd=project, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "run.py"], cwd=project, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("return") == 3
     assert "7 steps" in done.stdout
@@ -123,7 +149,9 @@ def test_what_is_edited_in_a_compiled_project_is_what_runs(deepbots, tmp_path):
     text = code.read_text()
     assert "self.term_alive = 1.0" in text
     code.write_text(text.replace("self.term_alive = 1.0", "self.term_alive = 5.0"))
-    done = subprocess.run([sys.executable, "run.py"], cwd=tmp_path / "mine", capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "run.py"], cwd=tmp_path / "mine", capture_output=True, text=True, check=True
+    )
     words = done.stdout.split()
     assert float(words[3]) == 5 * int(words[5])
 
@@ -133,11 +161,16 @@ def test_a_project_is_never_written_over_anything(deepbots, tmp_path):
     (tmp_path / "mine" / "notes.txt").write_text("mine\n")
     ran = deepbots("compile", "cartpole", "--project", "mine", "--json")
     assert (ran.code, ran.out) == (2, "")
-    assert "mine is not empty; choose another folder, or replace files of the same name with --force" in ran.err
+    assert (
+        "mine is not empty; choose another folder, or replace files of the same name with --force" in ran.err
+    )
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["notes.txt"]
 
 
 def test_programs_get_the_list_of_files(deepbots):
     copied = json.loads(deepbots("new", "cartpole", "--json", "--from", "cartpole").out)
     assert copied == {"scenario": "cartpole.yaml", "files": ["cartpole.yaml", "robots/urdf/cartpole.urdf"]}
-    assert "mine/README.md" in json.loads(deepbots("compile", "cartpole", "--project", "mine", "--json").out)["files"]
+    assert (
+        "mine/README.md"
+        in json.loads(deepbots("compile", "cartpole", "--project", "mine", "--json").out)["files"]
+    )

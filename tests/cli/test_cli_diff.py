@@ -10,7 +10,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.document import shipped
-from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.records import RunRecord
 from tests.few import few
 
 SINGLE = [
@@ -55,10 +55,14 @@ def differences(deepbots, *words: object) -> tuple[int, dict[tuple[str, str], di
     return ran.code, listed
 
 
-@pytest.mark.parametrize(("setting", "group", "path"), SINGLE, ids=[setting.partition("=")[0] for setting, _, _ in SINGLE])
+@pytest.mark.parametrize(
+    ("setting", "group", "path"), SINGLE, ids=[setting.partition("=")[0] for setting, _, _ in SINGLE]
+)
 def test_a_single_setting_is_found_at_its_path_and_in_its_group(deepbots, setting, group, path):
     if "cart\\." in setting:
-        (Path("other.yaml")).write_text("deepbots: 1\nextends: cartpole.yaml\nreset: {joints: {cart.pole_hinge: uniform(-5 .. 5 deg)}}\n")
+        (Path("other.yaml")).write_text(
+            "deepbots: 1\nextends: cartpole.yaml\nreset: {joints: {cart.pole_hinge: uniform(-5 .. 5 deg)}}\n"
+        )
         deepbots("new", "cartpole", "--from", "cartpole", "--json")
         code, found = differences(deepbots, "cartpole.yaml", "other.yaml")
     else:
@@ -74,8 +78,14 @@ def test_a_scenario_has_no_difference_to_itself(deepbots, name):
 
 
 VARIANTS = {
-    ("pit_escape", "pit_escape_as_printed"): {"task": {"reward.progress"}, "training": {"solved", "train.total_timesteps"}},
-    ("find_and_avoid", "find_and_avoid_unmasked"): {"task": {"action.change.forbid"}, "training": {"train.algorithm"}},
+    ("pit_escape", "pit_escape_as_printed"): {
+        "task": {"reward.progress"},
+        "training": {"solved", "train.total_timesteps"},
+    },
+    ("find_and_avoid", "find_and_avoid_unmasked"): {
+        "task": {"action.change.forbid"},
+        "training": {"train.algorithm"},
+    },
 }
 
 
@@ -96,7 +106,11 @@ def test_a_longer_pole_no_longer_fits_and_is_another_world(deepbots):
 
 
 def test_every_pair_of_shipped_variants_is_the_same_from_both_sides(deepbots):
-    pairs = [("find_ball", "find_ball_as_printed"), ("cartpole", "cartpole_wireless"), ("cartpole", "cartpole_continuous")]
+    pairs = [
+        ("find_ball", "find_ball_as_printed"),
+        ("cartpole", "cartpole_wireless"),
+        ("cartpole", "cartpole_continuous"),
+    ]
     for one, other in pairs:
         _, forth = differences(deepbots, one, other)
         _, back = differences(deepbots, other, one)
@@ -128,7 +142,9 @@ def test_another_order_of_what_the_policy_sees_does_not_fit(deepbots, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     text = (tmp_path / "cartpole.yaml").read_text(encoding="utf-8")
     line = "  x:               -0.4 .. 0.4 m\n"
-    (tmp_path / "turned.yaml").write_text(text.replace(line, "").replace("\nreward:", f"{line}\nreward:", 1), encoding="utf-8")
+    (tmp_path / "turned.yaml").write_text(
+        text.replace(line, "").replace("\nreward:", f"{line}\nreward:", 1), encoding="utf-8"
+    )
     _, found = differences(deepbots, "cartpole.yaml", "turned.yaml")
     assert list(found) == [("policy", "order of what is observed, done and sent")]
 
@@ -170,15 +186,21 @@ def test_what_is_written_as_the_default_is_shown_on_both_sides(deepbots):
 
 
 def test_a_color_and_a_drawn_figure_are_told_as_they_are_written(deepbots):
-    _, found = differences(deepbots, "see_ball", "see_ball", "--set", "objects.ball.color=choice(green | orange)")
+    _, found = differences(
+        deepbots, "see_ball", "see_ball", "--set", "objects.ball.color=choice(green | orange)"
+    )
     (row,) = found.values()
     assert (row["one"], row["other"]) == ("choice(yellow | orange)", "choice(green | orange)")
-    _, found = differences(deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={pole: {mass: uniform(0.1 .. 0.2 kg)}}")
+    _, found = differences(
+        deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={pole: {mass: uniform(0.1 .. 0.2 kg)}}"
+    )
     assert found["world", "robots.cart.links.pole.mass"]["other"] == "uniform(0.1 .. 0.2 kg)"
 
 
 def test_a_figure_that_differs_in_the_last_digit_means_the_same(deepbots):
-    code, found = differences(deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={tip: {mass: 0.020000000000000004 kg}}")
+    code, found = differences(
+        deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={tip: {mass: 0.020000000000000004 kg}}"
+    )
     assert (code, {group for group, _ in found}) == (0, {"cosmetic"})
 
 
@@ -219,7 +241,9 @@ def test_a_figure_of_a_link_that_both_have_is_told(deepbots, tmp_path):
     (tmp_path / "other").mkdir()
     deepbots("new", "quadrotor", "other", "--from", "quadrotor", "--json")
     robot = tmp_path / "other" / "robots" / "urdf" / "quadrotor.urdf"
-    robot.write_text(robot.read_text(encoding="utf-8").replace('mass value="', 'mass value="1', 1), encoding="utf-8")
+    robot.write_text(
+        robot.read_text(encoding="utf-8").replace('mass value="', 'mass value="1', 1), encoding="utf-8"
+    )
     _, found = differences(deepbots, "quadrotor.yaml", "other/quadrotor.yaml")
     ((key, row),) = found.items()
     assert key == ("world", "robots.drone.links.base_link")
@@ -228,7 +252,12 @@ def test_a_figure_of_a_link_that_both_have_is_told(deepbots, tmp_path):
 
 
 def test_a_figure_that_is_drawn_with_a_parameter_is_told_by_its_name(deepbots):
-    heavy = ("--set", "parameters.heavy=uniform(0.1 .. 0.2 kg)", "--set", "robots.cart.links={pole: {mass: heavy}}")
+    heavy = (
+        "--set",
+        "parameters.heavy=uniform(0.1 .. 0.2 kg)",
+        "--set",
+        "robots.cart.links={pole: {mass: heavy}}",
+    )
     ran = deepbots("diff", "cartpole", "cartpole", *heavy)
     assert "drawn mass of cart.pole\n    + heavy\n" in ran.out
 
@@ -242,7 +271,10 @@ def test_stages_and_cases_are_compared_by_what_they_change(deepbots, tmp_path):
     head = "deepbots: 1\nextends: cartpole.yaml\ncurriculum:\n"
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     for name, angle in (("one", 25), ("two", 20)):
-        stages = f"  - {{name: wide, set: {{fall_angle: {angle} deg}}, until: mean_return >= 150 over 20 episodes}}\n  - {{name: usual}}\n"
+        stages = (
+            f"  - {{name: wide, set: {{fall_angle: {angle} deg}}, until: mean_return >= 150 over 20"
+            f" episodes}}\n  - {{name: usual}}\n"
+        )
         (tmp_path / f"{name}.yaml").write_text(head + stages)
     _, found = differences(deepbots, "one.yaml", "two.yaml")
     assert list(found) == [("training", "curriculum.wide")]
@@ -251,7 +283,16 @@ def test_stages_and_cases_are_compared_by_what_they_change(deepbots, tmp_path):
 
 def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
-    trained = deepbots("train", "cartpole.yaml", "--run", "run", "--set", "train.total_timesteps=512", "--set", "evaluation.episodes=1")
+    trained = deepbots(
+        "train",
+        "cartpole.yaml",
+        "--run",
+        "run",
+        "--set",
+        "train.total_timesteps=512",
+        "--set",
+        "evaluation.episodes=1",
+    )
     assert trained.code == 0, trained.err
     assert isinstance(RunRecord.read(tmp_path / "run").digest, str)
     _, found = differences(deepbots, "run", "cartpole.yaml")
@@ -259,7 +300,9 @@ def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
     assert found["training", "train.total_timesteps"]["one"] == "512"
 
 
-@pytest.mark.parametrize("words", [("cartpole",), ("cartpole", "nowhere"), ("cartpole", "folder"), ("cartpole", "bad.yaml")])
+@pytest.mark.parametrize(
+    "words", [("cartpole",), ("cartpole", "nowhere"), ("cartpole", "folder"), ("cartpole", "bad.yaml")]
+)
 def test_what_cannot_be_compared_ends_with_2(deepbots, tmp_path, words):
     (tmp_path / "folder").mkdir()
     (tmp_path / "bad.yaml").write_text("deepbots: 1\n")
@@ -274,6 +317,8 @@ def test_figures_along_axes_are_told_by_the_names_of_the_axes(deepbots, tmp_path
     robot = tmp_path / "robots" / "urdf" / "cartpole.urdf"
     moved = re.sub(r'xyz="(\S+) \S+ ', r'xyz="\1 0.0123 ', robot.read_text(), count=1)
     (tmp_path / "robots" / "urdf" / "other.urdf").write_text(moved)
-    (tmp_path / "other.yaml").write_text((tmp_path / "cartpole.yaml").read_text().replace("cartpole.urdf", "other.urdf"))
+    (tmp_path / "other.yaml").write_text(
+        (tmp_path / "cartpole.yaml").read_text().replace("cartpole.urdf", "other.urdf")
+    )
     told = deepbots("diff", "cartpole.yaml", "other.yaml").out
     assert "xyz.y 0.0123" in told

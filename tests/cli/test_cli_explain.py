@@ -14,7 +14,8 @@ from deepbots_cli.cli.commands.explain import Topic, topics
 from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import RULES
 from deepbots_cli.document import loads
-from deepbots_cli.lint import all_findings, every_page
+from deepbots_cli.lint import all_findings
+from deepbots_cli.lint.pages import every_page
 
 ROOT = Path(__file__).parents[2]
 
@@ -30,7 +31,10 @@ def test_a_code_is_explained_with_why_an_example_and_what_to_write_instead(deepb
     assert "# deepbots: ignore[DB603]" in rest
 
 
-@pytest.mark.parametrize("word", ["db603", "saturates-before-termination", "saturates_before_termination", "Saturates-Before-Termination"])
+@pytest.mark.parametrize(
+    "word",
+    ["db603", "saturates-before-termination", "saturates_before_termination", "Saturates-Before-Termination"],
+)
 def test_case_and_underscores_do_not_matter_and_a_name_does_as_well(deepbots, word):
     assert deepbots("explain", word).out == deepbots("explain", "DB603").out
 
@@ -72,7 +76,11 @@ def test_the_beginning_of_codes_lists_a_family(deepbots):
 
 @pytest.mark.parametrize(
     ("word", "meant"),
-    [("DB6O3", "DB6"), ("saturate-before-terminate", "saturates-before-termination"), ("algorithm-space", "algorithm-space-mismatch")],
+    [
+        ("DB6O3", "DB6"),
+        ("saturate-before-terminate", "saturates-before-termination"),
+        ("algorithm-space", "algorithm-space-mismatch"),
+    ],
 )
 def test_an_unknown_word_is_wrong_usage_and_the_nearest_is_suggested(deepbots, word, meant):
     ran = deepbots("explain", word)
@@ -103,7 +111,10 @@ def test_a_key_is_explained_with_where_it_stands_its_unit_and_an_example(deepbot
 
 
 def test_a_function_is_explained_with_its_arguments_and_an_example(deepbots):
-    assert deepbots("explain", "cross_track_error").out.splitlines()[0] == "cross_track_error(body, line): a function"
+    assert (
+        deepbots("explain", "cross_track_error").out.splitlines()[0]
+        == "cross_track_error(body, line): a function"
+    )
 
 
 def test_a_word_that_is_key_and_function_is_explained_as_both(deepbots):
@@ -114,7 +125,10 @@ def test_a_word_that_is_key_and_function_is_explained_as_both(deepbots):
 
 def test_a_key_that_tells_the_kind_lists_the_kinds(deepbots):
     said = " ".join(deepbots("explain", "type").out.split())
-    assert "type: a key of `robots.<name>.actuators.<name>` The kind, one of velocity_motor, position_motor" in said
+    assert (
+        "type: a key of `robots.<name>.actuators.<name>` The kind, one of velocity_motor, position_motor"
+        in said
+    )
 
 
 @pytest.mark.parametrize(
@@ -122,7 +136,8 @@ def test_a_key_that_tells_the_kind_lists_the_kinds(deepbots):
     [
         (
             "gyro",
-            "gyro: a type of `robots.<name>.sensors.<name>` Angular velocity about the axes of the sensor, x y z. Required keys: link.",
+            "gyro: a type of `robots.<name>.sensors.<name>` Angular velocity about the axes of the sensor, x"
+            " y z. Required keys: link.",
         ),
         ("thrust", "Required keys: range."),
         ("PPO", "PPO: an algorithm of `train`"),
@@ -143,10 +158,15 @@ def test_a_kind_and_a_unit_are_explained(deepbots, word, said):
 def test_the_nearest_word_of_the_language_is_suggested_too(deepbots, word, meant):
     ran = deepbots("explain", word)
     assert ran.code == 2
-    assert ran.err == f"error: there is no finding, key, kind, function, unit or concept '{word}'; did you mean {meant}?\n"
+    assert (
+        ran.err == f"error: there is no finding, key, kind, function, unit or concept '{word}'; did you mean"
+        f" {meant}?\n"
+    )
 
 
-@pytest.mark.parametrize(("word", "meant"), [("pionts", "points"), ("hindsigth", "hindsight"), ("curiculum", "curriculum")])
+@pytest.mark.parametrize(
+    ("word", "meant"), [("pionts", "points"), ("hindsigth", "hindsight"), ("curiculum", "curriculum")]
+)
 def test_a_slip_of_one_letter_is_explained_as_the_word_that_is_meant(deepbots, word, meant):
     ran = deepbots("explain", word)
     assert ran.code == 0
@@ -157,7 +177,10 @@ def test_a_slip_of_one_letter_is_explained_as_the_word_that_is_meant(deepbots, w
 def test_json_has_the_text_of_each_meaning_of_a_word(deepbots):
     report = json.loads(deepbots("explain", "noise", "--json").out)
     assert (report["version"], report["see_also"][:2]) == (1, ["exploration", "action_noise"])
-    assert [entry["title"] for entry in report["entries"]][:2] == ["noise: a concept", "noise: a key of `world.terrain` with `type: pit`"]
+    assert [entry["title"] for entry in report["entries"]][:2] == [
+        "noise: a concept",
+        "noise: a key of `world.terrain` with `type: pit`",
+    ]
     assert "Value: a number; default 0." in report["entries"][1]["text"]
 
 
@@ -209,7 +232,9 @@ def test_a_concept_is_explained_by_its_name_and_by_usual_others(deepbots, word, 
     assert "Read more: docs/" in ran.out
 
 
-@pytest.mark.parametrize(("word", "said"), [("camera", "camera: a type of"), ("noise", "noise: a key of `observation.<name>`")])
+@pytest.mark.parametrize(
+    ("word", "said"), [("camera", "camera: a type of"), ("noise", "noise: a key of `observation.<name>`")]
+)
 def test_a_concept_that_is_a_word_of_the_language_is_followed_by_that(deepbots, word, said):
     assert said in deepbots("explain", word).out
 
@@ -221,7 +246,10 @@ def test_a_word_of_the_language_goes_before_another_name_of_a_concept_which_is_m
     assert "See also: " in said
 
 
-@pytest.mark.parametrize(("word", "said"), [("ppo", "PPO: an algorithm"), ("Gyro", "gyro: a type of"), ("POSITION", "position(body):")])
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [("ppo", "PPO: an algorithm"), ("Gyro", "gyro: a type of"), ("POSITION", "position(body):")],
+)
 def test_the_case_of_a_word_does_not_matter(deepbots, word, said):
     assert said in deepbots("explain", word).out
 

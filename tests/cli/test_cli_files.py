@@ -69,7 +69,10 @@ WRITING = {
     "report": ("report", "run", "-o", "mine.html"),
     "report by its own name": ("report", "mine"),
     "plot": ("plot", "run", "-o", "mine.png"),
-    **{f"render, {kind}": ("render", "cartpole", "-o", f"mine.{kind}") for kind in ("png", "gif", "mp4", "mcap")},
+    **{
+        f"render, {kind}": ("render", "cartpole", "-o", f"mine.{kind}")
+        for kind in ("png", "gif", "mp4", "mcap")
+    },
     "render by its own name": ("render", "mine.yaml"),
     "test": ("test", "cartpole", "--junit", "mine.xml"),
     "eval, CSV": ("eval", "run", "--csv", "mine.csv"),
@@ -81,7 +84,18 @@ WRITING = {
     "compile, project": ("compile", "cartpole", "--project", "mine"),
     "export": ("export", "run", "-o", "mine"),
 }
-PRESENT = ("mine.json", "mine.py", "mine.html", "mine.png", "mine.gif", "mine.mcap", "mine.xml", "mine.csv", "mine.mp4", "mine.yaml")
+PRESENT = (
+    "mine.json",
+    "mine.py",
+    "mine.html",
+    "mine.png",
+    "mine.gif",
+    "mine.mcap",
+    "mine.xml",
+    "mine.csv",
+    "mine.mp4",
+    "mine.yaml",
+)
 """The files of a user that the commands would write."""
 
 
@@ -93,7 +107,11 @@ def test_no_command_overwrites_a_file_without_force(deepbots, tmp_path, words):
         path.write_text("of the user")
     ran = deepbots(*words)
     assert (ran.code, ran.out) == (2, "")
-    assert re.fullmatch(r"error: ((mine\S*|cartpole.yaml) already exists; overwrite it|mine is not empty; .*) with --force .*\n", ran.err)
+    assert re.fullmatch(
+        r"error: ((mine\S*|cartpole.yaml) already exists; overwrite it|mine is not empty; .*) with --force"
+        r" .*\n",
+        ran.err,
+    )
     assert [path.read_text() for path in present] == ["of the user"] * len(present)
     assert {path for path in tmp_path.rglob("*") if path.is_file()} == {*present}
 

@@ -12,7 +12,11 @@ import pytest
 from deepbots_cli.document import shipped
 from tests.named import with_defaults
 
-CARTPOLE = with_defaults(shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole"))
+CARTPOLE = with_defaults(
+    shipped.scenario_path("cartpole")
+    .read_text(encoding="utf-8")
+    .replace("../robots/urdf/cartpole.urdf", "cartpole")
+)
 
 
 def faulty(*changes: tuple[str, str]) -> str:
@@ -66,16 +70,25 @@ def test_a_slip_in_a_word_of_the_language_is_put_right(deepbots, scenario, chang
 
 @pytest.mark.parametrize(
     ("written", "mended"),
-    [("0,5 when x > 0 m", "0.5 when x > 0 m"), ("1 when previous_action.forwrd", "1 when previous_action.forward")],
+    [
+        ("0,5 when x > 0 m", "0.5 when x > 0 m"),
+        ("1 when previous_action.forwrd", "1 when previous_action.forward"),
+    ],
 )
-def test_a_decimal_comma_and_a_component_are_guessed_within_what_stands_around_them(deepbots, scenario, written, mended):
+def test_a_decimal_comma_and_a_component_are_guessed_within_what_stands_around_them(
+    deepbots, scenario, written, mended
+):
     path = scenario(faulty(("alive: 1", f"alive: {written}")))
     deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
     assert f"alive: {mended}\n" in path.read_text()
 
 
 @pytest.mark.parametrize(
-    "change", [("cart: {z: 0.04 m}", "cart: {z: 1,5 cm}"), ("  algorithm: PPO", "  algorithm: PPO\n  policy: MlpPolicy")]
+    "change",
+    [
+        ("cart: {z: 0.04 m}", "cart: {z: 1,5 cm}"),
+        ("  algorithm: PPO", "  algorithm: PPO\n  policy: MlpPolicy"),
+    ],
 )
 def test_a_fix_that_only_moves_the_mistake_is_not_offered(deepbots, scenario, change):
     path = scenario(text := faulty(change))
@@ -114,13 +127,19 @@ def test_the_line_of_an_observed_signal_moves_to_augment(deepbots, scenario, bef
     assert deepbots("lint", "a.yaml").code == 1
     assert deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes").out == "a.yaml: no findings\n"
     line = before.removesuffix(after or "")
-    moved = seen.replace("velocity(cart.tip).x\n", f"velocity(cart.tip).x\n{'  ' + line.lstrip() if after else line}")
+    moved = seen.replace(
+        "velocity(cart.tip).x\n", f"velocity(cart.tip).x\n{'  ' + line.lstrip() if after else line}"
+    )
     assert path.read_text() == (
-        moved.replace("\nreward:\n", f"\nsignals:\n{after}\nreward:\n") if after else moved.replace("\nreward:\n", "\n\nreward:\n")
+        moved.replace("\nreward:\n", f"\nsignals:\n{after}\nreward:\n")
+        if after
+        else moved.replace("\nreward:\n", "\n\nreward:\n")
     )
 
 
-@pytest.mark.parametrize("comment", ["  # deepbots: ignore[DB603]\n", "\n  # deepbots: ignore[DB603, DB703]\n"])
+@pytest.mark.parametrize(
+    "comment", ["  # deepbots: ignore[DB603]\n", "\n  # deepbots: ignore[DB603, DB703]\n"]
+)
 def test_a_suppression_of_nothing_is_taken_out(deepbots, scenario, comment):
     path = scenario(CARTPOLE.replace("  alive: 1\n", f"  alive: 1{comment}"))
     assert deepbots("lint", "a.yaml", "--fix", "--fail-on", "warning").code == 0
@@ -128,13 +147,17 @@ def test_a_suppression_of_nothing_is_taken_out(deepbots, scenario, comment):
 
 
 def test_the_reason_beside_a_suppression_of_nothing_stays(deepbots, scenario):
-    path = scenario(CARTPOLE.replace("  alive: 1\n", "  alive: 1  # deepbots: ignore[DB603] paid in every step\n"))
+    path = scenario(
+        CARTPOLE.replace("  alive: 1\n", "  alive: 1  # deepbots: ignore[DB603] paid in every step\n")
+    )
     deepbots("lint", "a.yaml", "--fix")
     assert path.read_text() == CARTPOLE.replace("  alive: 1\n", "  alive: 1  # paid in every step\n")
 
 
 def test_what_looks_like_a_suppression_inside_a_text_is_left_alone(deepbots, scenario):
-    text = CARTPOLE.replace("summary: Keep a free pole upright", 'summary: "Keep # deepbots: ignore[DB603]"\n#')
+    text = CARTPOLE.replace(
+        "summary: Keep a free pole upright", 'summary: "Keep # deepbots: ignore[DB603]"\n#'
+    )
     path = scenario(text)
     deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
     assert path.read_text() == text
@@ -148,7 +171,10 @@ def test_suppressions_stay_as_long_as_there_are_errors(deepbots, scenario):
 
 
 def test_a_definition_that_nothing_uses_goes_with_its_line_where_guesses_are_allowed(deepbots, scenario):
-    text = CARTPOLE.replace("  tip_speed: velocity(cart.tip).x\n", "  tip_speed: velocity(cart.tip).x\n  more:      speed  # never seen\n")
+    text = CARTPOLE.replace(
+        "  tip_speed: velocity(cart.tip).x\n",
+        "  tip_speed: velocity(cart.tip).x\n  more:      speed  # never seen\n",
+    )
     path = scenario(text)
     deepbots("lint", "a.yaml", "--fix")
     assert path.read_text() == text
@@ -157,7 +183,11 @@ def test_a_definition_that_nothing_uses_goes_with_its_line_where_guesses_are_all
 
 
 def test_a_word_that_older_yaml_takes_for_a_truth_value_stays_a_text(deepbots, scenario):
-    path = scenario(CARTPOLE.replace("summary: Keep a free pole upright by driving a four-wheeled cart back and forth.", "summary: no"))
+    path = scenario(
+        CARTPOLE.replace(
+            "summary: Keep a free pole upright by driving a four-wheeled cart back and forth.", "summary: no"
+        )
+    )
     deepbots("lint", "a.yaml", "--fix")
     assert 'summary: "no"\n' in path.read_text()
 
@@ -171,7 +201,8 @@ def test_a_word_where_a_truth_value_belongs_becomes_one(deepbots, scenario):
 
 def test_a_word_inside_quotes_and_folded_text_is_put_right_in_its_place(deepbots, scenario):
     text = CARTPOLE.replace("abs(x) > track", '"abs(x) > trak"').replace(
-        "fallen:    abs(cart.pole_angle) > fall_angle", "fallen: >\n      abs(cart.pole_angel)\n      > fall_angle"
+        "fallen:    abs(cart.pole_angle) > fall_angle",
+        "fallen: >\n      abs(cart.pole_angel)\n      > fall_angle",
     )
     path = scenario(text)
     deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
@@ -205,7 +236,11 @@ def test_a_fix_that_brings_a_new_error_is_not_made(deepbots, scenario):
 
 def test_a_harmful_fix_does_not_keep_others_from_being_made(deepbots, scenario):
     path = scenario(
-        faulty(("  substeps: 4", "  substeps: 4\n  timestop: 30 ms"), ("algorithm: PPO", "algorithm: PPo"), ("15 deg", "15 degrees"))
+        faulty(
+            ("  substeps: 4", "  substeps: 4\n  timestop: 30 ms"),
+            ("algorithm: PPO", "algorithm: PPo"),
+            ("15 deg", "15 degrees"),
+        )
     )
     deepbots("lint", "a.yaml", "--fix")
     assert path.read_text() == faulty(("  substeps: 4", "  substeps: 4\n  timestop: 30 ms"))
@@ -218,7 +253,9 @@ def test_a_fix_may_uncover_the_next(deepbots, scenario):
 
 
 def test_a_mistake_that_a_misspelling_hid_is_told_once_that_is_put_right(deepbots, scenario):
-    path = scenario(faulty(("abs(x) > track", "abs(speed) > trak"), ("  timestep: 32 ms", "  timestop: 32 kg")))
+    path = scenario(
+        faulty(("abs(x) > track", "abs(speed) > trak"), ("  timestep: 32 ms", "  timestop: 32 kg"))
+    )
     ran = deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
     assert path.read_text() == faulty(("abs(x) > track", "abs(speed) > track"), ("32 ms", "32 kg"))
     assert "DB503[dimension-mismatch]: a speed (m/s) is combined with a length (m)" in ran.out
@@ -226,7 +263,12 @@ def test_a_mistake_that_a_misspelling_hid_is_told_once_that_is_put_right(deepbot
 
 
 def test_a_number_in_odd_groups_stays_the_text_that_it_is(deepbots, scenario):
-    path = scenario(CARTPOLE.replace("summary: Keep a free pole upright by driving a four-wheeled cart back and forth.", "summary: 10_00"))
+    path = scenario(
+        CARTPOLE.replace(
+            "summary: Keep a free pole upright by driving a four-wheeled cart back and forth.",
+            "summary: 10_00",
+        )
+    )
     assert deepbots("lint", "a.yaml", "--fix", "--fail-on", "warning").code == 0
     assert 'summary: "10_00"\n' in path.read_text()
 
@@ -237,8 +279,14 @@ GUESSES = [
 
 
 GUESSES += [
-    ("reset: {joints: {cart.pole_hinge: uniform(-90 .. 2.50 deg)}}", "reset: {joints: {cart.pole_hinge: uniform(-74.48 .. 2.50 deg)}}"),
-    ("robots: {cart: {actuators: {wheels: {max_torque: 20 N*m}}}}", "robots: {cart: {actuators: {wheels: {max_torque: 10 N*m}}}}"),
+    (
+        "reset: {joints: {cart.pole_hinge: uniform(-90 .. 2.50 deg)}}",
+        "reset: {joints: {cart.pole_hinge: uniform(-74.48 .. 2.50 deg)}}",
+    ),
+    (
+        "robots: {cart: {actuators: {wheels: {max_torque: 20 N*m}}}}",
+        "robots: {cart: {actuators: {wheels: {max_torque: 10 N*m}}}}",
+    ),
     (
         "robots: {cart: {actuators: {wheels: {max_velocity: 1_200 rpm}}}}",
         "robots: {cart: {actuators: {wheels: {max_velocity: 95.49 rpm}}}}",
@@ -302,7 +350,10 @@ def test_an_included_file_of_the_project_is_fixed_and_one_outside_is_not(deepbot
     (outside / "train.yaml").write_text("algorithm: PPO\ntotal_timestops: 1000\n")
     (project / "world.yaml").write_text("timestop: 32 ms  # a tick\n")
     head, _, _ = CARTPOLE.partition("train:")
-    text = head.replace("  timestep: 32 ms\n", "  include: world.yaml\n") + "train: {include: ../outside/train.yaml}\n"
+    text = (
+        head.replace("  timestep: 32 ms\n", "  include: world.yaml\n")
+        + "train: {include: ../outside/train.yaml}\n"
+    )
     (project / "a.yaml").write_text(text)
     ran = deepbots("lint", "project/a.yaml", "--allow-path", "outside", "--fix", "--unsafe-fixes")
     assert ran.code == 1
@@ -352,13 +403,24 @@ def test_lint_says_how_many_findings_can_be_fixed(deepbots, scenario):
 @pytest.mark.parametrize(
     ("wrong", "right"),
     [
-        ("observation: {cart.pole_angle: -0.23 .. 0.23 rad}", "observation: {cart.pole_angle: -18 .. 18 deg}"),
-        ("observation: {cart.pole_angle: 80 .. 100 deg}", "observation: {cart.pole_angle: -74.48 .. 74.48 deg}"),
+        (
+            "observation: {cart.pole_angle: -0.23 .. 0.23 rad}",
+            "observation: {cart.pole_angle: -18 .. 18 deg}",
+        ),
+        (
+            "observation: {cart.pole_angle: 80 .. 100 deg}",
+            "observation: {cart.pole_angle: -74.48 .. 74.48 deg}",
+        ),
         ("world: {gravity: 0 0 9.81 m/s^2}", "world: {gravity: 0 0 -9.81 m/s^2}"),
-        ("evaluation: {cases: {steep: {set: {fall_angel: 12 deg}}}}", "evaluation: {cases: {steep: {set: {fall_angle: 12 deg}}}}"),
+        (
+            "evaluation: {cases: {steep: {set: {fall_angel: 12 deg}}}}",
+            "evaluation: {cases: {steep: {set: {fall_angle: 12 deg}}}}",
+        ),
     ],
 )
-def test_a_figure_that_the_help_names_is_a_guess_that_may_be_taken(deepbots, scenario, tmp_path, wrong, right):
+def test_a_figure_that_the_help_names_is_a_guess_that_may_be_taken(
+    deepbots, scenario, tmp_path, wrong, right
+):
     scenario(CARTPOLE)
     upon = tmp_path / "b.yaml"
     upon.write_text(f"deepbots: 1\nextends: a.yaml\n{wrong}\n")
@@ -396,14 +458,24 @@ def test_a_file_that_is_read_only_stays_as_it_is_though_its_folder_could_be_chan
 @pytest.mark.parametrize("name", ["::stop-commands::x.yaml", "a\n::error::x.yaml", "##[add-mask]x.yaml"])
 def test_no_name_of_a_file_is_a_command_to_the_log_of_a_workflow(deepbots, scenario, tmp_path, name):
     scenario(faulty(("  timestep:", "  timestop:"))).rename(tmp_path / name)
-    for words in ("lint .", "lint . --format concise", "lint . --diff", "lint . --fix", "lint .", "fmt .", "fmt . --check"):
+    for words in (
+        "lint .",
+        "lint . --format concise",
+        "lint . --diff",
+        "lint . --fix",
+        "lint .",
+        "fmt .",
+        "fmt . --check",
+    ):
         ran = deepbots(*words.split())
         assert "\n::" not in f"\n{ran.out}\n{ran.err}"
         assert "--diff" in words or "##[" not in ran.out + ran.err
 
 
 @pytest.mark.skipif(shutil.which("patch") is None, reason="there is no `patch` here")
-def test_the_difference_of_a_file_with_an_odd_name_is_a_patch_without_control_characters(deepbots, scenario, tmp_path):
+def test_the_difference_of_a_file_with_an_odd_name_is_a_patch_without_control_characters(
+    deepbots, scenario, tmp_path
+):
     odd = scenario(faulty(("  timestep:", "  timestop:"))).rename(tmp_path / 'a\x1b[31m"\\é.yaml')
     ran = deepbots("lint", odd, "--diff")
     assert ran.out.replace("\n", "").isprintable()
@@ -413,7 +485,9 @@ def test_the_difference_of_a_file_with_an_odd_name_is_a_patch_without_control_ch
 
 def test_a_diff_that_has_only_guesses_names_the_options_that_show_them(deepbots, scenario):
     scenario(faulty(next(iter(UNSAFE.values()))))
-    assert deepbots("lint", "a.yaml").err.endswith("show with --diff --unsafe-fixes, apply with --fix --unsafe-fixes\n")
+    assert deepbots("lint", "a.yaml").err.endswith(
+        "show with --diff --unsafe-fixes, apply with --fix --unsafe-fixes\n"
+    )
     ran = deepbots("lint", "a.yaml", "--diff")
     assert (ran.out, ran.err.startswith("there are no changes; 1 unsafe fix available")) == ("", True)
     assert "+++ a.yaml" in deepbots("lint", "a.yaml", "--diff", "--unsafe-fixes").out

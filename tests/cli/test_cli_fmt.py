@@ -35,7 +35,10 @@ def test_a_difference_in_a_pipe_is_a_patch_whatever_the_line_ends(deepbots, tmp_
     shown = deepbots(*verb, name)
     assert shown.code == 1
     (tmp_path / "change.patch").write_text(shown.out, encoding="utf-8", newline="")
-    assert deepbots(*(word if word != "--diff" else "--fix" for word in verb if verb[0] == "lint" or word != "--diff"), name).err
+    assert deepbots(
+        *(word if word != "--diff" else "--fix" for word in verb if verb[0] == "lint" or word != "--diff"),
+        name,
+    ).err
     after = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(before)
     subprocess.run(["git", "apply", "-p0", "change.patch"], cwd=tmp_path, check=True)

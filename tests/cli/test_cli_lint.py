@@ -67,7 +67,17 @@ def test_no_file_whatever_gives_more_than_findings(deepbots, tmp_path, content):
 def test_what_would_crash_a_parser_in_c_ends_in_findings(tmp_path):
     for number, text in enumerate(("[" * 100_000, "? " * 100_000, "{a: " * 100_000)):
         (tmp_path / f"{number}.yaml").write_text(text)
-    command = [sys.executable, "-m", "deepbots_cli", "lint", "0.yaml", "1.yaml", "2.yaml", "--format", "concise"]
+    command = [
+        sys.executable,
+        "-m",
+        "deepbots_cli",
+        "lint",
+        "0.yaml",
+        "1.yaml",
+        "2.yaml",
+        "--format",
+        "concise",
+    ]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert {line.partition(":")[0] for line in done.stdout.splitlines()} >= {"0.yaml", "1.yaml", "2.yaml"}
@@ -75,14 +85,21 @@ def test_what_would_crash_a_parser_in_c_ends_in_findings(tmp_path):
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(content=st.one_of(st.binary(max_size=300), st.text(max_size=300).map(lambda text: text.encode("utf-8", "replace"))))
+@given(
+    content=st.one_of(
+        st.binary(max_size=300), st.text(max_size=300).map(lambda text: text.encode("utf-8", "replace"))
+    )
+)
 def test_arbitrary_bytes_never_end_in_a_fault(tmp_path, content):
     path = tmp_path / "any.yaml"
     path.write_bytes(content)
     assert main(["lint", str(path), "--format", "json"]) == 1
 
 
-@given(value=st.text(max_size=40), path=st.sampled_from(["world.timestep", "fall_angle", "reward.alive", "name", "", "action"]))
+@given(
+    value=st.text(max_size=40),
+    path=st.sampled_from(["world.timestep", "fall_angle", "reward.alive", "name", "", "action"]),
+)
 def test_arbitrary_assignments_never_end_in_a_fault(value, path):
     assert main(["lint", "cartpole", "--set", f"{path}={value}", "--format", "json"]) in (0, 1)
 
@@ -90,7 +107,9 @@ def test_arbitrary_assignments_never_end_in_a_fault(value, path):
 def test_a_folder_stands_for_the_scenarios_in_it(deepbots, tmp_path):
     (tmp_path / "s").mkdir()
     for name in ("b", "a"):
-        (tmp_path / "s" / f"{name}.yaml").write_text(CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole") + "oops: 1\n")
+        (tmp_path / "s" / f"{name}.yaml").write_text(
+            CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole") + "oops: 1\n"
+        )
     (tmp_path / "s" / "other.yaml").write_text("jobs: []\n")
     (tmp_path / "s" / "short.yml").write_text("deepbots: 2\n")
     (tmp_path / "s" / "quoted.yaml").write_text('"deepbots": 2\n')
@@ -112,7 +131,15 @@ def test_a_robot_file_is_no_scenario_to_be_linted(deepbots):
 
 
 def test_the_root_of_a_project_stands_for_the_scenarios_of_all_its_folders(deepbots, tmp_path):
-    places = ("top", "worlds/one", "worlds/deep/two", ".hidden/three", "runs/cartpole-0/scenario", "env/lib/four", "node_modules/p/five")
+    places = (
+        "top",
+        "worlds/one",
+        "worlds/deep/two",
+        ".hidden/three",
+        "runs/cartpole-0/scenario",
+        "env/lib/four",
+        "node_modules/p/five",
+    )
     for place in (*places, "old/six", "worlds/deep/old/seven"):
         path = tmp_path / f"{place}.yaml"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -137,7 +164,9 @@ def test_a_folder_stands_for_no_file_to_which_a_link_leads_out_of_the_project(de
     (inside / "loop.yaml").symlink_to("loop.yaml")
     assert deepbots("lint", "project", "--fix").code == 2
     (inside / "real.yaml").write_text("deepbots: 1\n")
-    assert {one["file"] for one in json.loads(deepbots("lint", "project", "--json").out)["findings"]} == {"project/real.yaml"}
+    assert {one["file"] for one in json.loads(deepbots("lint", "project", "--json").out)["findings"]} == {
+        "project/real.yaml"
+    }
     assert (tmp_path / "private.yaml").read_text() == "deepbots: 1\nmesages: {}\n"
 
 
@@ -175,7 +204,9 @@ def test_several_files_are_linted_at_once(deepbots, tmp_path):
 
 
 @pytest.mark.parametrize("format", ["github", "sarif", "junit"])
-def test_a_report_for_other_programs_goes_to_standard_output_and_is_the_same_each_time(deepbots, tmp_path, format):
+def test_a_report_for_other_programs_goes_to_standard_output_and_is_the_same_each_time(
+    deepbots, tmp_path, format
+):
     (tmp_path / "a.yaml").write_text("deepbots: 1\n")
     ran = deepbots("lint", tmp_path / "a.yaml", "cartpole", "--format", format)
     assert (ran.code, ran.err) == (1, "")
@@ -185,7 +216,9 @@ def test_a_report_for_other_programs_goes_to_standard_output_and_is_the_same_eac
 
 
 def test_a_mistake_in_a_file_that_two_scenarios_share_is_one_finding(deepbots, tmp_path):
-    (tmp_path / "base.yaml").write_text(CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("timestep:", "timestop:"))
+    (tmp_path / "base.yaml").write_text(
+        CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("timestep:", "timestop:")
+    )
     for name in ("a", "b"):
         (tmp_path / f"{name}.yaml").write_text("deepbots: 1\nextends: base.yaml\n")
     said = deepbots("lint", "a.yaml", "b.yaml", "--format", "concise").out
@@ -198,7 +231,9 @@ def test_one_missing_file_is_reported_before_any_other_is_read(deepbots):
 
 
 def test_what_fails_can_be_chosen(deepbots, tmp_path):
-    (tmp_path / "w.yaml").write_text(CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("summary:", "summary: on #"))
+    (tmp_path / "w.yaml").write_text(
+        CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("summary:", "summary: on #")
+    )
     warned = deepbots("lint", "w.yaml", "--format", "concise")
     assert warned.code == 0
     assert "warning DB003" in warned.out
@@ -213,7 +248,9 @@ def test_color_is_for_terminals_only(deepbots, tmp_path):
 
 
 def test_a_warning_does_not_stop_other_verbs_but_is_mentioned(deepbots, tmp_path):
-    (tmp_path / "w.yaml").write_text(CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("summary:", "summary: on #"))
+    (tmp_path / "w.yaml").write_text(
+        CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("summary:", "summary: on #")
+    )
     ran = deepbots("compile", "w.yaml")
     assert ran.code == 0
     assert "class CartPoleSupervisor" in ran.out
@@ -222,7 +259,9 @@ def test_a_warning_does_not_stop_other_verbs_but_is_mentioned(deepbots, tmp_path
 
 def test_a_suppressed_warning_is_not_mentioned_by_other_verbs(deepbots, tmp_path):
     file = tmp_path / "slow.yaml"
-    slow = CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace("timestep: 32 ms", "timestep: 1500 ms")
+    slow = CARTPOLE.replace("../robots/urdf/cartpole.urdf", "cartpole").replace(
+        "timestep: 32 ms", "timestep: 1500 ms"
+    )
     file.write_text(slow, encoding="utf-8")
     assert "1 warning" in deepbots("compile", str(file)).err
     file.write_text(slow.replace("1500 ms", "1500 ms  # deepbots: ignore[DB505]"), encoding="utf-8")

@@ -13,11 +13,15 @@ from tests.named import with_defaults
 
 pytestmark = pytest.mark.usefixtures("simulated_here")
 
-CARTPOLE = with_defaults(shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole"))
-SUNK = CARTPOLE.replace("z: 0.04 m", "z: 0.02 m")
-STILL = CARTPOLE.replace("x:         position(cart).x", "x:         position(cart).x\n  pull:      2 * fall_angle").replace(
-    "  x:               -0.4 .. 0.4 m", "  x: -0.4 .. 0.4 m\n  pull: 0 .. 90 deg"
+CARTPOLE = with_defaults(
+    shipped.scenario_path("cartpole")
+    .read_text(encoding="utf-8")
+    .replace("../robots/urdf/cartpole.urdf", "cartpole")
 )
+SUNK = CARTPOLE.replace("z: 0.04 m", "z: 0.02 m")
+STILL = CARTPOLE.replace(
+    "x:         position(cart).x", "x:         position(cart).x\n  pull:      2 * fall_angle"
+).replace("  x:               -0.4 .. 0.4 m", "  x: -0.4 .. 0.4 m\n  pull: 0 .. 90 deg")
 
 
 @pytest.fixture
@@ -37,8 +41,15 @@ def test_what_is_measured_is_a_finding_like_any_other(deepbots, files):
 def test_it_is_selected_and_suppressed_like_any_other(deepbots, files):
     said = deepbots("lint", "still.yaml", "--deep", "--format", "concise")
     assert (said.code, said.out.split()[2]) == (0, "DB608[constant-observation]")
-    assert deepbots("lint", "still.yaml", "--deep", "--ignore", "constant-observation", "--format", "concise").out == ""
-    (files / "still.yaml").write_text(STILL.replace("pull: 0 .. 90 deg", "pull: 0 .. 90 deg  # deepbots: ignore[DB608]"))
+    assert (
+        deepbots(
+            "lint", "still.yaml", "--deep", "--ignore", "constant-observation", "--format", "concise"
+        ).out
+        == ""
+    )
+    (files / "still.yaml").write_text(
+        STILL.replace("pull: 0 .. 90 deg", "pull: 0 .. 90 deg  # deepbots: ignore[DB608]")
+    )
     assert deepbots("lint", "still.yaml", "--deep", "--format", "concise").out == ""
     assert deepbots("lint", "still.yaml", "--format", "concise").out == ""
 

@@ -1,4 +1,5 @@
-"""What other programs are given to run `deepbots lint` and to read what it says: a hook and a problem matcher."""
+"""What other programs are given to run `deepbots lint` and to read what it says: a hook and a problem
+matcher."""
 
 from __future__ import annotations
 
@@ -14,7 +15,11 @@ from deepbots_cli.cli.command import Commands
 from deepbots_cli.document import shipped
 
 ROOT = Path(__file__).parents[2]
-CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+CARTPOLE = (
+    shipped.scenario_path("cartpole")
+    .read_text(encoding="utf-8")
+    .replace("../robots/urdf/cartpole.urdf", "cartpole")
+)
 
 
 @pytest.fixture
@@ -25,7 +30,9 @@ def hook():
 
 @pytest.fixture
 def pattern():
-    (matcher,) = json.loads((ROOT / ".github" / "deepbots-problem-matcher.json").read_text())["problemMatcher"]
+    (matcher,) = json.loads((ROOT / ".github" / "deepbots-problem-matcher.json").read_text())[
+        "problemMatcher"
+    ]
     (only,) = matcher["pattern"]
     return only
 
@@ -53,7 +60,9 @@ def test_the_hook_heeds_whatever_a_scenario_may_read(hook, name):
 @pytest.mark.parametrize("name", ["a.yaml", "my worlds/a.yaml", "a:1:2: b.yaml"])
 def test_the_problem_matcher_reads_each_line_of_the_concise_format(deepbots, tmp_path, pattern, name):
     (tmp_path / name).parent.mkdir(exist_ok=True)
-    (tmp_path / name).write_text(CARTPOLE.replace("timestep:", "timestop:").replace("summary:", "summary: on #"))
+    (tmp_path / name).write_text(
+        CARTPOLE.replace("timestep:", "timestop:").replace("summary:", "summary: on #")
+    )
     lines = deepbots("lint", name, "--format", "concise").out.splitlines()
     assert len(lines) == 2
     found = [re.match(pattern["regexp"], line) for line in lines]
@@ -61,9 +70,16 @@ def test_the_problem_matcher_reads_each_line_of_the_concise_format(deepbots, tmp
     assert [match[pattern["severity"]] for match in found] == ["warning", "error"]
     assert [match[pattern["code"]] for match in found] == ["DB003[yaml11-boolean]", "DB101[unknown-key]"]
     report = json.loads(deepbots("lint", name, "--json").out)["findings"]
-    assert [int(match[pattern["line"]]) for match in found] == [finding["start"]["line"] for finding in report]
-    assert [int(match[pattern["column"]]) for match in found] == [finding["start"]["column"] for finding in report]
-    assert all(match[pattern["message"]].startswith(finding["message"]) for match, finding in zip(found, report, strict=True))
+    assert [int(match[pattern["line"]]) for match in found] == [
+        finding["start"]["line"] for finding in report
+    ]
+    assert [int(match[pattern["column"]]) for match in found] == [
+        finding["start"]["column"] for finding in report
+    ]
+    assert all(
+        match[pattern["message"]].startswith(finding["message"])
+        for match, finding in zip(found, report, strict=True)
+    )
 
 
 def test_the_command_lines_of_the_page_on_linting_parse():

@@ -1,4 +1,5 @@
-"""A rule or the compiler that raises an exception on one file: a finding of that file, and everything else is linted all the same."""
+"""A rule or the compiler that raises an exception on one file: a finding of that file, and everything else is
+linted all the same."""
 
 from __future__ import annotations
 
@@ -13,21 +14,23 @@ import pytest
 from deepbots_cli import api, lint
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics import Source as SourceText
-from deepbots_cli.lint.context import RuleContext, Simulation
+from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lsp.server import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyze
 from deepbots_cli.rollout.source import Source
 
 
+@rule("DB801")
 def breaking(context: RuleContext) -> Iterator[Finding]:
-    """DB801: fails on the scenario that is named Broken."""
+    """Fails on the scenario that is named Broken."""
     if context.program.name == "Broken":
         raise IndexError("tuple index\nout of range")
     yield from ()
 
 
+@rule("DB702")
 def breaking_too(simulation: Simulation) -> Iterator[Finding]:
-    """DB702: fails on every scenario."""
+    """Fails on every scenario."""
     raise KeyError(simulation.checked.document.path.name)
 
 
@@ -41,7 +44,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def scenario(name: str) -> str:
-    text = Source.open("cartpole").path.read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+    text = (
+        Source.open("cartpole")
+        .path.read_text(encoding="utf-8")
+        .replace("../robots/urdf/cartpole.urdf", "cartpole")
+    )
     return text.replace("name: CartPole", f"name: {name}") + "\nsignals: {spare: abs(x)}\n"
 
 
@@ -59,7 +66,9 @@ def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots
     assert "Traceback" not in ran.out + ran.err
 
 
-@pytest.mark.parametrize("words", [("--select", "DB7"), ("--ignore", "DB903"), ("--exit-zero",), ("--jobs", "2")])
+@pytest.mark.parametrize(
+    "words", [("--select", "DB7"), ("--ignore", "DB903"), ("--exit-zero",), ("--jobs", "2")]
+)
 def test_no_option_hides_a_rule_that_failed(deepbots, folder, words) -> None:
     ran = deepbots("lint", ".", *words)
     assert ran.code == 3
@@ -76,9 +85,14 @@ def test_every_format_tells_a_rule_that_failed_as_a_fault_at_the_start_of_the_fi
     (found, _) = json.loads(deepbots("lint", "a.yaml", "--json").out)["findings"]
     assert (found["code"], found["severity"], found["start"]) == ("DB903", "error", {"line": 1, "column": 1})
     assert "report this message" in found["help"]
-    assert deepbots("lint", "a.yaml", "--format", "github").out.startswith("::error title=DB903 rule-failed,file=a.yaml,line=1,")
+    assert deepbots("lint", "a.yaml", "--format", "github").out.startswith(
+        "::error title=DB903 rule-failed,file=a.yaml,line=1,"
+    )
     (run,) = json.loads(deepbots("lint", "a.yaml", "--format", "sarif").out)["runs"]
-    assert [(result["ruleId"], result["level"]) for result in run["results"]] == [("DB903", "error"), ("DB205", "warning")]
+    assert [(result["ruleId"], result["level"]) for result in run["results"]] == [
+        ("DB903", "error"),
+        ("DB205", "warning"),
+    ]
     report = ElementTree.fromstring(deepbots("lint", "a.yaml", "--format", "junit").out)
     assert (report.get("errors"), report.get("failures")) == ("1", "0")
     assert [error.get("type") for error in report.iter("error")] == ["DB903"]
@@ -89,7 +103,9 @@ def test_an_exception_of_the_compiler_on_one_file_is_a_finding_of_it(deepbots, f
     monkeypatch.setattr(api, "load", lambda name, **options: load(name, **options) if "b" in name else 1 // 0)
     ran = deepbots("lint", ".", "--format", "concise")
     assert ran.code == 3
-    assert ran.out.startswith("a.yaml:1:1: error DB903[rule-failed] the compiler failed on this file: ZeroDivisionError")
+    assert ran.out.startswith(
+        "a.yaml:1:1: error DB903[rule-failed] the compiler failed on this file: ZeroDivisionError"
+    )
     assert "b.yaml" in ran.out
 
 
@@ -106,9 +122,18 @@ def test_an_editor_shows_a_rule_that_failed_beside_the_other_findings(folder) ->
 
 
 @pytest.mark.slow
-def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_measure(deepbots, folder, monkeypatch) -> None:
+def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_measure(
+    deepbots, folder, monkeypatch
+) -> None:
     monkeypatch.setattr(lint, "SIMULATED_RULES", (breaking_too, *lint.SIMULATED_RULES))
-    ran = deepbots("lint", "b.yaml", "--deep", "--preview", "--set", "observation={cart.pole_angle: -20 .. 20 deg, x: 5 .. 6 m}")
+    ran = deepbots(
+        "lint",
+        "b.yaml",
+        "--deep",
+        "--preview",
+        "--set",
+        "observation={cart.pole_angle: -20 .. 20 deg, x: 5 .. 6 m}",
+    )
     assert ran.code == 3
     assert "the rule DB702 failed on this file: KeyError: 'b.yaml'" in ran.out
     assert "DB611" in ran.out or "DB608" in ran.out
@@ -117,4 +142,11 @@ def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_meas
 def test_the_message_of_an_exception_is_cut(folder, monkeypatch) -> None:
     from deepbots_cli.diagnostics.findings import exception_finding
 
-    assert len(exception_finding("the rule DB801", SourceText("a.yaml", ""), ValueError("long " * 10_000)).headline) < 300
+    assert (
+        len(
+            exception_finding(
+                "the rule DB801", SourceText("a.yaml", ""), ValueError("long " * 10_000)
+            ).headline
+        )
+        < 300
+    )

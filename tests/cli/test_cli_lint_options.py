@@ -12,7 +12,11 @@ import pytest
 
 from deepbots_cli.document import shipped
 
-CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+CARTPOLE = (
+    shipped.scenario_path("cartpole")
+    .read_text(encoding="utf-8")
+    .replace("../robots/urdf/cartpole.urdf", "cartpole")
+)
 WARNED = CARTPOLE.replace("summary:", "summary: on #").replace("15 deg", "15 rad")
 BROKEN = CARTPOLE.replace("abs(x) > track", "abs(xx) > track")
 
@@ -32,7 +36,17 @@ def codes(ran):
 def test_codes_are_selected_and_ignored(deepbots, files):
     assert codes(deepbots("lint", "warned.yaml", "--json")) == ["DB003", "DB504"]
     assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB5")) == ["DB504"]
-    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB5,yaml11-boolean", "--ignore", "degrees-as-radians")) == ["DB003"]
+    assert codes(
+        deepbots(
+            "lint",
+            "warned.yaml",
+            "--json",
+            "--select",
+            "DB5,yaml11-boolean",
+            "--ignore",
+            "degrees-as-radians",
+        )
+    ) == ["DB003"]
     assert codes(deepbots("lint", "warned.yaml", "--json", "--ignore", "DB0", "--ignore", "DB5")) == []
 
 
@@ -45,7 +59,9 @@ def test_what_is_not_asked_for_does_not_fail(deepbots, files):
 def test_an_error_that_is_not_asked_for_still_fails_and_is_told_in_one_line(deepbots, files):
     ran = deepbots("lint", "broken.yaml", "--select", "DB7", "--format", "concise")
     assert (ran.code, ran.out) == (1, "")
-    assert ran.err == "1 error not selected (DB402) in broken.yaml; these scenarios were not checked further\n"
+    assert (
+        ran.err == "1 error not selected (DB402) in broken.yaml; these scenarios were not checked further\n"
+    )
 
 
 def test_an_unknown_code_is_wrong_usage_before_anything_is_read(deepbots, files):
@@ -112,16 +128,25 @@ def test_only_what_is_asked_for_is_fixed(deepbots, files):
     assert "15 rad" in (files / "a.yaml").read_text()
 
 
-@pytest.mark.parametrize(("file", "head"), [("deepbots.toml", "[lint]"), ("pyproject.toml", "[project]\nname = 'x'\n[tool.deepbots.lint]")])
+@pytest.mark.parametrize(
+    ("file", "head"),
+    [("deepbots.toml", "[lint]"), ("pyproject.toml", "[project]\nname = 'x'\n[tool.deepbots.lint]")],
+)
 def test_a_project_says_how_it_wants_to_be_linted(deepbots, files, file, head):
-    (files / file).write_text(f"{head}\nignore = ['DB003']\nfail-on = 'warning'\nformat = 'json'\nexclude = ['drafts/*']\n")
+    (files / file).write_text(
+        f"{head}\nignore = ['DB003']\nfail-on = 'warning'\nformat = 'json'\nexclude = ['drafts/*']\n"
+    )
     ran = deepbots("lint", "warned.yaml")
     assert (ran.code, codes(ran)) == (1, ["DB504"])
 
 
 def test_the_command_line_wins_over_the_project(deepbots, files):
-    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5']\nfail-on = 'warning'\nformat = 'json'\npreview = true\n")
-    ran = deepbots("lint", "warned.yaml", "--select", "DB0", "--fail-on", "error", "--format", "concise", "--no-preview")
+    (files / "deepbots.toml").write_text(
+        "[lint]\nselect = ['DB5']\nfail-on = 'warning'\nformat = 'json'\npreview = true\n"
+    )
+    ran = deepbots(
+        "lint", "warned.yaml", "--select", "DB0", "--fail-on", "error", "--format", "concise", "--no-preview"
+    )
     assert ran.code == 0
     assert [line.split()[2] for line in ran.out.splitlines()] == ["DB003[yaml11-boolean]"]
 
@@ -147,7 +172,11 @@ def test_the_settings_are_those_of_the_project_one_stands_in(deepbots, files, mo
 def test_a_rule_in_preview_in_the_settings_is_shown_at_its_place(deepbots, files):
     (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5', 'DB706']\n")
     found = json.loads(deepbots("lint", "warned.yaml", "--json").out)["findings"]
-    assert next((one["code"], one["file"], one["start"]["line"]) for one in found) == ("DB902", "deepbots.toml", 2)
+    assert next((one["code"], one["file"], one["start"]["line"]) for one in found) == (
+        "DB902",
+        "deepbots.toml",
+        2,
+    )
 
 
 def test_settings_may_be_written_as_values_of_the_table_of_tools(deepbots, files):
@@ -192,7 +221,10 @@ def test_the_settings_in_the_docs_are_settings(deepbots, files):
     (files / "deepbots.toml").write_text(shown)
     ran = deepbots("lint", "warned.yaml")
     assert ran.code == 1
-    assert [line.split()[2] for line in ran.out.splitlines()] == ["DB003[yaml11-boolean]", "DB504[degrees-as-radians]"]
+    assert [line.split()[2] for line in ran.out.splitlines()] == [
+        "DB003[yaml11-boolean]",
+        "DB504[degrees-as-radians]",
+    ]
 
 
 def test_statistics_count_the_findings_of_each_code(deepbots, files):
@@ -204,7 +236,10 @@ def test_statistics_count_the_findings_of_each_code(deepbots, files):
     ]
     assert ran.code == 1
     assert "DB504  degrees-as-radians" in deepbots("lint", "warned.yaml", "--statistics").out
-    assert "--statistics prints a table or JSON" in deepbots("lint", ".", "--statistics", "--format", "sarif").err
+    assert (
+        "--statistics prints a table or JSON"
+        in deepbots("lint", ".", "--statistics", "--format", "sarif").err
+    )
 
 
 def test_watching_lints_again_when_a_file_is_saved(deepbots, files, monkeypatch):

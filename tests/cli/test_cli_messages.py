@@ -1,4 +1,5 @@
-"""Messages of commands about mistakes that are no mistakes of a scenario, each named after what a person saw."""
+"""Messages of commands about mistakes that are no mistakes of a scenario, each named after what a person
+saw."""
 
 from __future__ import annotations
 
@@ -24,8 +25,13 @@ def findings(folder: Path, text: str, name: str = "mine.yaml") -> list[tuple[str
 
 def test_xyz_replaces_the_z_of_the_scenario_that_is_extended(tmp_path):
     (tmp_path / "base.yaml").write_text(f"{CARTPOLE}reset: {{place: {{cart: {{z: 5 cm, yaw: 10 deg}}}}}}\n")
-    (tmp_path / "mine.yaml").write_text("deepbots: 1\nextends: base.yaml\nreset: {place: {cart: {xyz: 0 0 1 m}}}\n")
-    assert to_data(load(tmp_path / "mine.yaml").root)["reset"]["place"]["cart"] == {"yaw": "10 deg", "xyz": "0 0 1 m"}
+    (tmp_path / "mine.yaml").write_text(
+        "deepbots: 1\nextends: base.yaml\nreset: {place: {cart: {xyz: 0 0 1 m}}}\n"
+    )
+    assert to_data(load(tmp_path / "mine.yaml").root)["reset"]["place"]["cart"] == {
+        "yaw": "10 deg",
+        "xyz": "0 0 1 m",
+    }
     assert api.lint(tmp_path / "mine.yaml") == []
 
 
@@ -33,12 +39,18 @@ def test_a_height_of_the_ground_that_is_drawn_is_called_drawn(tmp_path):
     text = f"{CARTPOLE}parameters: {{rise: uniform(1 .. 2 cm)}}\n"
     text += "world: {terrain: {type: formula, heights: rise if x > 1 m else 0 m, size: 9 9 m}}\n"
     ((code, headline, help),) = findings(tmp_path, text)
-    assert (code, headline) == ("DB407", "`heights` must be fixed, but uses `rise`, which is drawn in every episode")
+    assert (code, headline) == (
+        "DB407",
+        "`heights` must be fixed, but uses `rise`, which is drawn in every episode",
+    )
     assert help.startswith("give it a fixed value")
 
 
 def test_an_existing_value_under_augment_is_told_the_list_without_follow_ups(tmp_path):
-    text = f"{CARTPOLE}signals: {{clock: sin(360 deg * time / (1 s))}}\naugment: {{clock: clock, track: track}}\n"
+    text = (
+        f"{CARTPOLE}signals: {{clock: sin(360 deg * time / (1 s))}}\naugment: {{clock: clock, track:"
+        f" track}}\n"
+    )
     found = [each for each in findings(tmp_path, text) if each[0] in ("DB202", "DB207")]
     assert [(code, headline) for code, headline, _ in found] == [
         ("DB202", "`clock` under `augment` exists already"),
@@ -51,7 +63,8 @@ def test_an_existing_value_under_augment_is_told_the_list_without_follow_ups(tmp
 def two(tmp_path):
     (tmp_path / "one.yaml").write_text(CARTPOLE)
     (tmp_path / "other.yaml").write_text(
-        f"{CARTPOLE}parameters: {{track: 30 cm}}\ntermination: {{failure: {{off_track: abs(x) > track - 1 cm}}}}\n"
+        f"{CARTPOLE}parameters: {{track: 30 cm}}\ntermination: {{failure: {{off_track: abs(x) > track - 1"
+        f" cm}}}}\n"
     )
 
 
@@ -62,7 +75,8 @@ def test_diff_shows_a_parameter_that_changes_beside_the_text_that_uses_it(deepbo
 
 def test_diff_names_a_changed_pose_and_not_its_numbers(deepbots, tmp_path):
     (tmp_path / "other.yaml").write_text(
-        'deepbots: 1\nextends: quadruped\nrobots: {dog: {poses: {stand: {"*_upper_joint": 40 deg}}}}\n', encoding="utf-8"
+        'deepbots: 1\nextends: quadruped\nrobots: {dog: {poses: {stand: {"*_upper_joint": 40 deg}}}}\n',
+        encoding="utf-8",
     )
     said = deepbots("diff", "quadruped", "other.yaml").out
     assert "changed by the pose stand: " in said
@@ -91,19 +105,26 @@ def test_a_picture_of_a_robot_names_the_option_that_needs_a_scenario(deepbots):
 
 
 def test_a_drawn_mass_is_marked_in_inspect(deepbots, tmp_path):
-    (tmp_path / "mine.yaml").write_text(f"{CARTPOLE}robots: {{cart: {{links: {{pole: {{mass: uniform(0.1 .. 0.3 kg)}}}}}}}}\n")
+    (tmp_path / "mine.yaml").write_text(
+        f"{CARTPOLE}robots: {{cart: {{links: {{pole: {{mass: uniform(0.1 .. 0.3 kg)}}}}}}}}\n"
+    )
     assert "drawn in every episode" in deepbots("inspect", "mine.yaml").out
     assert "drawn in every episode" not in deepbots("inspect", "cartpole").out
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])
 def test_serving_for_no_number_of_seconds_is_refused(deepbots, seconds):
-    assert f"--seconds {float(seconds):g}: write a number of seconds above 0" in deepbots("serve", "bundle", "--seconds", seconds).err
+    assert (
+        f"--seconds {float(seconds):g}: write a number of seconds above 0"
+        in deepbots("serve", "bundle", "--seconds", seconds).err
+    )
 
 
 def test_the_first_seconds_of_a_training_say_no_time_to_go():
     """The first updates of a training were slow, and it seemed to take 20 min; it took 4."""
-    progress = TrainingProgress(steps=100, total_steps=100_000, episodes=1, mean_return=None, success_rate=None)
+    progress = TrainingProgress(
+        steps=100, total_steps=100_000, episodes=1, mean_return=None, success_rate=None
+    )
     assert progress.seconds_left(0, 1.0) is None
     assert progress.seconds_left(0, 60.0) == pytest.approx(60.0 * 999)
     assert not math.isnan(progress.seconds_left(0, 60.0) or math.nan)
@@ -113,7 +134,8 @@ def test_the_first_seconds_of_a_training_say_no_time_to_go():
 def test_a_mesh_with_a_vertex_far_out_is_refused_before_an_engine_searches_it(deepbots, tmp_path, far):
     (tmp_path / "far.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 {far} 0\nf 1 2 3\n")
     (tmp_path / "far.urdf").write_text(
-        '<robot name="far"><link name="a"><visual><geometry><mesh filename="far.obj"/></geometry></visual></link></robot>'
+        '<robot name="far"><link name="a"><visual><geometry><mesh'
+        ' filename="far.obj"/></geometry></visual></link></robot>'
     )
     ran = deepbots("inspect", "far.urdf")
     assert "the mesh has a vertex at 1" in ran.out + ran.err

@@ -11,10 +11,19 @@ from pathlib import Path
 import pytest
 
 from deepbots_cli.cli import main
-from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.records import RunRecord
 from tests.cli.conftest import Deepbots
 
-TINY = ("--timesteps", "200", "--set", "train.n_epochs=1", "--set", "train.environments=2", "--set", "train.n_steps=64")
+TINY = (
+    "--timesteps",
+    "200",
+    "--set",
+    "train.n_epochs=1",
+    "--set",
+    "train.environments=2",
+    "--set",
+    "train.n_steps=64",
+)
 FEW = ("--set", "evaluation={episodes: 4}", "--set", "solved=mean_return >= 195 over 4 episodes")
 STEP = "mine/models/agent/step-000000128.zip"
 
@@ -54,7 +63,9 @@ def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path
         ("train", "cartpole", *TINY, *FEW, "--initialize-from", STEP, "--run", "other"),
     ],
 )
-def test_every_command_that_takes_a_policy_takes_a_checkpoint(deepbots: Deepbots, mine: Path, words: tuple[str, ...]) -> None:
+def test_every_command_that_takes_a_policy_takes_a_checkpoint(
+    deepbots: Deepbots, mine: Path, words: tuple[str, ...]
+) -> None:
     ran = deepbots(*words)
     assert ran.code == 0, ran.err
 

@@ -40,7 +40,9 @@ def test_what_a_template_makes_is_clean_runs_and_says_what_to_do_next(deepbots, 
 def test_every_section_of_a_template_has_a_comment(deepbots, tmp_path, template):
     deepbots("new", "a", "--template", template, "--json")
     text = (tmp_path / "a.yaml").read_text(encoding="utf-8")
-    blocks = [block for block in text.split("\n\n") if not block.startswith(("deepbots", "solved", "objects"))]
+    blocks = [
+        block for block in text.split("\n\n") if not block.startswith(("deepbots", "solved", "objects"))
+    ]
     assert all("#" in block for block in blocks)
 
 
@@ -131,12 +133,16 @@ def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots,
     assert api.lint(tmp_path / "first.yaml", preview=True) == []
     scenario = api.compile(tmp_path / "first.yaml").program
     assert ROBOTS[robot] in scenario.summary
-    assert scenario.world.robots[0].fixed_base is (ROBOTS[robot] in ("arm", "posture") or robot.endswith(("rail", "data/cartpole.urdf")))
+    assert scenario.world.robots[0].fixed_base is (
+        ROBOTS[robot] in ("arm", "posture") or robot.endswith(("rail", "data/cartpole.urdf"))
+    )
     ran = deepbots("try", "first.yaml", "--episodes", "2", "--steps", "100")
     assert ran.code == 0, ran.err
 
 
-@pytest.mark.parametrize(("robot", "way"), [("a1/a1", "x"), ("quadruped/minitaur", "x"), ("laikago/laikago_toes", "y")])
+@pytest.mark.parametrize(
+    ("robot", "way"), [("a1/a1", "x"), ("quadruped/minitaur", "x"), ("laikago/laikago_toes", "y")]
+)
 def test_what_has_legs_walks_the_way_that_its_body_is_long(deepbots, tmp_path, robot, way):
     pytest.importorskip("pybullet_data")
     deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
@@ -172,7 +178,9 @@ def test_wheels_steering_and_what_is_to_be_held_are_told_apart(deepbots, tmp_pat
 @pytest.mark.parametrize("robot", ["package://pybullet_data/racecar/racecar.urdf", "balancer", "rover"])
 def test_no_wheels_are_grouped_twice(deepbots, tmp_path, robot):
     deepbots("new", "car", "--urdf", robot, "--json")
-    groups = re.findall(r"^      (\w+): (\[.*\])$", (tmp_path / "car.yaml").read_text(encoding="utf-8"), re.MULTILINE)
+    groups = re.findall(
+        r"^      (\w+): (\[.*\])$", (tmp_path / "car.yaml").read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert groups[0][0] == "wheels"
     assert len({members for _, members in groups}) == len(groups)
 
@@ -182,7 +190,9 @@ def test_a_robot_file_of_ones_own_is_named_by_its_path_from_the_scenario(deepbot
     (tmp_path / "pyproject.toml").write_text("")
     (tmp_path / "robots" / "my rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
     assert deepbots("new", "mine", "scenarios", "--urdf", "robots/my rover.urdf", "--json").code == 0
-    assert 'urdf: "../robots/my rover.urdf"' in (tmp_path / "scenarios" / "mine.yaml").read_text(encoding="utf-8")
+    assert 'urdf: "../robots/my rover.urdf"' in (tmp_path / "scenarios" / "mine.yaml").read_text(
+        encoding="utf-8"
+    )
     assert api.lint(tmp_path / "scenarios" / "mine.yaml") == []
 
 
@@ -195,7 +205,9 @@ def test_joints_with_odd_names_and_a_file_of_an_odd_name_make_a_scenario_all_the
     assert api.compile(tmp_path / "odd.yaml").program.name == "Odd"
 
 
-@pytest.mark.parametrize("names", [("#hip", "hip#1"), ("arm.1", "arm.2"), ("joint[1]", "joint[2]"), ("a*b", "a*bb")], ids=str)
+@pytest.mark.parametrize(
+    "names", [("#hip", "hip#1"), ("arm.1", "arm.2"), ("joint[1]", "joint[2]"), ("a*b", "a*bb")], ids=str
+)
 def test_joints_called_like_copies_components_or_patterns_are_taken_for_joints(deepbots, tmp_path, names):
     deepbots("new", "arm", "--template", "arm", "--json")
     text = (tmp_path / "arm.urdf").read_text(encoding="utf-8")
@@ -229,7 +241,9 @@ def test_a_robot_without_anything_to_drive_and_a_file_that_is_none_are_refused(d
 def test_what_is_odd_in_a_robot_file_of_ones_own_is_mentioned(deepbots, tmp_path):
     text = shipped.robot_path("rover").read_text(encoding="utf-8")
     cut = text.index("<inertial>", text.index('name="caster"'))
-    (tmp_path / "odd.urdf").write_text(text[:cut] + text[text.index("</inertial>", cut) + len("</inertial>") :], encoding="utf-8")
+    (tmp_path / "odd.urdf").write_text(
+        text[:cut] + text[text.index("</inertial>", cut) + len("</inertial>") :], encoding="utf-8"
+    )
     made = deepbots("new", "odd", "--urdf", "odd.urdf")
     assert made.code == 0
     assert "1 warning; see: deepbots lint odd.yaml" in made.err
@@ -246,7 +260,8 @@ def test_with_its_schema_a_new_scenario_leads_an_editor_to_its_names(deepbots, t
     (robot,) = api.load(tmp_path / "sub" / "mine.yaml").robots.values()
     assert f"Robot.{robot.name}" in schema["$defs"]
     assert json.loads(made.out)["files"] == [
-        f"sub/{file}" for file in ("mine.yaml", *(["mine.urdf"] if template == "arm" else []), "mine.schema.json")
+        f"sub/{file}"
+        for file in ("mine.yaml", *(["mine.urdf"] if template == "arm" else []), "mine.schema.json")
     ]
 
 
@@ -265,12 +280,16 @@ def test_a_schema_that_is_there_already_is_not_written_over(deepbots, tmp_path):
 def test_without_a_schema_a_new_scenario_names_none_and_the_way_to_one_is_said(deepbots, tmp_path):
     ran = deepbots("new", "mine", "--template", "pit")
     assert "yaml-language-server" not in (tmp_path / "mine.yaml").read_text(encoding="utf-8")
-    command = next(line for line in ran.err.splitlines() if "deepbots schema" in line).partition("deepbots ")[2]
+    command = next(line for line in ran.err.splitlines() if "deepbots schema" in line).partition("deepbots ")[
+        2
+    ]
     assert deepbots(*command.split()).code == 0
     assert (tmp_path / "mine.schema.json").exists()
 
 
-def test_a_template_and_a_robot_file_exclude_each_other_and_a_file_is_no_folder_to_write_into(deepbots, tmp_path):
+def test_a_template_and_a_robot_file_exclude_each_other_and_a_file_is_no_folder_to_write_into(
+    deepbots, tmp_path
+):
     both = deepbots("new", "mine", "--template", "pit", "--urdf", "rover")
     assert (both.code, "cannot be combined" in both.err) == (2, True)
     (tmp_path / "taken").write_text("")
@@ -290,7 +309,10 @@ def test_no_file_is_left_where_one_cannot_be_written(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
     try:
         with pytest.raises(UsageError, match="large cannot be written: file too large"):
-            write_new({PurePosixPath("a"): b"1", PurePosixPath("large"): bytes(100), PurePosixPath("b"): b"2"}, tmp_path / "new")
+            write_new(
+                {PurePosixPath("a"): b"1", PurePosixPath("large"): bytes(100), PurePosixPath("b"): b"2"},
+                tmp_path / "new",
+            )
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not list((tmp_path / "new").iterdir())

@@ -22,7 +22,13 @@ def test_a_robot_file_is_shown_in_tables(deepbots):
     tables = json.loads(ran.out)
     assert tables["robot"]["mass_kg"] == pytest.approx(0.162)
     assert tables["robot"]["size_m"] == pytest.approx([0.076, 0.074, 0.05], abs=2e-3)
-    assert [row["link"] for row in tables["links"]] == ["base_link", "left_wheel", "right_wheel", "caster_front", "caster_rear"]
+    assert [row["link"] for row in tables["links"]] == [
+        "base_link",
+        "left_wheel",
+        "right_wheel",
+        "caster_front",
+        "caster_rear",
+    ]
     assert tables["links"][1]["collides_as"] == ["cylinder r 0.02 l 0.004"]
     assert {row["joint"]: row["type"] for row in tables["joints"]}["caster_front_mount"] == "fixed"
     assert "findings" not in tables
@@ -43,8 +49,18 @@ def test_what_is_odd_in_a_robot_file_is_said_with_its_place(deepbots, tmp_path):
 def test_warnings_about_a_file_of_a_package_are_one_line(deepbots):
     pytest.importorskip("pybullet_data")
     ran = deepbots("inspect", "package://pybullet_data/laikago/laikago.urdf")
-    assert ran.err == "13 warnings about a file of a package, which you cannot change (13 DB306); --json lists them\n"
-    assert len(json.loads(deepbots("inspect", "package://pybullet_data/laikago/laikago.urdf", "--json").out)["findings"]) == 13
+    assert (
+        ran.err
+        == "13 warnings about a file of a package, which you cannot change (13 DB306); --json lists them\n"
+    )
+    assert (
+        len(
+            json.loads(deepbots("inspect", "package://pybullet_data/laikago/laikago.urdf", "--json").out)[
+                "findings"
+            ]
+        )
+        == 13
+    )
 
 
 def test_a_robot_file_that_cannot_be_read_is_an_error(deepbots, tmp_path):
@@ -55,7 +71,9 @@ def test_a_robot_file_that_cannot_be_read_is_an_error(deepbots, tmp_path):
     assert "DB301" in ran.err
 
 
-@pytest.mark.parametrize("name", ["none.urdf", "package://pybullet_data/none.urdf", "package://no_such_package/x.urdf"])
+@pytest.mark.parametrize(
+    "name", ["none.urdf", "package://pybullet_data/none.urdf", "package://no_such_package/x.urdf"]
+)
 def test_a_robot_file_that_is_not_there_is_one_line_that_lists_the_shipped_ones(deepbots, name):
     ran = deepbots("inspect", name)
     assert ran.code == 2
@@ -65,7 +83,9 @@ def test_a_robot_file_that_is_not_there_is_one_line_that_lists_the_shipped_ones(
 HUSKY = "package://pybullet_data/husky/husky.urdf"
 
 
-@pytest.mark.parametrize("name", few([*(n for n in shipped.robot_names() if n != "cartpole"), HUSKY], ("epuck", HUSKY)))
+@pytest.mark.parametrize(
+    "name", few([*(n for n in shipped.robot_names() if n != "cartpole"), HUSKY], ("epuck", HUSKY))
+)
 def test_a_robot_is_drawn_so_that_it_fills_the_picture(deepbots, tmp_path, name):
     reference = str(shipped.robot_path(name) or name)
     ran = deepbots("render", reference, "-o", str(tmp_path / "robot.png"))

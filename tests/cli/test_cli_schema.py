@@ -28,11 +28,18 @@ def test_the_comment_that_leads_an_editor_to_it_is_told(deepbots):
     Path("schemas").mkdir()
     ran = deepbots("schema", "--for", "worlds/cartpole.yaml", "-o", "schemas/mine.json")
     assert (ran.code, ran.out) == (0, "")
-    assert ran.err == "write as the first line of cartpole.yaml: # yaml-language-server: $schema=../schemas/mine.json\n"
+    assert (
+        ran.err
+        == "write as the first line of cartpole.yaml: # yaml-language-server: $schema=../schemas/mine.json\n"
+    )
     assert '"pole_hinge"' in Path("schemas/mine.json").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("text", ["robots: [", "deepbots: 1\nrobots: {a: {urdf: nowhere}}", ""], ids=["no yaml", "no robot", "empty"])
+@pytest.mark.parametrize(
+    "text",
+    ["robots: [", "deepbots: 1\nrobots: {a: {urdf: nowhere}}", ""],
+    ids=["no yaml", "no robot", "empty"],
+)
 def test_a_file_with_errors_gets_a_schema_and_a_word_about_them(deepbots, text):
     Path("mine.yaml").write_text(text, encoding="utf-8")
     ran = deepbots("schema", "--for", "mine.yaml")
@@ -43,7 +50,9 @@ def test_a_file_with_errors_gets_a_schema_and_a_word_about_them(deepbots, text):
 
 
 @pytest.mark.parametrize(
-    "content", [b"deepbots: 1\nname: Mine\n", b"robots: [", b"name: \xff\xfe"], ids=["a scenario", "no yaml", "no text"]
+    "content",
+    [b"deepbots: 1\nname: Mine\n", b"robots: [", b"name: \xff\xfe"],
+    ids=["a scenario", "no yaml", "no text"],
 )
 def test_the_scenario_itself_is_not_written_over(deepbots, content):
     Path("mine.yaml").write_bytes(content)

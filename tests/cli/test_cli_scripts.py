@@ -49,7 +49,10 @@ def test_a_script_drives_every_episode(deepbots, scripted):
 
 def test_a_script_may_be_another_in_a_case(deepbots, scripted):
     words = (scripted, "--case", "back")
-    assert ran(deepbots, *words, "--driver", "onward")["episodes"] == ran(deepbots, *words, "--driver", "backward")["episodes"]
+    assert (
+        ran(deepbots, *words, "--driver", "onward")["episodes"]
+        == ran(deepbots, *words, "--driver", "backward")["episodes"]
+    )
 
 
 def test_actions_are_repeated_and_may_be_those_of_a_script(deepbots, scripted):
@@ -67,9 +70,20 @@ KNOWN = "the drivers are onward, catch, random, zero, and actions such as forwar
         ("cach", f"error: there is no driver 'cach' (did you mean catch?); {KNOWN}"),
         ("best", f"error: there is no driver 'best'; {KNOWN}"),
         ("foward,backward", "error: 'drive' has no option 'foward'; its options are: forward, backward\n"),
-        ("onward*x", "error: 'onward*x' is not valid; write the number of steps after the asterisk, such as onward*8\n"),
-        ("catch*0", "error: 'catch*0' is not valid; write the number of steps after the asterisk, such as catch*8\n"),
-        ("policy", "error: only a run has a policy; train one with `deepbots train`, and name the run instead of the scenario\n"),
+        (
+            "onward*x",
+            "error: 'onward*x' is not valid; write the number of steps after the asterisk, such as"
+            " onward*8\n",
+        ),
+        (
+            "catch*0",
+            "error: 'catch*0' is not valid; write the number of steps after the asterisk, such as catch*8\n",
+        ),
+        (
+            "policy",
+            "error: only a run has a policy; train one with `deepbots train`, and name the run instead of"
+            " the scenario\n",
+        ),
         ("you", "error: you can drive in the browser only; use `deepbots play`\n"),
     ],
 )
@@ -83,7 +97,10 @@ def test_a_driver_that_cannot_act_is_refused_with_those_that_can(deepbots, scrip
 def test_a_scenario_without_scripts_says_so(deepbots):
     result = deepbots("try", "cartpole", "--driver", "catch")
     assert result.code == 2
-    assert result.err == "error: there is no driver 'catch'; the drivers are random, zero, and actions such as forward,backward\n"
+    assert (
+        result.err == "error: there is no driver 'catch'; the drivers are random, zero, and actions such as"
+        " forward,backward\n"
+    )
 
 
 def test_few_episodes_are_shown_one_by_one_and_summed_up(deepbots, scripted):
@@ -171,7 +188,9 @@ def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(capsys):
     with terminal.progress() as show:
         for number in (*range(1, 11), *range(1, 11)):
             show(number, 10)
-    assert [line.partition(" ")[0] for line in capsys.readouterr().err.splitlines()] == [*map(str, range(1, 11))] * 2
+    assert [line.partition(" ")[0] for line in capsys.readouterr().err.splitlines()] == [
+        *map(str, range(1, 11))
+    ] * 2
 
 
 def test_elsewhere_there_is_a_line_for_every_tenth():
@@ -196,7 +215,10 @@ def test_a_start_is_set_on_the_command_line(deepbots, scripted):
         ("pole=0.01", "cannot set 'pole': "),
         ("reset.joints.cart.pole_hinge=far", "it is a single number"),
         ("reset.joints.cart.pole_hinge=nan", "it is not finite"),
-        ("mark=[0.01,0.05]", "separate the numbers by commas, without spaces or brackets: --start mark=0.01,0.05"),
+        (
+            "mark=[0.01,0.05]",
+            "separate the numbers by commas, without spaces or brackets: --start mark=0.01,0.05",
+        ),
         ("reset.joints.cart.pole_hinge", "write NAME=VALUE, such as --start mark.x=0.5"),
     ],
 )

@@ -28,7 +28,15 @@ def inspected(deepbots, *words):
 def test_inspect_shows_units_ranges_and_what_was_written(deepbots):
     ran = deepbots("inspect", "cartpole", "--full")
     assert ran.code == 0
-    for shown in ("cart.pole_angle", "-20", "deg", "abs(cart.pole_angle) > fall_angle", "uniform(-1 .. 1 deg)", "Discrete(2)", "PPO"):
+    for shown in (
+        "cart.pole_angle",
+        "-20",
+        "deg",
+        "abs(cart.pole_angle) > fall_angle",
+        "uniform(-1 .. 1 deg)",
+        "Discrete(2)",
+        "PPO",
+    ):
         assert shown in ran.out
 
 
@@ -52,7 +60,9 @@ def test_programs_get_every_table(deepbots):
 def test_inspect_shows_the_noise_of_a_measurement_and_of_the_goal(deepbots):
     goal = "goal={achieved: x, desired: 0.1 m, tolerance: 1 cm, range: -1 .. 1 m, noise: 1 %}"
     noisy = "augment.x={value: position(cart).x, noise: 2 mm}"
-    tables = inspected(deepbots, "--set", noisy, "--set", goal, "--set", "reward={there: 1 when goal_reached}")
+    tables = inspected(
+        deepbots, "--set", noisy, "--set", goal, "--set", "reward={there: 1 when goal_reached}"
+    )
     (x,) = (row for row in tables["signals"] if row["signal"] == "x")
     assert (x["is"], x["noise"], tables["goal"]["noise"]) == ("position(cart).x", "2 mm", "1 %")
 
@@ -63,7 +73,9 @@ def test_inspect_tells_the_signals_of_the_policy_from_those_of_reward_and_ending
     assert (seen["apart"], seen["angle"], seen["path"], seen["here"]) == (True, True, False, False)
 
 
-@pytest.mark.parametrize(("format", "size"), [("struct", 12), ("msgpack", 15), ("csv", "varies"), ("json", "varies")])
+@pytest.mark.parametrize(
+    ("format", "size"), [("struct", 12), ("msgpack", 15), ("csv", "varies"), ("json", "varies")]
+)
 def test_messages_have_a_size_where_it_is_fixed(deepbots, format, size):
     tables = inspected(deepbots, "--set", f"messages.format={format}")
     assert {row["bytes"] for row in tables["messages"]} == {size}
@@ -108,8 +120,21 @@ def test_without_messages_there_is_no_table_of_messages(deepbots):
 def test_a_student_sees_the_parts_of_the_task_and_full_the_rest(deepbots):
     shown, full = deepbots("inspect", "cartpole"), deepbots("inspect", "cartpole", "--full")
     tables = [line.partition(":")[0] for line in shown.out.splitlines() if line and not line.startswith(" ")]
-    assert tables == ["scenario", "robots", "message_fields", "action", "observation", "reward", "endings", "training"]
-    assert shown.err == "--full also shows: joints, parameters, sensors, actuators, messages, signals, timing, reset, hyperparameters\n"
+    assert tables == [
+        "scenario",
+        "robots",
+        "message_fields",
+        "action",
+        "observation",
+        "reward",
+        "endings",
+        "training",
+    ]
+    assert (
+        shown.err
+        == "--full also shows: joints, parameters, sensors, actuators, messages, signals, timing, reset,"
+        " hyperparameters\n"
+    )
     assert "n_steps" in full.out
     assert full.err == ""
 
@@ -235,7 +260,9 @@ def test_bench_compares_a_step_with_bare_physics(deepbots):
 
 
 def test_latencies_age_actions_and_observations_and_draws_make_that_vary(deepbots):
-    sections = inspected(deepbots, "--set", "messages.to_robot={latency: 40 ms}", "--set", "messages.from_robot={loss: 5 %}")
+    sections = inspected(
+        deepbots, "--set", "messages.to_robot={latency: 40 ms}", "--set", "messages.from_robot={loss: 5 %}"
+    )
     timing = {row["name"]: row for row in sections["timing"]}
     assert (timing["drive"]["physics_step"], timing["drive"]["age_s"]) == ("4n + 9", 0.064)
     assert (timing["cart.pole_angle"]["physics_step"], timing["cart.pole_angle"]["age_s"]) == ("varies", None)
@@ -260,7 +287,9 @@ robots: {cart: {sensors: {pole_angle: {latency: 40 ms}}}}
 """
     )
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
-    timing = {row["name"]: row for row in json.loads(deepbots("inspect", "aged.yaml", "--json").out)["timing"]}
+    timing = {
+        row["name"]: row for row in json.loads(deepbots("inspect", "aged.yaml", "--json").out)["timing"]
+    }
     ages = {name: timing[name]["age_s"] for name in ("x", "was.x", "before.y", "gone", "cart.pole_angle")}
     assert ages == {"x": 0, "was.x": 0.032, "before.y": 0.064, "gone": 0, "cart.pole_angle": 0.064}
     assert timing["was.x"]["physics_step"] == "4n"
@@ -271,13 +300,17 @@ def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
     sections = inspected(
         deepbots,
         "--set",
-        "objects.puck={shape: sphere, radius: 2 cm, mass: uniform(0.1 .. 300 g) * 2, friction: uniform(0.4 .. 0.8)}",
+        "objects.puck={shape: sphere, radius: 2 cm, mass: uniform(0.1 .. 300 g) * 2, friction: uniform(0.4"
+        " .. 0.8)}",
         "--set",
         "reset.place={puck: {x: 0.3 m}}",
         "--set",
         "robots.cart.links={pole: {mass: urdf * uniform(80 % .. 120 %)}}",
     )
-    assert (sections["objects"][0]["mass_kg"], sections["objects"][0]["friction"]) == ("uniform(0.0001 .. 0.3) * 2", "uniform(0.4 .. 0.8)")
+    assert (sections["objects"][0]["mass_kg"], sections["objects"][0]["friction"]) == (
+        "uniform(0.0001 .. 0.3) * 2",
+        "uniform(0.4 .. 0.8)",
+    )
     assert {"drawn": "mass", "of": "cart.pole"}.items() <= sections["drawn"][0].items()
     assert "uniform(0.8 .. 1.2)" in sections["drawn"][0]["from"]
 
@@ -287,7 +320,11 @@ def test_a_value_on_several_lines_is_shown_as_a_mapping_on_one(deepbots, tmp_pat
     scenario = tmp_path / "cartpole.yaml"
     start = "\nreset:\n"
     assert start in scenario.read_text()
-    scenario.write_text(scenario.read_text().replace(start, f"{start}  place:\n    cart:\n      x: 0 m  # the middle\n      z: 0.04 m\n"))
+    scenario.write_text(
+        scenario.read_text().replace(
+            start, f"{start}  place:\n    cart:\n      x: 0 m  # the middle\n      z: 0.04 m\n"
+        )
+    )
     rows = json.loads(deepbots("inspect", "cartpole.yaml", "--json").out)["reset"]
     assert rows[0] == {"reset": "place", "of": "cart", "to": "{x: 0 m, z: 0.04 m}"}
 
@@ -300,14 +337,21 @@ def test_held_actions_are_counted_in_the_steps_of_the_agent(deepbots):
 def test_inspect_shows_the_stages_of_the_curriculum_and_one_of_them(deepbots):
     stages = json.loads(deepbots("inspect", "find_ball_random", "--json").out)["curriculum"]
     assert [row["stage"] for row in stages] == ["open", "few", "crowded"]
-    assert (stages[1]["set"], stages[1]["until"]) == ("{obstacles: integer(1 .. 3)}", "success_rate >= 0.7 over 40 episodes")
+    assert (stages[1]["set"], stages[1]["until"]) == (
+        "{obstacles: integer(1 .. 3)}",
+        "success_rate >= 0.7 over 40 episodes",
+    )
     tables = json.loads(deepbots("inspect", "find_ball_random", "--stage", "few", "--json").out)
     assert {row["parameter"]: row["value"] for row in tables["parameters"]}["obstacles"] == "integer(1 .. 3)"
     assert len(tables["objects"]) == 1 + 3
 
 
 def test_a_stage_of_the_curriculum_can_be_run(deepbots):
-    lonely = json.loads(deepbots("try", "find_ball_random", "--stage", "open", "--episodes", "1", "--steps", "100", "--json").out)
+    lonely = json.loads(
+        deepbots(
+            "try", "find_ball_random", "--stage", "open", "--episodes", "1", "--steps", "100", "--json"
+        ).out
+    )
     assert (lonely["stage"], lonely["episodes"][0]["reward_terms"]["scrape"]) == ("open", 0)
 
 
@@ -319,10 +363,15 @@ def test_a_stage_that_there_is_not_is_told_with_those_there_are(deepbots, verb):
 
 
 def test_inspect_shows_every_hyperparameter_with_its_source(deepbots):
-    rows = {row["hyperparameter"]: (row["value"], row["from"]) for row in inspected(deepbots)["hyperparameters"]}
+    rows = {
+        row["hyperparameter"]: (row["value"], row["from"]) for row in inspected(deepbots)["hyperparameters"]
+    }
     assert rows["n_steps"] == (64, "scenario")
     assert rows["clip_range"] == (0.2, "Stable-Baselines3")
-    rows = {row["hyperparameter"]: (row["value"], row["from"]) for row in inspected(deepbots, "--set", PLAIN)["hyperparameters"]}
+    rows = {
+        row["hyperparameter"]: (row["value"], row["from"])
+        for row in inspected(deepbots, "--set", PLAIN)["hyperparameters"]
+    }
     assert rows["n_steps"] == (256, "deepbots")
     assert rows["network.hidden"] == ([64, 64], "deepbots")
     assert rows["network.activation"] == ("relu", "scenario")
@@ -336,14 +385,27 @@ def test_without_the_library_its_defaults_are_called_so(deepbots, monkeypatch):
 
 @pytest.mark.parametrize(("written", "meant"), [("1e1", 10), ("2_0", 20), ("1k", 1000), ("1.5e2", 150)])
 def test_whole_numbers_may_be_written_short(deepbots, written, meant):
-    ran = deepbots("try", "cartpole", "--set", "truncation={max_steps: 1000}", "--episodes", "1000", "--steps", written, "--json")
+    ran = deepbots(
+        "try",
+        "cartpole",
+        "--set",
+        "truncation={max_steps: 1000}",
+        "--episodes",
+        "1000",
+        "--steps",
+        written,
+        "--json",
+    )
     assert sum(episode["length"] for episode in json.loads(ran.out)["episodes"]) == meant
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("train", "cartpole", "--timesteps", "many"), "'many' is not a whole number; write it like 100000, 100_000, 100k or 1e5"),
+        (
+            ("train", "cartpole", "--timesteps", "many"),
+            "'many' is not a whole number; write it like 100000, 100_000, 100k or 1e5",
+        ),
         (("try", "cartpole", "--episodes", "2.5"), "'2.5' is not a whole number"),
         (("try", "cartpole", "--episodes", "0"), "0 is too small; the minimum is 1"),
         (("try", "cartpole", "--seed", str(2**63)), "is too large; the maximum is 9223372036854775807"),
@@ -357,18 +419,24 @@ def test_what_is_no_whole_number_is_refused_with_how_to_write_one(deepbots, word
 def test_the_engine_that_steps_a_world_fastest_is_named_with_its_ratio(deepbots):
     pytest.importorskip("pybullet")
     speeds = r"\([\d,]+ against [\d,]+ steps/s\)"
-    line = rf"mujoco steps this world (\d+\.\d) times as fast as pybullet {speeds}\. To use it, add the line `engine: mujoco`"
+    line = (
+        rf"mujoco steps this world (\d+\.\d) times as fast as pybullet {speeds}\. To use it, add the line"
+        r" `engine: mujoco`"
+    )
     shown = deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out
     assert re.search(line, shown)
     assert "Motion and results may differ; `deepbots transfer RUN` shows how much." in shown
-    found = json.loads(deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1", "--json").out)["faster_engine"]
+    found = json.loads(deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1", "--json").out)[
+        "faster_engine"
+    ]
     assert (found["engine"], found["used"]) == ("mujoco", "pybullet")
     assert found["steps_per_second"] > 1.5 * found["used_steps_per_second"]
 
 
 def test_the_faster_engine_is_named_where_it_saves_half_a_minute_and_none_is_chosen(capfd):
     pytest.importorskip("pybullet")
-    cartpole, chosen = api.compile("cartpole").program, api.compile("cartpole", overrides=["world.engine=pybullet"]).program
+    cartpole = api.compile("cartpole").program
+    chosen = api.compile("cartpole", overrides=["world.engine=pybullet"]).program
     note_faster_engine(cartpole, 10_000_000)
     assert "note: mujoco steps this world" in capfd.readouterr().err
     note_faster_engine(cartpole, 600)
@@ -396,7 +464,15 @@ def test_a_quick_bench_measures_less(deepbots):
 
 def test_bench_tells_how_far_it_is():
     said = []
-    measure(api.compile("cartpole"), ["mujoco"], steps=20, rounds=2, seed=0, end=math.inf, on_measured=lambda *at: said.append(at))
+    measure(
+        api.compile("cartpole"),
+        ["mujoco"],
+        steps=20,
+        rounds=2,
+        seed=0,
+        end=math.inf,
+        on_measured=lambda *at: said.append(at),
+    )
     assert said == [(0, 2), (1, 2), (2, 2)]
 
 

@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics.render import display_width
 
-CELLS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=12), st.lists(st.text(max_size=3), max_size=3))
+CELLS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=12),
+    st.lists(st.text(max_size=3), max_size=3),
+)
 ROWS = st.lists(st.fixed_dictionaries({"a": CELLS, "b": CELLS, "c": CELLS}), min_size=1, max_size=5)
 
 
@@ -36,5 +43,8 @@ def test_any_values_make_lines_that_no_terminal_obeys(rows):
 
 
 def test_a_long_list_is_cut_short_and_says_how_long_it_is():
-    assert row_as_lines({"joints": [f"j{n}" for n in range(12)]}, indent="") == "joints  j0, j1, j2, j3, ... 12 in all"
+    assert (
+        row_as_lines({"joints": [f"j{n}" for n in range(12)]}, indent="")
+        == "joints  j0, j1, j2, j3, ... 12 in all"
+    )
     assert row_as_lines({"joints": [f"j{n}" for n in range(5)]}, indent="") == "joints  j0, j1, j2, j3, j4"

@@ -64,12 +64,16 @@ def small(deepbots: Deepbots, tmp_path: Path):
 @pytest.mark.parametrize(
     "test",
     [
-        "{driver: onward, episodes: 3, expect: {success_rate: 100 %, failure_rate: 0 .. 0, ends_by: there, mean_return: 16 .. 16}}",
-        "{driver: homeward, expect: {ends_by: [there, back], failure_rate: 100 %, eventually: back and time < 0.2 s}}",
+        "{driver: onward, episodes: 3, expect: {success_rate: 100 %, failure_rate: 0 .. 0, ends_by: there,"
+        " mean_return: 16 .. 16}}",
+        "{driver: homeward, expect: {ends_by: [there, back], failure_rate: 100 %, eventually: back and time"
+        " < 0.2 s}}",
         "{driver: zero, expect: {ends_by: max_steps, mean_return: 100, always: abs(driven) < 0.01 mm}}",
         "{driver: zero, max_time: 0.1 s, expect: {mean_return: 10 .. 10}}",
-        "{driver: random, max_steps: 3, expect: {mean_return: 6, always: [abs(driven) < 1.3 mm, previous_reward == 2]}}",
-        "{actions: [1, {drive: 1}, -1, 0.5], expect: {mean_return: 8 .. 8, eventually: driven > 0.7 mm, always: driven < 0.9 mm}}",
+        "{driver: random, max_steps: 3, expect: {mean_return: 6, always: [abs(driven) < 1.3 mm,"
+        " previous_reward == 2]}}",
+        "{actions: [1, {drive: 1}, -1, 0.5], expect: {mean_return: 8 .. 8, eventually: driven > 0.7 mm,"
+        " always: driven < 0.9 mm}}",
         "{driver: onward, case: near, expect: {mean_return: 6 .. 6, always: edge < 2 mm}}",
         "{driver: onward, stage: far, expect: {mean_return: 52 .. 52, eventually: driven > 9 mm}}",
         "{driver: uncertain, episodes: 20, expect: {success_rate: 20 .. 80 %, ends_by: [there, back]}}",
@@ -105,13 +109,18 @@ def test_a_failed_test_shows_what_was_expected_and_measured(small, expect: str, 
 
 def test_the_command_of_a_failed_test_shows_its_episode(small, deepbots: Deepbots) -> None:
     """`view` begins an episode as the evaluation does; a sequence of actions is for `run`."""
-    ran = small("  one: {driver: uncertain, episodes: 9, seed: 4, case: near, expect: {ends_by: there}}\n", "--json")
+    ran = small(
+        "  one: {driver: uncertain, episodes: 9, seed: 4, case: near, expect: {ends_by: there}}\n", "--json"
+    )
     (miss,) = json.loads(ran.out)["scenarios"][0]["tests"][0]["misses"]
     assert miss["command"] == (
-        f"deepbots view small.yaml --case near --engine exact --driver uncertain --seed 4 --episode {miss['episode']}"
+        "deepbots view small.yaml --case near --engine exact --driver uncertain --seed 4 --episode"
+        f" {miss['episode']}"
     )
     with closing(api.make("small.yaml", engine="exact")) as environment:
-        starts = [environment.reset(seed=derive_seed(4, "evaluation", k))[1]["drawn"]["start"] for k in range(9)]
+        starts = [
+            environment.reset(seed=derive_seed(4, "evaluation", k))[1]["drawn"]["start"] for k in range(9)
+        ]
     assert starts[miss["episode"]] < 0
     assert all(start > 0 for start in starts[: miss["episode"]])
 
@@ -124,7 +133,10 @@ def test_the_command_of_a_failed_test_shows_its_episode(small, deepbots: Deepbot
 
 def test_an_episode_that_breaks_off_fails_its_test_alone(small) -> None:
     world = WORLD.replace("reward: {pay: 2}", "reward: {pay: 1 / (step - 3)}")
-    tests = "  one: {driver: zero, expect: {ends_by: max_steps}}\n  two: {driver: zero, max_steps: 2, expect: {mean_return: -2}}\n"
+    tests = (
+        "  one: {driver: zero, expect: {ends_by: max_steps}}\n  two: {driver: zero, max_steps: 2,"
+        " expect: {mean_return: -2}}\n"
+    )
     ran = small(tests, world=world)
     assert ran.code == 1
     assert "1 passed, 1 failed" in ran.out
@@ -144,7 +156,10 @@ def test_junit_that_cannot_be_written_is_told_before_a_test_runs(small, tmp_path
 
 
 def test_k_selects_tests_by_a_part_of_their_names(small) -> None:
-    tests = "  drives: {driver: onward, expect: {ends_by: back}}\n  rests: {driver: zero, expect: {ends_by: max_steps}}\n"
+    tests = (
+        "  drives: {driver: onward, expect: {ends_by: back}}\n  rests: {driver: zero, expect: {ends_by:"
+        " max_steps}}\n"
+    )
     assert small(tests).code == 1
     assert small(tests, "-k", "rest").code == 0
     nothing = small(tests, "-k", "sleeps")
@@ -152,27 +167,44 @@ def test_k_selects_tests_by_a_part_of_their_names(small) -> None:
     assert "there is no test whose name contains 'sleeps' in small.yaml" in nothing.err
 
 
-def test_junit_has_a_suite_for_each_scenario_and_a_case_for_each_test(small, deepbots: Deepbots, tmp_path: Path) -> None:
-    tests = "  drives: {driver: onward, expect: {ends_by: back}}\n  rests: {driver: zero, expect: {ends_by: max_steps}}\n"
+def test_junit_has_a_suite_for_each_scenario_and_a_case_for_each_test(
+    small, deepbots: Deepbots, tmp_path: Path
+) -> None:
+    tests = (
+        "  drives: {driver: onward, expect: {ends_by: back}}\n  rests: {driver: zero, expect: {ends_by:"
+        " max_steps}}\n"
+    )
     assert small(tests, "--junit", "one.xml").code == 1
     suite = ElementTree.parse(tmp_path / "one.xml").getroot()
     assert (suite.tag, suite.attrib["tests"], suite.attrib["failures"]) == ("testsuite", "2", "1")
-    assert [(case.attrib["name"], case.find("failure") is None) for case in suite] == [("drives", False), ("rests", True)]
+    assert [(case.attrib["name"], case.find("failure") is None) for case in suite] == [
+        ("drives", False),
+        ("rests", True),
+    ]
 
-    (tmp_path / "broken.yaml").write_text("deepbots: 1\nextends: small.yaml\ntests: {one: {driver: nobody, expect: {mean_return: 1}}}\n")
+    (tmp_path / "broken.yaml").write_text(
+        "deepbots: 1\nextends: small.yaml\ntests: {one: {driver: nobody, expect: {mean_return: 1}}}\n"
+    )
     ran = deepbots("test", ".", "--engine", "exact", "--junit", "both.xml")
     assert ran.code == 1
     assert "there is no script `nobody`" in ran.err
     assert "1 passed, 1 failed, 1 scenario with errors" in ran.out
     suites = ElementTree.parse(tmp_path / "both.xml").getroot()
-    assert [suite.attrib["name"] for suite in suites] == ["deepbots test broken.yaml", "deepbots test small.yaml"]
+    assert [suite.attrib["name"] for suite in suites] == [
+        "deepbots test broken.yaml",
+        "deepbots test small.yaml",
+    ]
 
 
 def test_tests_change_neither_the_scenario_nor_one_that_extends_it(small, tmp_path: Path) -> None:
     small("  one: {driver: onward, expect: {ends_by: there, always: driven < 1 m}}\n")
     (tmp_path / "plain.yaml").write_text(WORLD)
-    (tmp_path / "other.yaml").write_text("deepbots: 1\nextends: small.yaml\nname: Other\nremove: [scripts.onward]\n")
-    tested, plain, other = (api.compile(api.load(tmp_path / name)) for name in ("small.yaml", "plain.yaml", "other.yaml"))
+    (tmp_path / "other.yaml").write_text(
+        "deepbots: 1\nextends: small.yaml\nname: Other\nremove: [scripts.onward]\n"
+    )
+    tested, plain, other = (
+        api.compile(api.load(tmp_path / name)) for name in ("small.yaml", "plain.yaml", "other.yaml")
+    )
     assert (tested.digest, tested.code, digest(tested.program)) == (plain.digest, plain.code, plain.digest)
     assert api.load(tmp_path / "small.yaml").tests
     assert api.load(tmp_path / "other.yaml").tests == ()
@@ -182,7 +214,12 @@ def test_tests_change_neither_the_scenario_nor_one_that_extends_it(small, tmp_pa
 def test_an_assignment_leaves_tests_out_except_of_a_test(small, deepbots: Deepbots) -> None:
     """`--set` may take away what a test names; `test --set` asks for the tests under this setting."""
     assert small("  one: {driver: onward, expect: {ends_by: there}}\n", "--set", "edge=40mm").code == 1
-    assert deepbots("try", "small.yaml", "--engine", "exact", "--set", "scripts={rest: {drive: 0}}", "--steps", "2").code == 0
+    assert (
+        deepbots(
+            "try", "small.yaml", "--engine", "exact", "--set", "scripts={rest: {drive: 0}}", "--steps", "2"
+        ).code
+        == 0
+    )
 
 
 def test_a_condition_holds_only_if_it_holds_for_every_copy(tmp_path: Path) -> None:

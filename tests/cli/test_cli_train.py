@@ -26,7 +26,7 @@ from deepbots_cli.cli.command import without_old_spelling
 from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.insight.diagnosis import causes_after
-from deepbots_cli.learning.run import RunRecord
+from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.verdict import run_verdict
 from tests.cli.conftest import Ran
 
@@ -58,11 +58,16 @@ def test_a_training_ends_with_a_verdict_and_what_to_do_next(trained, tmp_path):
     assert "\nnot solved: mean return " in trained.out
     assert "deepbots render mine -o mine.mp4" in trained.err
     assert "tensorboard --logdir mine" in trained.err
-    assert "`deepbots lint cartpole --exploits` looks for ways to earn this reward without doing the task\n" in trained.err
+    assert (
+        "`deepbots lint cartpole --exploits` looks for ways to earn this reward without doing the task\n"
+        in trained.err
+    )
     assert json.loads((tmp_path / "mine" / "run.json").read_text())["status"] == "finished"
 
 
-def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_it(deepbots, trained, tmp_path):
+def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_it(
+    deepbots, trained, tmp_path
+):
     """Nowhere was the step of the best model."""
     best = RunRecord.read(tmp_path / "mine").result.best_model
     assert 0 < best.steps <= 256
@@ -78,12 +83,24 @@ def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_i
 
 def test_a_solved_task_is_to_be_seen_and_used_and_not_trained_twice_as_long(deepbots):
     ran = deepbots(*TINY, "--run", "mine", "--set", "solved=mean_return >= 1 over 4 episodes")
-    assert ran.err.split("next:")[1].split("\n")[1:4] == ["  deepbots view mine", "  deepbots report mine", "  deepbots export mine"]
+    assert ran.err.split("next:")[1].split("\n")[1:4] == [
+        "  deepbots view mine",
+        "  deepbots report mine",
+        "  deepbots export mine",
+    ]
     assert "deepbots resume" not in ran.err
 
 
 def test_a_training_that_ends_unsolved_names_the_first_cause_and_one_command(deepbots, tmp_path, monkeypatch):
-    words = [*TINY, "-q", "--set", "solved=mean_return >= 150 over 4 episodes", "--set", "train.learning_rate=0.5", "--run"]
+    words = [
+        *TINY,
+        "-q",
+        "--set",
+        "solved=mean_return >= 150 over 4 episodes",
+        "--set",
+        "train.learning_rate=0.5",
+        "--run",
+    ]
     monkeypatch.setattr(sys, "argv", ["deepbots", *words, "mine"])
     ran = deepbots(*words, "mine")
     assert "most likely cause (" in ran.out
@@ -103,7 +120,17 @@ def test_a_training_that_ends_unsolved_names_the_first_cause_and_one_command(dee
 
 
 def test_a_training_that_ends_unsolved_without_a_cause_names_where_to_look(deepbots):
-    words = ("--set", "train.total_timesteps=400", "--set", "train.n_steps=50", "--set", "train.batch_size=50", "--run", "mine", "-q")
+    words = (
+        "--set",
+        "train.total_timesteps=400",
+        "--set",
+        "train.n_steps=50",
+        "--set",
+        "train.batch_size=50",
+        "--run",
+        "mine",
+        "-q",
+    )
     ran = deepbots("train", "cartpole", "--seed", "1", *words)
     assert "no cause found; `eval --details` shows from which starts the policy fails" in ran.out
     assert ran.err.split("next:\n")[1].splitlines()[0] == "  deepbots eval mine --details"
@@ -115,7 +142,10 @@ def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tm
     assert "deepbots render 'my läufe/a b' -o 'a b.mp4'" in ran.err
     assert "deepbots resume 'my läufe/a b'" in ran.err
     assert "--logdir 'my läufe/a b/tensorboard'" in ran.err
-    assert "deepbots lint 'to change/cartpole.yaml'" in deepbots("new", "cartpole", "to change", "--from", "cartpole").err
+    assert (
+        "deepbots lint 'to change/cartpole.yaml'"
+        in deepbots("new", "cartpole", "to change", "--from", "cartpole").err
+    )
     assert "cd 'to edit' &&" in deepbots("compile", "cartpole", "--project", "to edit").err
 
 
@@ -138,7 +168,9 @@ def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(tr
             assert answer.status == 200
 
 
-def test_the_page_of_a_training_does_not_run_a_typer_py_of_the_working_directory(tmp_path, monkeypatch, capfd):
+def test_the_page_of_a_training_does_not_run_a_typer_py_of_the_working_directory(
+    tmp_path, monkeypatch, capfd
+):
     pytest.importorskip("viser")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "typer.py").write_text("open(__file__ + '.ran', 'w').close()\n")
@@ -176,18 +208,31 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
 
 def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
     there = "there: {set: {termination.success: {there: x > 0.3 m}}, episodes: 2}"
-    cases = f"evaluation={{episodes: 4, cases: {{steep: {{set: {{fall_angle: 5 deg}}, episodes: 3}}, {there}}}}}"
-    ran = deepbots("train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--set", cases, "--run", "mine", "--quiet")
+    cases = (
+        f"evaluation={{episodes: 4, cases: {{steep: {{set: {{fall_angle: 5 deg}}, episodes: 3}}, {there}}}}}"
+    )
+    ran = deepbots(
+        "train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--set", cases, "--run", "mine", "--quiet"
+    )
     assert ran.code == 0, ran.err
-    rates = {line.split()[0]: "%" in line for line in ran.out.split("cases")[1].splitlines() if line.split()[:1] in (["steep"], ["there"])}
+    rates = {
+        line.split()[0]: "%" in line
+        for line in ran.out.split("cases")[1].splitlines()
+        if line.split()[:1] in (["steep"], ["there"])
+    }
     assert rates == {"steep": False, "there": True}  # a success rate only where there is a success
     shown = json.loads(deepbots("eval", "mine", "--json").out)
     assert (shown["case"], shown["episodes"]) == (None, 4)
     assert [(case["case"], case["episodes"]) for case in shown["cases"]] == [("steep", 3), ("there", 2)]
     assert shown["cases"][0]["mean_return"] < shown["mean_return"]
     assert json.loads(deepbots("eval", "mine", "--case", "steep", "--json").out)["cases"] == []
-    assert deepbots("eval", "mine", "--case", "flat").err == "error: CartPole has no case 'flat'; there are: steep, there\n"
-    ran = json.loads(deepbots("try", "cartpole", "--set", cases, "--case", "steep", "--driver", "forward", "--json").out)
+    assert (
+        deepbots("eval", "mine", "--case", "flat").err
+        == "error: CartPole has no case 'flat'; there are: steep, there\n"
+    )
+    ran = json.loads(
+        deepbots("try", "cartpole", "--set", cases, "--case", "steep", "--driver", "forward", "--json").out
+    )
     assert all(episode["length"] < 15 for episode in ran["episodes"])
 
 
@@ -200,7 +245,9 @@ def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     assert (ran.code, "met: mean return of at least 1 (" in ran.err) == (0, True)
     found = json.loads(ran.out)
     assert found["episodes"] == 1, "no return is below 1"
-    assert (found["success_rate"], found["success_interval"]) == (None, None), "the scenario defines no success"
+    assert (found["success_rate"], found["success_interval"]) == (None, None), (
+        "the scenario defines no success"
+    )
     refused = deepbots("eval", "mine", "--min-success", "90%")
     assert (refused.code, "CartPole defines no success; use --min-return" in refused.err) == (2, True)
     assert "write" not in deepbots("eval", "mine", "--min-success", "101%").err
@@ -220,13 +267,17 @@ def test_a_model_of_a_run_is_evaluated_by_its_path(deepbots, trained):
     refused = deepbots("eval", "mine/models/agent/last.zip", "--last")
     assert (refused.code, refused.err) == (
         2,
-        "error: --last chooses a model of a run, but mine/models/agent/last.zip is already a model; leave it out\n",
+        "error: --last chooses a model of a run, but mine/models/agent/last.zip is already a model; leave it"
+        " out\n",
     )
 
 
 def test_a_run_that_is_named_without_its_folder_is_found_in_the_message(deepbots, tmp_path):
     (tmp_path / "runs" / "first").mkdir(parents=True)
-    assert deepbots("eval", "first").err == "error: no file, folder or shipped scenario is called 'first'; did you mean runs/first?\n"
+    assert (
+        deepbots("eval", "first").err
+        == "error: no file, folder or shipped scenario is called 'first'; did you mean runs/first?\n"
+    )
 
 
 def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, trained):
@@ -246,43 +297,94 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
 def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbots, tmp_path):
     never = "termination.success={balanced: time > 1 h}"
     assert deepbots(*TINY, "--run", "mine", "--set", never).code == 0
-    ran = deepbots("eval", "mine", "--episodes", "100", "--min-success", "95%", "--json", "--junit", "gate.xml", "--csv", "episodes.csv")
+    ran = deepbots(
+        "eval",
+        "mine",
+        "--episodes",
+        "100",
+        "--min-success",
+        "95%",
+        "--json",
+        "--junit",
+        "gate.xml",
+        "--csv",
+        "episodes.csv",
+    )
     found = json.loads(ran.out)
     assert ran.code == 1
     assert found["episodes"] < 30
-    assert f"not met: success rate of at least 0.95 (0 of {found['episodes']} episodes succeed; 95 % confidence sequence" in ran.err
+    assert (
+        f"not met: success rate of at least 0.95 (0 of {found['episodes']} episodes succeed; 95 % confidence"
+        " sequence" in ran.err
+    )
     suite = ElementTree.parse(tmp_path / "gate.xml").getroot()
     assert (suite.get("tests"), suite.get("failures")) == ("1", "1")
     assert suite.find("testcase").get("name") == "success rate of at least 0.95"
     with (tmp_path / "episodes.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [float(row["return"]) for row in rows] == [episode["total_return"] for episode in found["outcomes"]]
+    assert [float(row["return"]) for row in rows] == [
+        episode["total_return"] for episode in found["outcomes"]
+    ]
     assert [float(row["drawn.reset.joints.cart.pole_hinge"]) for row in rows] == [
         episode["drawn"]["reset.joints.cart.pole_hinge"] for episode in found["outcomes"]
     ]
 
 
 def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
-    ran = deepbots("train", "cartpole", "--seeds", "0,2", "--timesteps", "300", *FAST[2:], "--set", "evaluation={episodes: 2}", "--json")
+    ran = deepbots(
+        "train",
+        "cartpole",
+        "--seeds",
+        "0,2",
+        "--timesteps",
+        "300",
+        *FAST[2:],
+        "--set",
+        "evaluation={episodes: 2}",
+        "--json",
+    )
     assert ran.code == 0, ran.err
     found = json.loads(ran.out)
     assert "seed 2, 2 of 2" in ran.err
-    assert [one["run"] for one in found["training"]["trained"]] == [f"runs/cartpole-seeds-1/seed-{seed}" for seed in (0, 2)]
+    assert [one["run"] for one in found["training"]["trained"]] == [
+        f"runs/cartpole-seeds-1/seed-{seed}" for seed in (0, 2)
+    ]
     assert len(found["evaluation"]["runs"]) == 2
     (row,) = json.loads(deepbots("runs", "--scenario", "cartpole", "--json").out)
-    assert (row["name"], row["state"], row["seeds"], row["score"]) == ("cartpole-seeds-1", "finished", [0, 2], "evaluation")
+    assert (row["name"], row["state"], row["seeds"], row["score"]) == (
+        "cartpole-seeds-1",
+        "finished",
+        [0, 2],
+        "evaluation",
+    )
     assert row["mean_return"] == found["evaluation"]["mean_return"]
-    assert [one["name"] for one in json.loads(deepbots("runs", "runs/cartpole-seeds-1", "--json").out)] == ["seed-0", "seed-2"]
-    assert deepbots("runs", "--live").err == "no run in runs matches these options; leave them out to list all runs\n"
+    assert [one["name"] for one in json.loads(deepbots("runs", "runs/cartpole-seeds-1", "--json").out)] == [
+        "seed-0",
+        "seed-2",
+    ]
+    assert (
+        deepbots("runs", "--live").err
+        == "no run in runs matches these options; leave them out to list all runs\n"
+    )
     group = "runs/cartpole-seeds-1"
     assert deepbots("eval", group, "--episodes", "2", "--min-return", "1000").code == 1
     if find_spec("pybullet"):
-        found = json.loads(deepbots("eval", group, "--episodes", "2", "--engine", "pybullet,mujoco", "--json").out)
-        assert [[run["engine"] for run in one["runs"]] for one in found["groups"]] == [["pybullet"] * 2, ["mujoco"] * 2]
+        found = json.loads(
+            deepbots("eval", group, "--episodes", "2", "--engine", "pybullet,mujoco", "--json").out
+        )
+        assert [[run["engine"] for run in one["runs"]] for one in found["groups"]] == [
+            ["pybullet"] * 2,
+            ["mujoco"] * 2,
+        ]
         before, after = ([run["mean_return"] for run in one["runs"]] for one in found["groups"])
-        assert found["differences"][0]["mean_return"]["mean"] == pytest.approx(sum(after) / 2 - sum(before) / 2)
+        assert found["differences"][0]["mean_return"]["mean"] == pytest.approx(
+            sum(after) / 2 - sum(before) / 2
+        )
     refused = deepbots("eval", group, "--baselines")
-    assert (refused.code, "name one of its runs, such as runs/cartpole-seeds-1/seed-0" in refused.err) == (2, True)
+    assert (refused.code, "name one of its runs, such as runs/cartpole-seeds-1/seed-0" in refused.err) == (
+        2,
+        True,
+    )
     shutil.copytree(group, "runs/other")
     ran = deepbots("compare", group, "runs/other", "--episodes", "2")
     assert "other: no significant difference from cartpole-seeds-1" in ran.out
@@ -297,7 +399,10 @@ def test_a_damaged_run_and_one_of_a_newer_version_are_told_in_one_sentence(deepb
     record = json.loads((tmp_path / "mine" / "run.json").read_text())
     for changed, said in (
         (json.dumps(record | {"format": record["format"] + 1}), "written by a newer version of deepbots"),
-        (json.dumps(record | {"seed": "zero"}), "mine/run.json is damaged: 'seed': Input should be a valid integer"),
+        (
+            json.dumps(record | {"seed": "zero"}),
+            "mine/run.json is damaged: 'seed': Input should be a valid integer",
+        ),
         ("", "mine/run.json is damaged: it is not valid JSON"),
     ):
         (tmp_path / "mine" / "run.json").write_text(changed)
@@ -325,7 +430,10 @@ def test_an_evaluation_elsewhere_says_where_and_whether_that_is_another_world(de
         "cartpole.yaml, with the same episodes as the training\n"
         in deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--episodes", "1").out
     )
-    assert "wider.yaml, different from the training\n" in deepbots("eval", "mine", "--scenario", "wider.yaml", "--episodes", "1").out
+    assert (
+        "wider.yaml, different from the training\n"
+        in deepbots("eval", "mine", "--scenario", "wider.yaml", "--episodes", "1").out
+    )
     assert "of the training" not in deepbots("eval", "mine", "--episodes", "1").out
 
 
@@ -335,10 +443,15 @@ def test_a_run_is_evaluated_under_other_settings(deepbots, trained):
     assert (sharp["set"], usual["set"]) == (["fall_angle=3 deg"], [])
     assert sharp["episodes"] == usual["episodes"] == 4  # as --set said when it was trained
     assert sharp["mean_length"] < usual["mean_length"]
-    assert "of the run --set 'fall_angle=3 deg', different from the training" in deepbots("eval", "mine", "--set", "fall_angle=3 deg").out
+    assert (
+        "of the run --set 'fall_angle=3 deg', different from the training"
+        in deepbots("eval", "mine", "--set", "fall_angle=3 deg").out
+    )
 
 
-def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_format(deepbots, trained, tmp_path):
+def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_format(
+    deepbots, trained, tmp_path
+):
     changed = ("--set", "solved=mean_return >= 1 over 4 episodes", "--min-return", "0")
     ran = deepbots("eval", "mine", *changed, "--require-solved", "--junit", "gate.xml", "--csv", "gate.csv")
     remarks = "(--set 'solved=mean_return >= 1 over 4 episodes')"
@@ -351,12 +464,31 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
         f"mean return of at least 0 {remarks}",
     ]
     named = {entry.get("name"): entry.get("value") for entry in suite.iter("property")}
-    assert (named["run"], named["scenario"], named["set"]) == ("mine", "CartPole", "solved=mean_return >= 1 over 4 episodes")
+    assert (named["run"], named["scenario"], named["set"]) == (
+        "mine",
+        "CartPole",
+        "solved=mean_return >= 1 over 4 episodes",
+    )
     with (tmp_path / "gate.csv").open(newline="") as stream:
         row = next(csv.DictReader(stream))
-    assert (row["run"], row["set"], row["remarks"]) == ("mine", "solved=mean_return >= 1 over 4 episodes", remarks[1:-1])
+    assert (row["run"], row["set"], row["remarks"]) == (
+        "mine",
+        "solved=mean_return >= 1 over 4 episodes",
+        remarks[1:-1],
+    )
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
-    deepbots("eval", "mine", "--scenario", "cartpole.yaml", "--min-return", "0", "--episodes", "3", "--junit", "other.xml")
+    deepbots(
+        "eval",
+        "mine",
+        "--scenario",
+        "cartpole.yaml",
+        "--min-return",
+        "0",
+        "--episodes",
+        "3",
+        "--junit",
+        "other.xml",
+    )
     suite = ElementTree.parse(tmp_path / "other.xml").getroot()
     assert suite.find("testcase").get("name") == "mean return of at least 0 (scenario cartpole.yaml)"
     assert json.loads(deepbots("runs", ".", "--json").out)[0]["solved"] is not True
@@ -370,7 +502,9 @@ def test_an_evaluation_of_too_few_episodes_names_the_number_that_solved_needs(de
 
 
 def test_an_evaluation_has_as_many_episodes_as_solved_asks_for(deepbots, trained):
-    more = json.loads(deepbots("eval", "mine", "--set", "solved=mean_return >= 1 over 6 episodes", "--json").out)
+    more = json.loads(
+        deepbots("eval", "mine", "--set", "solved=mean_return >= 1 over 6 episodes", "--json").out
+    )
     assert (more["episodes"], more["solved"]) == (6, True)
 
 
@@ -384,9 +518,14 @@ def test_a_requirement_is_judged_by_as_many_episodes_as_solved_asks_for(deepbots
     assert (ran.code, "not met: mean return of at least" in ran.err) == (1, True)
 
 
-def test_a_requirement_that_the_scenario_does_not_define_names_those_that_it_does(deepbots, trained, tmp_path):
+def test_a_requirement_that_the_scenario_does_not_define_names_those_that_it_does(
+    deepbots, trained, tmp_path
+):
     ran = deepbots("eval", "mine", "--min-success", "0.5")
-    assert (ran.code, "CartPole defines no success; use --min-return or --require-solved, or add" in ran.err) == (2, True)
+    assert (
+        ran.code,
+        "CartPole defines no success; use --min-return or --require-solved, or add" in ran.err,
+    ) == (2, True)
     kept = tmp_path / "mine" / "resolved.yaml"
     kept.write_text(re.sub(r"(?m)^solved:.*\n", "", kept.read_text()))
     ran = deepbots("eval", "mine", "--min-success", "0.5")
@@ -397,7 +536,14 @@ def test_a_requirement_that_the_scenario_does_not_define_names_those_that_it_doe
 
 def test_a_training_whose_evaluation_fails_is_solved_nowhere(deepbots, trained, tmp_path):
     record = json.loads((tmp_path / "mine" / "run.json").read_text())
-    at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}
+    at = {
+        "episode": 3,
+        "steps": 90,
+        "simulated_hours": 0.1,
+        "cpu_seconds": 1.0,
+        "mean_return": 200.0,
+        "success_rate": 0.0,
+    }
     record["result"]["solved_at"] = at
     (tmp_path / "mine" / "run.json").write_text(json.dumps(record))
     kept = tmp_path / "mine" / "evaluations" / "0001.json"
@@ -430,7 +576,8 @@ def test_engines_are_compared_from_the_same_starts(deepbots, trained):
 def test_settings_of_an_evaluation_apply_to_the_scenario_that_it_names(deepbots, trained):
     elsewhere = ("--scenario", "cartpole", "--episodes", "2", "--json")
     lengths = [
-        json.loads(deepbots("eval", "mine", *elsewhere, *overrides).out)["mean_length"] for overrides in ((), ("--set", "fall_angle=3 deg"))
+        json.loads(deepbots("eval", "mine", *elsewhere, *overrides).out)["mean_length"]
+        for overrides in ((), ("--set", "fall_angle=3 deg"))
     ]
     assert lengths[1] < lengths[0]
 
@@ -461,7 +608,13 @@ def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots
 
 @pytest.mark.parametrize(
     ("teacher", "shown"),
-    [("by_hand", "by_hand"), ("{script: by_hand, share: 0.2}", "by_hand"), ("null", None), ("[by_hand]", None), ("{share: 0.2}", None)],
+    [
+        ("by_hand", "by_hand"),
+        ("{script: by_hand, share: 0.2}", "by_hand"),
+        ("null", None),
+        ("[by_hand]", None),
+        ("{share: 0.2}", None),
+    ],
 )
 def test_the_list_names_the_script_that_teaches(deepbots, trained, tmp_path, teacher, shown):
     kept = tmp_path / "mine" / "resolved.yaml"
@@ -470,16 +623,22 @@ def test_the_list_names_the_script_that_teaches(deepbots, trained, tmp_path, tea
     assert ("  teacher  " in deepbots("runs", ".").out) == (shown is not None)
 
 
-def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_be_pasted(deepbots, trained, tmp_path):
+def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_be_pasted(
+    deepbots, trained, tmp_path
+):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     text = (tmp_path / "cartpole.yaml").read_text()
-    (tmp_path / "my cart.yaml").write_text(text.replace("termination:", "signals: {spare: abs(x)}\n\ntermination:"))
+    (tmp_path / "my cart.yaml").write_text(
+        text.replace("termination:", "signals: {spare: abs(x)}\n\ntermination:")
+    )
     ran = deepbots("eval", "mine", "--scenario", "my cart.yaml", "--episodes", "1")
     assert ran.code == 0
     assert "1 warning; see: deepbots lint 'my cart.yaml'" in ran.err
 
 
-@pytest.mark.parametrize("words", [["cartpole"], ["--seed", "1"], ["--set", "a=1"], ["--run", "x"], ["--engine", "exact"]])
+@pytest.mark.parametrize(
+    "words", [["cartpole"], ["--seed", "1"], ["--set", "a=1"], ["--run", "x"], ["--engine", "exact"]]
+)
 def test_a_resumed_run_takes_no_other_scenario(deepbots, words):
     ran = deepbots("resume", "mine", *words)
     assert ran.code == 2
@@ -501,13 +660,25 @@ def read_until_closed(terminal: int) -> bytes:
 
 @pytest.fixture(scope="module")
 def interrupted(tmp_path_factory):
-    """A folder with a run, `mine`, that Ctrl-C ended after its first checkpoint, and what it printed; standard error is a terminal.
+    """A folder with a run, `mine`, that Ctrl-C ended after its first checkpoint, and what it printed;
+    standard error is a terminal.
 
     It is a process, whose start alone takes 4 s of CPU.
     """
     folder = tmp_path_factory.mktemp("interrupted")
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "deepbots_cli", "train", "cartpole", "--full", "--timesteps", "10000000", "--run", "mine"]
+    command = [
+        sys.executable,
+        "-m",
+        "deepbots_cli",
+        "train",
+        "cartpole",
+        "--full",
+        "--timesteps",
+        "10000000",
+        "--run",
+        "mine",
+    ]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=theirs, text=True)
     os.close(theirs)
     pieces: list[bytes] = []
@@ -535,11 +706,14 @@ def test_a_terminal_gets_a_progress_bar_and_stdout_stays_clean(interrupted):
 @pytest.mark.slow
 def test_a_terminated_evaluation_ends_like_ctrl_c(trained, tmp_path):
     command = [sys.executable, "-m", "deepbots_cli", "eval", "mine", "--episodes", "100000"]
-    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     time.sleep(6.0)
     process.terminate()
     _, err = process.communicate(timeout=60)
-    # An interrupt that passes through exec(), as while torch is imported, makes CPython end itself by SIGINT; a shell reports 130 for both.
+    # An interrupt that passes through exec(), as while torch is imported, makes CPython end itself by SIGINT;
+    # a shell reports 130 for both.
     assert process.returncode in (130, -signal.SIGINT)
     assert err.strip() == "interrupted"
 

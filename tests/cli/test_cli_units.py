@@ -57,7 +57,9 @@ def test_a_yaw_that_is_any_is_shown_in_degrees_and_not_from_minus_3_12_to_minus_
     compiled = api.compile(walker)
     labels = draw_labels(compiled.program, compiled.units)
     yaws = np.linspace(-3.12, 3.12, 200)
-    done = [Episode(0.0, 1, bool(yaw > 0.0), None, drawn={"reset.place.cart.yaw": float(yaw)}) for yaw in yaws]
+    done = [
+        Episode(0.0, 1, bool(yaw > 0.0), None, drawn={"reset.place.cart.yaw": float(yaw)}) for yaw in yaws
+    ]
     (value,) = by_drawn_value(done, labels).effective
     assert value.label.range_text(value.parts[0]).startswith("-178.8 .. -")
     assert value.label.range_text(value.parts[0]).endswith(" deg")

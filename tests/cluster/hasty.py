@@ -1,4 +1,5 @@
-"""Trainings that take a checkpoint several times a second, so that short ones have some; as a program, the commands of deepbots.
+"""Trainings that take a checkpoint several times a second, so that short ones have some; as a program, the
+commands of deepbots.
 
 The result of a training does not depend on its checkpoints.
 """
@@ -29,7 +30,9 @@ def call(function: Callable[[Any, Attempt], Any], item: Any, attempt: Attempt) -
 class HastyCluster(Cluster):
     """A cluster whose workers hurry."""
 
-    def map(self, function: Callable[[Any, Attempt], Any], items: Iterable[Any], **options: Any) -> Generator[Any | DeepbotsError | None]:
+    def map(
+        self, function: Callable[[Any, Attempt], Any], items: Iterable[Any], **options: Any
+    ) -> Generator[Any | DeepbotsError | None]:
         return super().map(partial(call, function), items, **options)
 
 

@@ -19,7 +19,9 @@ def cluster_of_nodes(head_cpus: int = 0) -> Iterator[Any]:
     folder = tempfile.mkdtemp(prefix="nodes-", dir="/tmp")  # sockets need a short path
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("RAY_TMPDIR", folder)
-        found = Nodes(initialize_head=True, head_node_args={"num_cpus": head_cpus, "object_store_memory": 150 << 20})
+        found = Nodes(
+            initialize_head=True, head_node_args={"num_cpus": head_cpus, "object_store_memory": 150 << 20}
+        )
         try:
             yield found
         finally:

@@ -1,4 +1,5 @@
-"""What both kinds of workers do: processes of this machine, and the workers of a Ray cluster. What only the former do is below."""
+"""What both kinds of workers do: processes of this machine, and the workers of a Ray cluster. What only the
+former do is below."""
 
 from __future__ import annotations
 
@@ -44,9 +45,13 @@ def test_a_worker_with_another_version_or_without_a_file_is_refused(
     file.write_text("{}")
     unseen = either.map(square, range(2), files=[file])
     file.write_text("{ }")
-    with pytest.raises(UsageError, match=r"the worker on .* does not see .*group\.json; use a folder that all nodes share"):
+    with pytest.raises(
+        UsageError, match=r"the worker on .* does not see .*group\.json; use a folder that all nodes share"
+    ):
         list(unseen)
-    monkeypatch.setattr("deepbots_cli.__version__", "99.0")  # here, so this process believes in another version
+    monkeypatch.setattr(
+        "deepbots_cli.__version__", "99.0"
+    )  # here, so this process believes in another version
     with pytest.raises(UsageError, match=r"the worker on .* has deepbots .*, but this process has 99\.0"):
         list(either.map(square, range(2)))
 
@@ -61,9 +66,13 @@ def test_a_lost_call_is_repeated_up_to_three_times(either: Cluster) -> None:
 
 
 @pytest.mark.slow
-def test_workers_give_the_same_as_this_process_also_after_one_was_lost(either: Cluster, tmp_path: Path) -> None:
+def test_workers_give_the_same_as_this_process_also_after_one_was_lost(
+    either: Cluster, tmp_path: Path
+) -> None:
     kill = At(400, lambda: os.kill(workers()[0], signal.SIGKILL))
-    assert trained("PPO", tmp_path / "workers", either, progress=kill) == trained("PPO", tmp_path / "here", SERIAL)
+    assert trained("PPO", tmp_path / "workers", either, progress=kill) == trained(
+        "PPO", tmp_path / "here", SERIAL
+    )
     assert any("was lost; its shards continue" in note for note in kill.notes)
     assert (tmp_path / "workers" / "workers" / "0.log").is_file()
     assert not workers()  # they end with the training
@@ -136,7 +145,9 @@ def test_workers_have_our_priority(cluster: Cluster) -> None:
     assert list(cluster.map(priority, [0])) == [os.nice(0)]
 
 
-def test_more_workers_than_cores_are_noted(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_more_workers_than_cores_are_noted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(processes, "available_cores", lambda: 1)
     with processes.executor(2, None) as executor:
         assert executor.workers == 2
@@ -148,7 +159,9 @@ def test_a_killed_worker_is_replaced_and_its_training_has_the_same_weights(
 ) -> None:
     compiled = api.compile("cartpole", overrides=["train.n_steps=64"])
     killed = act_at(monkeypatch, 100, 1, lambda: os.kill(workers()[0], signal.SIGKILL))
-    found = train_group(compiled, (0, 1), group=tmp_path / "killed", total_timesteps=600, progress=True, executor=cluster)
+    found = train_group(
+        compiled, (0, 1), group=tmp_path / "killed", total_timesteps=600, progress=True, executor=cluster
+    )
     train_group(compiled, (0, 1), group=tmp_path / "here", total_timesteps=600)
     assert len(killed) == 1
     assert not found.failed

@@ -14,10 +14,14 @@ EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 
 
 def test_the_file_for_slurm_has_no_mistakes_of_the_shell() -> None:
-    shellcheck = shutil.which("shellcheck", path=str(Path(sys.executable).parent)) or shutil.which("shellcheck")
+    shellcheck = shutil.which("shellcheck", path=str(Path(sys.executable).parent)) or shutil.which(
+        "shellcheck"
+    )
     if shellcheck is None:
         pytest.skip("shellcheck is not installed")
-    done = subprocess.run([shellcheck, EXAMPLES / "slurm.sbatch"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [shellcheck, EXAMPLES / "slurm.sbatch"], capture_output=True, text=True, check=False
+    )
     assert done.stdout == ""
 
 

@@ -1,4 +1,5 @@
-"""Several trainings, evaluations and tests on workers: the same results as one after the other, also after workers were lost."""
+"""Several trainings, evaluations and tests on workers: the same results as one after the other, also after
+workers were lost."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning import evaluate, evaluate_group, resume_group, scaling, train_group
 from deepbots_cli.learning.executor import SERIAL
 from deepbots_cli.learning.group import GroupTraining
-from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress, to_json
-from deepbots_cli.learning.run import TrainingResult
+from deepbots_cli.learning.records import TrainingResult
+from deepbots_cli.learning.report import GroupProgressReporter, TrainingProgress
 
 SEEDS = (0, 1, 2)
 
@@ -42,10 +43,14 @@ def outcomes(group: Path) -> list[Any]:
 @pytest.mark.slow
 def test_trainings_on_workers_give_the_same(cluster: Cluster, scenario: Compiled, tmp_path: Path) -> None:
     train_group(scenario, SEEDS[:2], group=tmp_path / "here", total_timesteps=800)
-    found = train_group(scenario, SEEDS[:2], group=tmp_path / "workers", total_timesteps=800, executor=cluster)
+    found = train_group(
+        scenario, SEEDS[:2], group=tmp_path / "workers", total_timesteps=800, executor=cluster
+    )
     assert [result.run.name for result in found.trained] == ["seed-0", "seed-1"]
     assert outcomes(tmp_path / "workers") == outcomes(tmp_path / "here")
-    assert sorted(path.name for path in (tmp_path / "workers").iterdir()) == sorted(path.name for path in (tmp_path / "here").iterdir())
+    assert sorted(path.name for path in (tmp_path / "workers").iterdir()) == sorted(
+        path.name for path in (tmp_path / "here").iterdir()
+    )
 
 
 def test_every_error_passes_from_a_worker_to_this_process() -> None:
@@ -61,14 +66,20 @@ def test_every_error_passes_from_a_worker_to_this_process() -> None:
         assert (type(found), found.full_message) == (kind, "what is wrong\nwhat to do")
 
 
-def act_at(monkeypatch: pytest.MonkeyPatch, steps: int, times: int, act: Callable[[], object]) -> list[object]:
+def act_at(
+    monkeypatch: pytest.MonkeyPatch, steps: int, times: int, act: Callable[[], object]
+) -> list[object]:
     """Each time a training has come so many steps further, `act` is called; the list of what it returned."""
     done: list[object] = []
     reported = GroupProgressReporter.on_report
 
     def on_report(self: GroupProgressReporter, item: int, value: object) -> None:
         reported(self, item, value)
-        if isinstance(value, TrainingProgress) and value.steps > (1 + len(done)) * steps and len(done) < times:
+        if (
+            isinstance(value, TrainingProgress)
+            and value.steps > (1 + len(done)) * steps
+            and len(done) < times
+        ):
             done.append(act())
 
     monkeypatch.setattr(GroupProgressReporter, "on_report", on_report)
@@ -82,10 +93,16 @@ def trained_here(scenario: Compiled, tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.mark.slow
 def test_trainings_whose_workers_were_killed_give_the_same(
-    cluster: Cluster, scenario: Compiled, trained_here: GroupTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cluster: Cluster,
+    scenario: Compiled,
+    trained_here: GroupTraining,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     killed = act_at(monkeypatch, 1_000, 4, lambda: os.kill(workers()[0], signal.SIGKILL))
-    found = train_group(scenario, SEEDS, group=tmp_path / "killed", total_timesteps=6_000, progress=True, executor=cluster)
+    found = train_group(
+        scenario, SEEDS, group=tmp_path / "killed", total_timesteps=6_000, progress=True, executor=cluster
+    )
     assert len(killed) == 4
     assert not found.failed
     assert outcomes(tmp_path / "killed") == outcomes(trained_here.group)
@@ -101,7 +118,9 @@ def test_ctrl_c_stops_all_trainings_after_their_rollouts(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     asked = act_at(monkeypatch, 1_000, 1, lambda: os.kill(os.getpid(), signal.SIGINT))
-    stopped = train_group(scenario, SEEDS, group=tmp_path / "stopped", total_timesteps=6_000, progress=True, executor=cluster)
+    stopped = train_group(
+        scenario, SEEDS, group=tmp_path / "stopped", total_timesteps=6_000, progress=True, executor=cluster
+    )
     assert len(asked) == 1
     assert {result.status for result in stopped.trained} == {"interrupted"}
     assert stopped.waiting == SEEDS
@@ -111,13 +130,17 @@ def test_ctrl_c_stops_all_trainings_after_their_rollouts(
 
 
 @pytest.mark.slow
-def test_a_second_ctrl_c_ends_them_at_once(cluster: Cluster, scenario: Compiled, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_ctrl_c_ends_them_at_once(
+    cluster: Cluster, scenario: Compiled, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def twice() -> None:
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
 
     act_at(monkeypatch, 200, 1, twice)
-    stopped = train_group(scenario, SEEDS, group=tmp_path / "group", total_timesteps=600_000, progress=True, executor=cluster)
+    stopped = train_group(
+        scenario, SEEDS, group=tmp_path / "group", total_timesteps=600_000, progress=True, executor=cluster
+    )
     assert (stopped.trained, stopped.waiting) == ((), SEEDS)
     deadline = time.monotonic() + 20
     while workers() and time.monotonic() < deadline:
@@ -126,13 +149,18 @@ def test_a_second_ctrl_c_ends_them_at_once(cluster: Cluster, scenario: Compiled,
 
 
 @pytest.mark.slow
-def test_evaluations_on_workers_are_the_same_and_stop_at_the_same_episode(cluster: Cluster, trained_here: GroupTraining) -> None:
+def test_evaluations_on_workers_are_the_same_and_stop_at_the_same_episode(
+    cluster: Cluster, trained_here: GroupTraining
+) -> None:
     for until, episodes in ((None, [6, 6, 6]), (lambda done: len(done) >= 8, [6, 2])):
         here, workers = (
-            evaluate_group(trained_here.group, episodes=6, until=until, executor=executor).evaluations for executor in (SERIAL, cluster)
+            evaluate_group(trained_here.group, episodes=6, until=until, executor=executor).evaluations
+            for executor in (SERIAL, cluster)
         )
         assert [result.episodes for result in workers] == episodes
-        assert [to_json(each) for each in workers] == [to_json(each) for each in here]
+        assert [each.model_dump(mode="json") for each in workers] == [
+            each.model_dump(mode="json") for each in here
+        ]
 
 
 @pytest.mark.slow
@@ -142,15 +170,21 @@ def test_the_episodes_of_an_evaluation_on_workers_are_the_same(
 ) -> None:
     run, shown = trained_here.group / "seed-0", [0]
     here = evaluate(run, episodes=21, **options)
-    workers = evaluate(run, episodes=21, executor=cluster, on_episode=lambda done, of: shown.append(done), **options)
-    assert to_json(workers) == to_json(here)
+    workers = evaluate(
+        run, episodes=21, executor=cluster, on_episode=lambda done, of: shown.append(done), **options
+    )
+    assert workers.model_dump(mode="json") == here.model_dump(mode="json")
     assert shown == sorted(set(shown))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["eval", "eval run", "compare", "robustness", "test"])
 def test_commands_print_the_same_with_workers(
-    command: str, trained_here: GroupTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    command: str,
+    trained_here: GroupTraining,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     group = str(trained_here.group)
@@ -172,18 +206,38 @@ def test_commands_print_the_same_with_workers(
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["train", "cartpole", "--seeds", "3", "--workers", "2"], "--workers has nothing to divide, since there is one seed"),
-        (["test", "cartpole", "--cluster", "auto"], "--cluster has nothing to divide, since there is one scenario"),
-        (["train", "cartpole", "--shards", "auto", "--seeds", "0..2"], "--shards auto measures a single training"),
+        (
+            ["train", "cartpole", "--seeds", "3", "--workers", "2"],
+            "--workers has nothing to divide, since there is one seed",
+        ),
+        (
+            ["test", "cartpole", "--cluster", "auto"],
+            "--cluster has nothing to divide, since there is one scenario",
+        ),
+        (
+            ["train", "cartpole", "--shards", "auto", "--seeds", "0..2"],
+            "--shards auto measures a single training",
+        ),
         (["train", "cartpole", "--workers", "0"], "--workers 0 starts no process; write --workers 1 or more"),
-        (["test", "cartpole", "--workers", "-3"], "--workers -3 starts no process; write --workers 1 or more"),
+        (
+            ["test", "cartpole", "--workers", "-3"],
+            "--workers -3 starts no process; write --workers 1 or more",
+        ),
         (["bench", "cartpole", "--workers", "2"], "--workers and --cluster need --shards"),
         (["bench", "cartpole", "--shards", "1,2", "--quick"], "--shards and --quick cannot be combined"),
-        (["bench", "cartpole", "--shards", "1,x"], "--shards 1,x is not a list of whole numbers from 1, such as 1,2,4"),
-        (["test", "cartpole", "find_ball", "--workers", "2", "--cluster", "auto"], "--workers and --cluster cannot be combined"),
+        (
+            ["bench", "cartpole", "--shards", "1,x"],
+            "--shards 1,x is not a list of whole numbers from 1, such as 1,2,4",
+        ),
+        (
+            ["test", "cartpole", "find_ball", "--workers", "2", "--cluster", "auto"],
+            "--workers and --cluster cannot be combined",
+        ),
     ],
 )
-def test_workers_and_shards_that_make_no_sense_are_refused(arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_workers_and_shards_that_make_no_sense_are_refused(
+    arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(arguments) == 2
     assert reason in capsys.readouterr().err
 
@@ -248,10 +302,15 @@ def test_a_training_that_measures_its_shards_first_is_one_with_this_number(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(scaling, "SECONDS", 0.2)
-    monkeypatch.setattr(scaling, "MIN_GAIN", 0.0)  # so that two shards may be chosen for CartPole, which gains nothing by them
+    monkeypatch.setattr(
+        scaling, "MIN_GAIN", 0.0
+    )  # so that two shards may be chosen for CartPole, which gains nothing by them
     command = ["train", "cartpole", "--set", "train.n_steps=64", "--timesteps", "1200", "--json", "--run"]
     assert main([*command, str(tmp_path / "auto"), "--shards", "auto", "--workers", "2"]) == 0
-    chosen = re.search(r"measured: 1 shard .* steps/s, 2 shards .* steps/s; the training has (\d) shard", capsys.readouterr().err)
+    chosen = re.search(
+        r"measured: 1 shard .* steps/s, 2 shards .* steps/s; the training has (\d) shard",
+        capsys.readouterr().err,
+    )
     assert chosen
     assert main([*command, str(tmp_path / "fixed"), "--shards", chosen[1]]) == 0
     assert outcome(tmp_path / "auto") == outcome(tmp_path / "fixed")

@@ -1,4 +1,5 @@
-"""Processes that are killed at random moments change nothing in the result of a training, and leave no process behind.
+"""Processes that are killed at random moments change nothing in the result of a training, and leave no
+process behind.
 
 The environment variable KILLS_SEED repeats the moments of a run; a test that fails has printed it.
 """
@@ -47,9 +48,13 @@ class Process(NamedTuple):
 
 
 def processes() -> list[Process]:
-    lines = subprocess.run(["ps", "-eo", "pid=,ppid=,lstart=,args="], capture_output=True, text=True, check=True).stdout.splitlines()
+    lines = subprocess.run(
+        ["ps", "-eo", "pid=,ppid=,lstart=,args="], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
     found = [line.split(maxsplit=7) for line in lines if "<defunct>" not in line]
-    return [Process(int(pid), " ".join(started), int(parent), command) for pid, parent, *started, command in found]
+    return [
+        Process(int(pid), " ".join(started), int(parent), command) for pid, parent, *started, command in found
+    ]
 
 
 def below(root: int) -> list[Process]:
@@ -68,7 +73,9 @@ class Processes:
 
     def below(self, root: int) -> list[Process]:
         found = below(root)
-        self.seen |= {(process.pid, process.started) for process in found if not process.command.startswith("ps ")}
+        self.seen |= {
+            (process.pid, process.started) for process in found if not process.command.startswith("ps ")
+        }
         return found
 
     def left(self, timeout_s: float = 120.0) -> list[Process]:
@@ -105,7 +112,9 @@ def train(kind: str, folder: Path, place: Any) -> Any:
     if kind != "group":
         return trained(kind, folder, place)
     scenario, changes, steps = GROUP
-    found = train_group(api.compile(scenario, overrides=changes), SEEDS, group=folder, total_timesteps=steps, executor=place)
+    found = train_group(
+        api.compile(scenario, overrides=changes), SEEDS, group=folder, total_timesteps=steps, executor=place
+    )
     assert not found.failed
     return outcomes(folder)
 
@@ -118,7 +127,10 @@ class Durations(NamedTuple):
 
 
 def has_episodes(folder: Path) -> bool:
-    return any(log.read_text().count("\n") > 2 for log in [*folder.glob("monitor.csv"), *folder.glob("*/monitor.csv")])
+    return any(
+        log.read_text().count("\n") > 2
+        for log in [*folder.glob("monitor.csv"), *folder.glob("*/monitor.csv")]
+    )
 
 
 class Site:
@@ -167,9 +179,14 @@ class Site:
             if is_late:
                 time.sleep(generator.uniform(0.0, 5.0))
                 self.add_node()
-            return [f"node with {len(victims)} processes, the other one joined {'after' if is_late else 'before'} that"]
+            return [
+                f"node with {len(victims)} processes, the other one joined"
+                f" {'after' if is_late else 'before'} that"
+            ]
         workers = [
-            process for process in found if process.command.startswith((*WORKERS, *(["ray::Board"] if generator.random() < 0.2 else [])))
+            process
+            for process in found
+            if process.command.startswith((*WORKERS, *(["ray::Board"] if generator.random() < 0.2 else [])))
         ]
         if not workers:
             return []
@@ -202,7 +219,9 @@ def site(request: pytest.FixtureRequest, seen: Processes) -> Iterator[Site]:
     with cluster_of_nodes() as nodes:
         for _ in range(2):
             nodes.add_node(num_cpus=1, object_store_memory=100 << 20)
-        nodes._shutdown_at_exit = False  # only the main thread could install the handlers of a node that joins later
+        nodes._shutdown_at_exit = (
+            False  # only the main thread could install the handlers of a node that joins later
+        )
         with HastyCluster(address=nodes.address) as place:
             yield Site(place, nodes, seen)
 
@@ -216,7 +235,9 @@ class Killer(threading.Thread):
         self._error: Exception | None = None
         self._site, self._folder, self._generator = site, folder, generator
         self._awaits_episode = generator.random() < 0.7
-        self._after = generator.uniform(0.0, durations.episodes if self._awaits_episode else durations.start + durations.episodes)
+        self._after = generator.uniform(
+            0.0, durations.episodes if self._awaits_episode else durations.start + durations.episodes
+        )
         self._ended = threading.Event()
 
     def run(self) -> None:
@@ -237,11 +258,20 @@ class Killer(threading.Thread):
             raise self._error
 
     def __str__(self) -> str:
-        return f"{self._after:.2f} s after {'the first episode' if self._awaits_episode else 'the start'}: {self.killed or 'nothing'}"
+        return (
+            f"{self._after:.2f} s after {'the first episode' if self._awaits_episode else 'the start'}:"
+            f" {self.killed or 'nothing'}"
+        )
 
 
-@pytest.mark.parametrize(("site", "number"), [("workers", n) for n in range(8)] + [("nodes", n) for n in range(8, 20)], indirect=["site"])
-def test_workers_and_nodes_that_are_killed_change_nothing(site: Site, number: int, here: Callable[[str], Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("site", "number"),
+    [("workers", n) for n in range(8)] + [("nodes", n) for n in range(8, 20)],
+    indirect=["site"],
+)
+def test_workers_and_nodes_that_are_killed_change_nothing(
+    site: Site, number: int, here: Callable[[str], Any], tmp_path: Path
+) -> None:
     kind = KINDS[number % len(KINDS)]
     expected, durations = here(kind), site.durations(kind, tmp_path / "undisturbed")
     for attempt in range(10):  # until a training has not ended before the moment
@@ -263,17 +293,32 @@ def command(kind: str, folder: Path, *place: str) -> list[str]:
     scenario, changes, steps = GROUP if kind == "group" else CASES[kind]
     parts = ["--seeds", ",".join(map(str, SEEDS))] if kind == "group" else ["--shards", "2"]
     sets = [part for change in changes for part in ("--set", change)]
-    return ["train", scenario, *sets, *parts, "--timesteps", str(steps), "--run", str(folder), "--quiet", *place]
+    return [
+        "train",
+        scenario,
+        *sets,
+        *parts,
+        "--timesteps",
+        str(steps),
+        "--run",
+        str(folder),
+        "--quiet",
+        *place,
+    ]
 
 
 def begun(arguments: list[str]) -> subprocess.Popen[str]:
     """The command, in a process of its own."""
     hasty = [sys.executable, "-m", "tests.cluster.hasty", *arguments]
-    return subprocess.Popen(hasty, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
+    return subprocess.Popen(
+        hasty, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]
+    )
 
 
 @pytest.mark.parametrize("number", range(20, 25))
-def test_a_driver_or_a_head_that_is_killed_loses_nothing(number: int, seen: Processes, here: Callable[[str], Any], tmp_path: Path) -> None:
+def test_a_driver_or_a_head_that_is_killed_loses_nothing(
+    number: int, seen: Processes, here: Callable[[str], Any], tmp_path: Path
+) -> None:
     generator, kind, folder = random.Random(f"{SEED}/{number}"), KINDS[number % len(KINDS)], tmp_path / "run"
     is_head, waits_for_episode, after = number >= 23, generator.random() < 0.7, generator.uniform(0.0, 4.0)
     if is_head:
@@ -295,12 +340,18 @@ def test_a_driver_or_a_head_that_is_killed_loses_nothing(number: int, seen: Proc
         else:
             driver.kill()
         _, printed = driver.communicate(timeout=90)
-        print(f"KILLS_SEED={SEED} {number}: {kind}, {'head' if is_head else 'driver'} {after:.2f} s after the first episode", is_ended)
+        print(
+            f"KILLS_SEED={SEED} {number}: {kind}, {'head' if is_head else 'driver'} {after:.2f} s after the"
+            " first episode",
+            is_ended,
+        )
         is_ended |= driver.returncode == 0  # between the question and the kill
         assert (
             is_ended
             or not is_head
-            or printed.splitlines()[-1].startswith("error: the connection to Ray was lost, or this process was killed; to continue")
+            or printed.splitlines()[-1].startswith(
+                "error: the connection to Ray was lost, or this process was killed; to continue"
+            )
         ), printed
         assert "Traceback" not in printed
     if not is_ended or kind != "group":

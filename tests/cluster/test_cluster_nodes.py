@@ -1,4 +1,5 @@
-"""Shards on the nodes of a Ray cluster: the same result on one node, on two, and after nodes were lost and others joined."""
+"""Shards on the nodes of a Ray cluster: the same result on one node, on two, and after nodes were lost and
+others joined."""
 
 from __future__ import annotations
 
@@ -91,11 +92,17 @@ def test_a_node_without_deepbots_that_joins_gets_no_work(nodes: Any, tmp_path: P
         first, *_, last = cluster.map(square, items(), watcher=Notes())
     assert (first, last) == (0, 4)
     (note,) = Notes.texts
-    assert re.fullmatch(r"a node that joined gets no work: the worker on .* cannot import deepbots; install the same version there", note)
+    assert re.fullmatch(
+        r"a node that joined gets no work: the worker on .* cannot import deepbots; install the same version"
+        r" there",
+        note,
+    )
 
 
 @pytest.mark.slow
-def test_trainings_go_on_when_a_node_is_lost_and_one_joins(nodes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trainings_go_on_when_a_node_is_lost_and_one_joins(
+    nodes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     living = [add(nodes), add(nodes)]
     compiled = api.compile("cartpole", overrides=["train.n_steps=64"])
 
@@ -105,7 +112,14 @@ def test_trainings_go_on_when_a_node_is_lost_and_one_joins(nodes: Any, tmp_path:
 
     replaced = act_at(monkeypatch, 1_000, 1, replace_a_node)
     with Cluster(address=nodes.address) as cluster:
-        found = train_group(compiled, (0, 1, 2), group=tmp_path / "nodes", total_timesteps=4_000, progress=True, executor=cluster)
+        found = train_group(
+            compiled,
+            (0, 1, 2),
+            group=tmp_path / "nodes",
+            total_timesteps=4_000,
+            progress=True,
+            executor=cluster,
+        )
     assert replaced
     assert not found.failed
     train_group(compiled, (0, 1, 2), group=tmp_path / "here", total_timesteps=4_000)
@@ -113,14 +127,19 @@ def test_trainings_go_on_when_a_node_is_lost_and_one_joins(nodes: Any, tmp_path:
 
 
 @pytest.mark.slow
-def test_a_node_without_deepbots_is_refused(nodes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_node_without_deepbots_is_refused(
+    nodes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     package = tmp_path / "other" / "deepbots_cli"
     package.mkdir(parents=True)
     (package / "__init__.py").write_text("raise ImportError('it is not installed')")
     with monkeypatch.context() as patched:
         patched.setenv("PYTHONPATH", str(package.parent))
         add(nodes)
-    with Cluster(address=nodes.address) as cluster, pytest.raises(UsageError, match="a worker cannot import deepbots"):
+    with (
+        Cluster(address=nodes.address) as cluster,
+        pytest.raises(UsageError, match="a worker cannot import deepbots"),
+    ):
         trained("PPO", tmp_path / "run", cluster)
 
 

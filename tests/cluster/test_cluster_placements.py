@@ -1,4 +1,5 @@
-"""Trainings are equal to the bit wherever their shards run: in this process, on workers, and on one or two nodes of a cluster."""
+"""Trainings are equal to the bit wherever their shards run: in this process, on workers, and on one or two
+nodes of a cluster."""
 
 from __future__ import annotations
 
@@ -66,7 +67,9 @@ def test_a_training_is_the_same_on_workers_and_nodes(
 @pytest.mark.slow
 @pytest.mark.parametrize("executor", ["workers"], indirect=True)
 @pytest.mark.parametrize("name", list(CASES)[5:])
-def test_so_is_that_of_other_algorithms(executor: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str) -> None:
+def test_so_is_that_of_other_algorithms(
+    executor: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str
+) -> None:
     check(executor, here, tmp_path, name, 4)
 
 

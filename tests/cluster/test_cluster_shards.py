@@ -1,4 +1,5 @@
-"""Shards of a training on workers: the same weights and logs as in this process, also after a worker was lost."""
+"""Shards of a training on workers: the same weights and logs as in this process, also after a worker was
+lost."""
 
 from __future__ import annotations
 
@@ -27,27 +28,53 @@ SHORT = ("truncation.max_steps=5", SOON)
 
 
 def train_section(algorithm: str, more: str = "") -> str:
-    return f"train={{algorithm: {algorithm}, total_timesteps: 1000, environments: 4, network: {{hidden: [16, 16]}}, {more}}}"
+    return (
+        f"train={{algorithm: {algorithm}, total_timesteps: 1000, environments: 4, network: {{hidden: [16,"
+        f" 16]}}, {more}}}"
+    )
 
 
 CASES = {
     "PPO": ("cartpole", [*SHORT, "train.environments=4"], 1_280),
-    "PPO, normalized rewards": ("pit_escape", [SOON, "parameters.time_limit=1 s", "train.environments=4"], 512),
-    "PPO on a batch": ("cartpole", [*SHORT, "world.engine=mujoco", "train.environments=32", "train.n_steps=16"], 1_536),
+    "PPO, normalized rewards": (
+        "pit_escape",
+        [SOON, "parameters.time_limit=1 s", "train.environments=4"],
+        512,
+    ),
+    "PPO on a batch": (
+        "cartpole",
+        [*SHORT, "world.engine=mujoco", "train.environments=32", "train.n_steps=16"],
+        1_536,
+    ),
     "TD3, curriculum": (
         "find_ball_random",
-        [*SHORT, "curriculum.0.until=120 steps", "train.environments=4", "train.learning_starts=100", "train.network.hidden=[16, 16]"],
+        [
+            *SHORT,
+            "curriculum.0.until=120 steps",
+            "train.environments=4",
+            "train.learning_starts=100",
+            "train.network.hidden=[16, 16]",
+        ],
         240,
     ),
     "SAC": ("cartpole_continuous", [*SHORT, train_section("SAC", "learning_starts: 100")], 320),
     "A2C": ("cartpole", [*SHORT, train_section("A2C")], 320),
-    "RecurrentPPO": ("cartpole", [*SHORT, train_section("RecurrentPPO", "n_steps: 32, batch_size: 32, lstm: 8")], 384),
+    "RecurrentPPO": (
+        "cartpole",
+        [*SHORT, train_section("RecurrentPPO", "n_steps: 32, batch_size: 32, lstm: 8")],
+        384,
+    ),
     "MaskablePPO": ("cartpole", [*SHORT, train_section("MaskablePPO", "n_steps: 32, batch_size: 32")], 384),
-    "SAC, older weights": ("cartpole_continuous", [*SHORT, train_section("SAC", "learning_starts: 100, staleness: 1")], 320),
+    "SAC, older weights": (
+        "cartpole_continuous",
+        [*SHORT, train_section("SAC", "learning_starts: 100, staleness: 1")],
+        320,
+    ),
     "PPO, older weights": ("cartpole", [*SHORT, "train.environments=4", "train.staleness=1"], 1_280),
     "DQN": ("cartpole", [*SHORT, train_section("DQN", "learning_starts: 100")], 320),
 }
-"""Short trainings, each with ended episodes and an evaluation: the scenario, what is changed in it, and the number of steps."""
+"""Short trainings, each with ended episodes and an evaluation: the scenario, what is changed in it, and the
+number of steps."""
 
 
 def outcome(folder: Path) -> tuple[Any, ...]:
@@ -62,7 +89,9 @@ def outcome(folder: Path) -> tuple[Any, ...]:
     return result, rows, log.read_text() if log.exists() else ""
 
 
-def trained(name: str, folder: Path, executor: Executor, shards: int = 2, progress: Reporter | bool = False) -> tuple[Any, ...]:
+def trained(
+    name: str, folder: Path, executor: Executor, shards: int = 2, progress: Reporter | bool = False
+) -> tuple[Any, ...]:
     scenario, changes, steps = CASES[name]
     compiled = api.compile(scenario, overrides=[*changes, f"train.shards={shards}"])
     train(compiled, run=folder, total_timesteps=steps, executor=executor, progress=progress)
@@ -75,7 +104,9 @@ def workers() -> list[int]:
 
 
 def children(name: str) -> list[int]:
-    processes = subprocess.run(["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True).stdout.splitlines()
+    processes = subprocess.run(
+        ["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
     parents = {int(pid): int(parent) for pid, parent, *_ in map(str.split, processes)}
     found = [int(line.split()[0]) for line in processes if name in line and "defunct" not in line]
     return sorted(pid for pid in found if os.getpid() in (parents[pid], parents.get(parents[pid])))
@@ -98,7 +129,9 @@ class At(Reporter):
 
 
 @pytest.mark.slow
-def test_a_worker_with_another_scenario_is_refused(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_with_another_scenario_is_refused(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Here, since this process believes in another version of deepbots."""
     monkeypatch.setattr("deepbots_cli.__version__", "99.0")
     with pytest.raises(UsageError, match=r"the worker on .* has deepbots .*, but this process has 99\.0"):
@@ -108,7 +141,9 @@ def test_a_worker_with_another_scenario_is_refused(cluster: Cluster, tmp_path: P
 @pytest.mark.slow
 def test_workers_with_several_shards_give_the_same(cluster: Cluster, tmp_path: Path) -> None:
     kill = At(400, lambda: os.kill(workers()[0], signal.SIGKILL))
-    assert trained("PPO", tmp_path / "workers", cluster, 4, kill) == trained("PPO", tmp_path / "here", SERIAL, 4)
+    assert trained("PPO", tmp_path / "workers", cluster, 4, kill) == trained(
+        "PPO", tmp_path / "here", SERIAL, 4
+    )
     assert kill.notes
 
 

@@ -28,7 +28,10 @@ from tests.few import every
 TESTS = Path(__file__).parents[1]
 SOURCES = [
     "cartpole",
-    *(str(TESTS / "data" / "scenarios" / f"{name}.yaml") for name in ("drawn", "pair", "placed", "sensed", "drone")),
+    *(
+        str(TESTS / "data" / "scenarios" / f"{name}.yaml")
+        for name in ("drawn", "pair", "placed", "sensed", "drone")
+    ),
     *(str(TESTS / "channel" / f"{name}.yaml") for name in ("radio", "team")),
     str(TESTS / "placement" / "few.yaml"),
     str(TESTS / "world" / "hills.yaml"),
@@ -81,7 +84,9 @@ class Words(yaml.SafeLoader):
     """YAML 1.1 takes `5e-3` for a text, which JSON would then quote."""
 
 
-Words.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"-?\d+(\.\d*)?e-?\d+"), list("-0123456789"))
+Words.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"-?\d+(\.\d*)?e-?\d+"), list("-0123456789")
+)
 
 
 def places(data: Any, path: Place = ()) -> Iterator[Place]:
@@ -116,7 +121,11 @@ def compiled(text: str, folder: Path) -> api.Compiled | None:
 
 def words(code: str) -> set[str]:
     """Everything in the code that is neither quoted nor a comment."""
-    return {token.string for token in tokenize.generate_tokens(io.StringIO(code).readline) if token.type in (tokenize.NAME, tokenize.OP)}
+    return {
+        token.string
+        for token in tokenize.generate_tokens(io.StringIO(code).readline)
+        if token.type in (tokenize.NAME, tokenize.OP)
+    }
 
 
 def some(data: Any, seed: int, count: int = 40) -> list[Place]:
@@ -146,7 +155,9 @@ def test_odd_values_in_any_place_give_a_world_that_runs_or_are_refused(opened: t
                 world.step(world.action_space.sample())
 
 
-@pytest.mark.parametrize("name", ['x"', "a\nimport os", '"""', "os.system", "A", "", "naïve", "a b", "1a", "a;b"])
+@pytest.mark.parametrize(
+    "name", ['x"', "a\nimport os", '"""', "os.system", "A", "", "naïve", "a b", "1a", "a;b"]
+)
 def test_a_name_that_is_no_identifier_is_never_printed(name: str) -> None:
     """The compiler lets none through; should it do so by mistake, nothing is printed."""
     program = api.compile("cartpole").program

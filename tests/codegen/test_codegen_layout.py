@@ -1,4 +1,5 @@
-"""The layout of generated code: short lines that mean what the long ones meant, as a formatter would write them."""
+"""The layout of generated code: short lines that mean what the long ones meant, as a formatter would write
+them."""
 
 from __future__ import annotations
 
@@ -14,7 +15,13 @@ from deepbots_cli.codegen.text import WIDTH, docstring, wrap_line
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = ["cartpole", *map(str, sorted((ROOT / "tests/data/scenarios").glob("*.yaml")))]
-LONG = ["first_quantity", "another(1.0, 2.0)", "self.memory_third", "table[0][1]", '"a (text, with = signs + ] "'] * 5
+LONG = [
+    "first_quantity",
+    "another(1.0, 2.0)",
+    "self.memory_third",
+    "table[0][1]",
+    '"a (text, with = signs + ] "',
+] * 5
 
 LINES = {
     "call": f"self.read = engine.thing({', '.join(LONG)})",
@@ -30,7 +37,8 @@ LINES = {
     "return": f"return {{{', '.join(f'{number}: {item}' for number, item in enumerate(LONG))}}}",
     "one item": f"self.drive(({' * '.join(LONG)},))",
     "product": f"x = ({' + '.join(LONG)}) * ({' - '.join(LONG)})",
-    "definition": f"def apply(self, {', '.join(f'a_long_name_{number}: Any' for number in range(20))}) -> None:",
+    "definition": f"def apply(self, {', '.join(f'a_long_name_{number}: Any' for number in range(20))}) ->"
+    " None:",
     "comment": f"table = {{{', '.join(f'{number}: 1.0' for number in range(30))}}}  # {', '.join(LONG)}",
 }
 
@@ -39,12 +47,17 @@ LINES = {
 def test_a_long_line_is_broken_and_means_the_same(line: str) -> None:
     lines = wrap_line(f"        {line}")
     body = "\n            pass" if line.endswith(":") else ""
-    whole, broken = (ast.dump(ast.parse("if True:\n" + text + body)) for text in (f"        {line}", "\n".join(lines)))
+    whole, broken = (
+        ast.dump(ast.parse("if True:\n" + text + body)) for text in (f"        {line}", "\n".join(lines))
+    )
     assert broken == whole
     assert [text for text in lines if len(text) > WIDTH and not text.lstrip().startswith("#")] == []
 
 
-@pytest.mark.parametrize("text", ["", "plain", 'say "hello" \\ and go', '"', '"""', "\\", "many words " * 30, "new\nline\x00", "車 é 🚗"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "plain", 'say "hello" \\ and go', '"', '"""', "\\", "many words " * 30, "new\nline\x00", "車 é 🚗"],
+)
 def test_a_docstring_says_what_the_text_says(text: str) -> None:
     said = ast.literal_eval("\n".join(docstring(text)))
     assert said.split() == text.split()
@@ -54,7 +67,9 @@ def test_a_docstring_says_what_the_text_says(text: str) -> None:
 @pytest.mark.parametrize("source", SCENARIOS, ids=lambda source: Path(source).stem)
 def test_generated_code_is_formatted(tmp_path: Path, source: str, format: str) -> None:
     file = tmp_path / "environment.py"
-    overrides = ["messages={format: none}"] if format == "none" else [f"messages.format={format}"]  # without messages, nothing is late
+    overrides = (
+        ["messages={format: none}"] if format == "none" else [f"messages.format={format}"]
+    )  # without messages, nothing is late
     file.write_text(api.compile(source, overrides=overrides).code)
     command = [
         sys.executable,

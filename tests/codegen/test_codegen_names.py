@@ -13,9 +13,45 @@ from deepbots_cli import api
 
 # Python's words, the words of generated code, and what the compiler would call its own variables.
 AWKWARD = [
-    *("self", "lambda", "match", "float", "abs", "print", "pi", "hypot", "copysign", "engine", "message", "stamp", "reward", "observed"),
-    *("cart_joints", "cart_cart_pose", "cart_place", "seen_first", "clipped", "pack", "physics", "step_count", "robot_cart", "drive_pick"),
-    *("told_first", "term_first", "parameter_first", "delta_signals_rise_0", "ended_by", "_private", "__dunder__", "a1", "memory"),
+    *(
+        "self",
+        "lambda",
+        "match",
+        "float",
+        "abs",
+        "print",
+        "pi",
+        "hypot",
+        "copysign",
+        "engine",
+        "message",
+        "stamp",
+        "reward",
+        "observed",
+    ),
+    *(
+        "cart_joints",
+        "cart_cart_pose",
+        "cart_place",
+        "seen_first",
+        "clipped",
+        "pack",
+        "physics",
+        "step_count",
+        "robot_cart",
+        "drive_pick",
+    ),
+    *(
+        "told_first",
+        "term_first",
+        "parameter_first",
+        "delta_signals_rise_0",
+        "ended_by",
+        "_private",
+        "__dunder__",
+        "a1",
+        "memory",
+    ),
 ]
 SCENARIO = """\
 deepbots: 1
@@ -75,7 +111,9 @@ def test_a_name_is_never_taken_for_something_else(tmp_path: Path, awkward: str) 
     assert found == expected
 
 
-@pytest.mark.parametrize("name", ["line follower", "3 carts", "Ünïcode", "a'b\"c", "x y-z_w", "...", "class", "None"])
+@pytest.mark.parametrize(
+    "name", ["line follower", "3 carts", "Ünïcode", "a'b\"c", "x y-z_w", "...", "class", "None"]
+)
 def test_any_name_of_a_scenario_gives_a_class(tmp_path: Path, name: str) -> None:
     quoted = '"' + name.replace("\\", "\\\\").replace('"', '\\"') + '"'
     checked = api.load(scenario(tmp_path, name=quoted))
@@ -87,7 +125,16 @@ def test_any_name_of_a_scenario_gives_a_class(tmp_path: Path, name: str) -> None
 
 
 @pytest.mark.parametrize(
-    "summary", ['"\\"\\"\\""', '"\\\\"', '"a\\nb"', "'quote \" and '' quote'", '"🚗 車 é"', '"\\u2028 a \\t b \\x85"', "it's"]
+    "summary",
+    [
+        '"\\"\\"\\""',
+        '"\\\\"',
+        '"a\\nb"',
+        "'quote \" and '' quote'",
+        '"🚗 車 é"',
+        '"\\u2028 a \\t b \\x85"',
+        "it's",
+    ],
 )
 def test_any_summary_can_be_printed(tmp_path: Path, summary: str) -> None:
     code = api.compile(scenario(tmp_path, summary=summary)).code
@@ -98,5 +145,11 @@ def test_the_code_does_not_depend_on_the_process(tmp_path: Path) -> None:
     """Sets are in another order in every process unless hashing is fixed."""
     drawn = Path(__file__).parents[1] / "data" / "scenarios" / "drawn.yaml"
     program = f"from deepbots_cli import api; print(api.compile({str(drawn)!r}).code, end='')"
-    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env={"PYTHONHASHSEED": "77"})
+    answer = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONHASHSEED": "77"},
+    )
     assert answer.stdout == api.compile(drawn).code

@@ -15,7 +15,10 @@ from tests.named import constant
 
 def test_minus_zero_and_infinity_are_told_apart() -> None:
     cartpole = api.compile("cartpole").program
-    one, *others = (digest(cartpole.with_agents(reward=(constant(value),))) for value in (0.0, -0.0, float("inf"), float("-inf")))
+    one, *others = (
+        digest(cartpole.with_agents(reward=(constant(value),)))
+        for value in (0.0, -0.0, float("inf"), float("-inf"))
+    )
     assert len({one, *others}) == 4
 
 
@@ -26,9 +29,14 @@ def test_the_text_is_json_with_sorted_keys() -> None:
 
 @pytest.mark.parametrize(
     ("sets", "robots"),
-    [((), ("hunter",)), (("signals.pull=turn", "robots.prey.receive={whim: whim + pull, threat: 0 rad}"), ("hunter", "prey"))],
+    [
+        ((), ("hunter",)),
+        (("signals.pull=turn", "robots.prey.receive={whim: whim + pull, threat: 0 rad}"), ("hunter", "prey")),
+    ],
 )
-def test_an_agent_commands_the_robots_whose_messages_depend_on_its_action_and_agrees_with_them(sets, robots) -> None:
+def test_an_agent_commands_the_robots_whose_messages_depend_on_its_action_and_agrees_with_them(
+    sets, robots
+) -> None:
     program = api.compile("tag", overrides=sets).program
     assert program.agents == {"agent": program.agent}
     assert program.agent.robots == robots
@@ -36,7 +44,9 @@ def test_an_agent_commands_the_robots_whose_messages_depend_on_its_action_and_ag
     assert {name.partition(".")[0].split()[-1] for name in items} == set(robots)
 
 
-@pytest.mark.parametrize("text", ['"""\nimport os\n"""', "'''", "\\", "\\u0022", "a\r\nb", "{x}", "\x00", 'Ends with a quote"'])
+@pytest.mark.parametrize(
+    "text", ['"""\nimport os\n"""', "'''", "\\", "\\u0022", "a\r\nb", "{x}", "\x00", 'Ends with a quote"']
+)
 def test_the_summary_stays_text_in_the_code(text: str) -> None:
     cartpole = api.compile("cartpole").program
     code = generate_module(replace(cartpole, summary=text))
@@ -58,7 +68,9 @@ def test_the_digest_depends_on_what_a_file_means_only(workshop, cartpole) -> Non
     assert plain == digest_of(workshop, cartpole(("15 deg", "0.015e3 deg")))
     assert plain == digest_of(workshop, cartpole(("timestep: 32 ms", "timestep: 0.032 s")))
     assert plain == digest_of(workshop, cartpole(("{max_steps: 200}", "\n  max_steps: 200")))
-    assert plain == digest_of(workshop, cartpole(("track:       0.39 m", "track:       0.39")).replace("> track", "> track * 1 m"))
+    assert plain == digest_of(
+        workshop, cartpole(("track:       0.39 m", "track:       0.39")).replace("> track", "> track * 1 m")
+    )
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,14 @@ def with_cases(cases: str) -> tuple[str, str]:
 
 
 def test_a_case_is_what_the_same_assignments_on_the_command_line_compile_to(workshop, cartpole) -> None:
-    compiled = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg, messages.timing: delayed}, episodes: 7}")))
+    compiled = workshop.compile(
+        cartpole(with_cases("steep: {set: {fall_angle: 10 deg, messages.timing: delayed}, episodes: 7}"))
+    )
     (case,) = compiled.program.cases
     plain = workshop.compile(
-        cartpole(("fall_angle:  15 deg", "fall_angle: 10 deg"), ("format: csv", "format: csv, timing: delayed"))
+        cartpole(
+            ("fall_angle:  15 deg", "fall_angle: 10 deg"), ("format: csv", "format: csv, timing: delayed")
+        )
     ).program
     assert (case.name, case.episodes) == ("steep", 7)
     assert to_json(case.program) == to_json(replace(plain, evaluation=case.program.evaluation))
@@ -45,23 +49,33 @@ def test_a_parameter_that_only_a_case_uses_is_used(workshop, cartpole) -> None:
 
 
 def test_an_error_of_the_scenario_itself_is_not_told_again_for_each_case(workshop, cartpole) -> None:
-    assert workshop.codes(cartpole(("fall_angle:  15 deg", "fall_angle: 15 kg"), with_cases("a: {set: {track: 1 m}}, b: {}"))) == ["DB503"]
+    assert workshop.codes(
+        cartpole(("fall_angle:  15 deg", "fall_angle: 15 kg"), with_cases("a: {set: {track: 1 m}}, b: {}"))
+    ) == ["DB503"]
 
 
 def test_a_mistake_in_several_cases_is_shown_at_each_setting(workshop, cartpole) -> None:
-    findings = workshop.lint(cartpole(with_cases("a: {set: {truck: 1 m}}, b: {set: {track: 1 mm^}}, c: {set: {world.timestep: -1 s}}")))
+    findings = workshop.lint(
+        cartpole(
+            with_cases("a: {set: {truck: 1 m}}, b: {set: {track: 1 mm^}}, c: {set: {world.timestep: -1 s}}")
+        )
+    )
     assert [finding.code for finding in findings] == ["DB201", "DB401", "DB105"]
     assert [finding.span.text for finding in findings] == ["truck", "^", "-1 s"]
 
 
-@pytest.mark.parametrize("path", ["train.algorithm", "observation.x", "action", "evaluation.episodes", "name", "solved"])
+@pytest.mark.parametrize(
+    "path", ["train.algorithm", "observation.x", "action", "evaluation.episodes", "name", "solved"]
+)
 def test_what_a_policy_is_made_for_stays(workshop, cartpole, path: str) -> None:
     assert workshop.codes(cartpole(with_cases(f"odd: {{set: {{{path}: 1}}}}"))) == ["DB407"]
 
 
 def test_a_case_that_changes_a_message_is_a_finding(workshop, cartpole) -> None:
     text = cartpole(
-        with_cases("odd: {set: {size: 2 m}}"), ("parameters:", "parameters:\n  size: 1 m"), ("-0.4 .. 0.4 m", "-1 * size .. size")
+        with_cases("odd: {set: {size: 2 m}}"),
+        ("parameters:", "parameters:\n  size: 1 m"),
+        ("-0.4 .. 0.4 m", "-1 * size .. size"),
     )
     assert workshop.codes(text) == ["DB613"]
 
@@ -89,7 +103,10 @@ SCATTERED = ("place: {", "place: {crate: {region: {x: -0.4 .. 0.4 m, y: 0.2 .. 0
 def test_a_case_may_exchange_the_kinds_of_a_group(workshop, cartpole) -> None:
     others = "round: {set: {objects.crate.one_of: {can: {shape: cylinder, radius: 3 cm, height: 8 cm}}}}"
     program = workshop.compile(cartpole(CRATES, SCATTERED, with_cases(others))).program
-    kinds = [[variant.name for variant in world.objects[0].variants] for world in (program.world, program.case("round").program.world)]
+    kinds = [
+        [variant.name for variant in world.objects[0].variants]
+        for world in (program.world, program.case("round").program.world)
+    ]
     assert kinds == [["cube", "plank"], ["can"]]
 
 

@@ -15,7 +15,11 @@ from deepbots_cli.diagnostics.render import render
 from .conftest import Workshop, shipped_text
 
 FOLDER = Path(__file__).parents[1] / "data" / "scenarios"
-TEXTS = [shipped_text("cartpole"), (FOLDER / "drawn.yaml").read_text(encoding="utf-8"), (FOLDER / "pair.yaml").read_text(encoding="utf-8")]
+TEXTS = [
+    shipped_text("cartpole"),
+    (FOLDER / "drawn.yaml").read_text(encoding="utf-8"),
+    (FOLDER / "pair.yaml").read_text(encoding="utf-8"),
+]
 LINES = sorted({line for text in TEXTS for line in text.splitlines() if line.strip()})
 WORDS = sorted({word for text in TEXTS for word in re.findall(r"[\w.]+", text)})
 SIGNS = [
@@ -96,7 +100,10 @@ def test_lines_taken_out_put_in_or_exchanged(bench: Workshop, data: st.DataObjec
             case "insert":
                 lines.insert(at, data.draw(st.sampled_from(LINES)))
             case "swap":
-                lines[at % len(lines)], lines[other % len(lines)] = lines[other % len(lines)], lines[at % len(lines)]
+                lines[at % len(lines)], lines[other % len(lines)] = (
+                    lines[other % len(lines)],
+                    lines[at % len(lines)],
+                )
             case _:
                 lines[at % len(lines)] = "  " + lines[at % len(lines)]
     examine(bench, "\n".join(lines) + "\n")

@@ -48,9 +48,13 @@ def test_a_yaw_at_random_is_told_any(workshop, head, word):
     assert finding.help.startswith("write the word `any`, or a value")
 
 
-@pytest.mark.parametrize("word", ["ik", "IK", "inverse_kinematics", "inverse-kinematics", "end_effector", "osc"])
+@pytest.mark.parametrize(
+    "word", ["ik", "IK", "inverse_kinematics", "inverse-kinematics", "end_effector", "osc"]
+)
 def test_inverse_kinematics_is_told_to_be_cartesian(workshop, head, word):
-    text = f"{head}robots: {{cart: {{actuators: {{hand: {{type: {word}, link: pole, joints: pole_hinge}}}}}}}}\n"
+    text = (
+        f"{head}robots: {{cart: {{actuators: {{hand: {{type: {word}, link: pole, joints: pole_hinge}}}}}}}}\n"
+    )
     (finding,) = (found for found in workshop.lint(text) if found.code == "DB104")
     assert finding.help.startswith("did you mean `cartesian`?")
     assert [edit.text for edit in finding.fix.edits] == ["cartesian"]
@@ -76,7 +80,11 @@ def test_other_names_stand_for_words_of_the_language_and_are_none():
     ],
 )
 def test_a_british_colour_is_corrected(workshop, head, line):
-    (finding,) = (found for found in workshop.lint(f"{head}{line}\n".replace("COLOR", "colour")) if found.code == "DB101")
+    (finding,) = (
+        found
+        for found in workshop.lint(f"{head}{line}\n".replace("COLOR", "colour"))
+        if found.code == "DB101"
+    )
     assert finding.help == "write `color: red`"
     assert ([edit.text for edit in finding.fix.edits], finding.fix.safe) == (["color"], True)
     assert "DB101" not in workshop.codes(f"{head}{line}\n".replace("COLOR", "color"))
@@ -93,11 +101,21 @@ def test_a_british_colour_is_corrected(workshop, head, line):
 )
 def test_a_robot_of_pybullet_data_is_told_its_reference(workshop, head, written, meant):
     pytest.importorskip("pybullet_data")
-    finding = next(found for found in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n") if found.code == "DB204")
+    finding = next(
+        found
+        for found in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n")
+        if found.code == "DB204"
+    )
     assert finding.help == f"did you mean `package://pybullet_data/{meant}`?"
 
 
-@pytest.mark.parametrize("written", ["../pybullet/r2d2.urdf", "pybullet_data/../../r2d2.urdf", "no/such.urdf", "x" * 5000])
+@pytest.mark.parametrize(
+    "written", ["../pybullet/r2d2.urdf", "pybullet_data/../../r2d2.urdf", "no/such.urdf", "x" * 5000]
+)
 def test_what_pybullet_data_does_not_hold_is_not_suggested(workshop, head, written):
-    finding = next(found for found in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n") if found.code == "DB204")
+    finding = next(
+        found
+        for found in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n")
+        if found.code == "DB204"
+    )
     assert "package://" not in (finding.help or "")

@@ -35,7 +35,8 @@ def meshed(workshop, cartpole):
         (folder / name).mkdir()
     (folder / "meshes" / "part.obj").write_bytes(MESH)
     (folder / "robots" / "mine.urdf").write_text(
-        robot.replace('<box size="0.20 0.05 0.08"/>', '<mesh filename="../meshes/part.obj"/>', 1), encoding="utf-8"
+        robot.replace('<box size="0.20 0.05 0.08"/>', '<mesh filename="../meshes/part.obj"/>', 1),
+        encoding="utf-8",
     )
     (folder / "scenarios").mkdir()
     workshop.file = folder / "scenarios" / "scenario.yaml"
@@ -61,7 +62,9 @@ def test_so_does_one_whose_project_is_gone(meshed, tmp_path_factory):
     shutil.rmtree(meshed.parents[1])
     again = api.compile(resolved)
     assert again.digest == compiled.digest
-    assert identity.to_json(again.program) == identity.to_json(compiled.program)  # where the mesh lies does not count
+    assert identity.to_json(again.program) == identity.to_json(
+        compiled.program
+    )  # where the mesh lies does not count
 
 
 def test_so_does_one_with_a_file_that_only_an_evaluation_case_names(meshed, tmp_path_factory):
@@ -84,7 +87,21 @@ def test_another_mesh_is_another_scenario(meshed):
 
 def test_files_of_other_homes_get_folders_of_their_own():
     files = [
-        Path(name) for name in ("/mine/a/x.yaml", "/ours/r/x.urdf", "/ours/m/x.stl", "/mine/b/y.yaml", "/far/z.urdf", "/mine/a/x.yaml")
+        Path(name)
+        for name in (
+            "/mine/a/x.yaml",
+            "/ours/r/x.urdf",
+            "/ours/m/x.stl",
+            "/mine/b/y.yaml",
+            "/far/z.urdf",
+            "/mine/a/x.yaml",
+        )
     ]
     named = copy_names(files, (Path("/mine"), Path("/ours")))
-    assert list(named.values()) == ["a/x.yaml", "b/y.yaml", "elsewhere_1/r/x.urdf", "elsewhere_1/m/x.stl", "elsewhere_2/z.urdf"]
+    assert list(named.values()) == [
+        "a/x.yaml",
+        "b/y.yaml",
+        "elsewhere_1/r/x.urdf",
+        "elsewhere_1/m/x.stl",
+        "elsewhere_2/z.urdf",
+    ]

@@ -1,4 +1,5 @@
-"""The names of a scenario, as editors offer them: complete, by kind, and each leading to where it is defined."""
+"""The names of a scenario, as editors offer them: complete, by kind, and each leading to where it is
+defined."""
 
 from __future__ import annotations
 
@@ -22,7 +23,10 @@ def test_the_parts_of_a_robot_go_by_short_names_inside_of_it_and_by_full_ones_el
     inside = names_at(rocking, "joint", ("robots", "roller", "actuators", "pitch_motor", "joint"))
     assert [found.name for found in inside] == ["pitch", "yaw"]
     assert {found.description for found in inside} == {"a continuous joint"}
-    assert [found.name for found in names_at(rocking, "joints", ("reset", "joints"))] == ["roller.pitch", "roller.yaw"]
+    assert [found.name for found in names_at(rocking, "joints", ("reset", "joints"))] == [
+        "roller.pitch",
+        "roller.yaw",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -44,8 +48,15 @@ def test_what_a_reference_may_name(rocking, kind, path, expected):
 
 
 def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_ground(searching):
-    assert "epuck.base_link" in [found.name for found in names_at(searching, "body or link", ("disturbances", "gust", "body"))]
-    against = [found.name for found in names_at(searching, "bodies or links", ("robots", "epuck", "sensors", "bumper", "against"))]
+    assert "epuck.base_link" in [
+        found.name for found in names_at(searching, "body or link", ("disturbances", "gust", "body"))
+    ]
+    against = [
+        found.name
+        for found in names_at(
+            searching, "bodies or links", ("robots", "epuck", "sensors", "bumper", "against")
+        )
+    ]
     assert {"ball", "obstacle", "ground", "epuck.base_link"} <= set(against)
 
 

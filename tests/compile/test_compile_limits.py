@@ -10,7 +10,11 @@ from deepbots_cli.diagnostics import MAX_FINDINGS, Finding
 
 def test_hundreds_of_bodies_are_refused_instead_of_built_for_minutes(workshop, rail) -> None:
     things = "".join(f"  o{index}: {{shape: sphere, radius: 1 cm, mass: 1 kg}}\n" for index in range(600))
-    (finding,) = [found for found in workshop.lint(rail(("action:", f"objects:\n{things}action:"))) if found.severity == "error"]
+    (finding,) = [
+        found
+        for found in workshop.lint(rail(("action:", f"objects:\n{things}action:")))
+        if found.severity == "error"
+    ]
     assert (finding.code, finding.span.text) == ("DB005", "objects")
 
 
@@ -39,7 +43,9 @@ def wrong_in_many_places(workshop, text: str) -> list[Finding]:
     return found
 
 
-def test_of_tens_of_thousands_of_mistakes_in_the_text_the_first_are_told_and_that_there_are_more(workshop) -> None:
+def test_of_tens_of_thousands_of_mistakes_in_the_text_the_first_are_told_and_that_there_are_more(
+    workshop,
+) -> None:
     found = wrong_in_many_places(workshop, "<<: *a\n" * 40_000)
     assert {finding.code for finding in found} == {"DB001", "DB005", "DB101"}
     assert [finding.headline for finding in found if finding.code == "DB005"] == ["more than 500 findings"]
@@ -53,7 +59,9 @@ def test_of_tens_of_thousands_of_mistakes_in_the_text_the_first_are_told_and_tha
     ],
     ids=["unknown keys", "unknown names"],
 )
-def test_of_thousands_of_mistakes_in_a_scenario_the_first_are_told_and_that_there_are_more(workshop, rail, old: str, new: str) -> None:
+def test_of_thousands_of_mistakes_in_a_scenario_the_first_are_told_and_that_there_are_more(
+    workshop, rail, old: str, new: str
+) -> None:
     found = wrong_in_many_places(workshop, rail((old, new)))
     assert "more than 500 findings" in {finding.headline for finding in found}
 
@@ -62,20 +70,28 @@ def test_of_thousands_of_warnings_the_first_are_told_with_the_number_of_the_othe
     unused = "".join(f"  p{index}: {index}\n" for index in range(3000))
     found = wrong_in_many_places(workshop, rail(("world:", f"signals:\n{unused}world:")))
     assert {finding.severity for finding in found} == {"warning"}
-    assert [note for finding in found for note in finding.notes if "not shown" in note] == ["2,499 more findings are not shown"]
+    assert [note for finding in found for note in finding.notes if "not shown" in note] == [
+        "2,499 more findings are not shown"
+    ]
 
 
 def test_errors_are_told_before_warnings_where_there_are_too_many_findings(workshop, rail) -> None:
     unused = "".join(f"  p{index}: {index}\n" for index in range(1000))
-    found = wrong_in_many_places(workshop, rail(("world:", f"signals:\n{unused}world:")) + "# deepbots: ignore\n" * 1000 + "odd: 1\n")
-    assert [finding.headline for finding in found if finding.severity == "error"] == ["unknown key `odd` at the top level"]
+    found = wrong_in_many_places(
+        workshop, rail(("world:", f"signals:\n{unused}world:")) + "# deepbots: ignore\n" * 1000 + "odd: 1\n"
+    )
+    assert [finding.headline for finding in found if finding.severity == "error"] == [
+        "unknown key `odd` at the top level"
+    ]
 
 
 def test_hundreds_of_endings_are_refused_before_what_is_paid_is_held_against_each(workshop, rail) -> None:
     endings = "".join(f"    f{index}: time > {index + 1} s\n" for index in range(300))
     terms = "".join(f"  r{index}: 1 when f{index}\n" for index in range(300))
     text = rail(("  failure:\n", f"  failure:\n{endings}"), ("reward: {alive: 1}", f"reward:\n{terms}"))
-    assert [(found.code, found.headline) for found in workshop.lint(text)] == [("DB005", "more than 200 endings")]
+    assert [(found.code, found.headline) for found in workshop.lint(text)] == [
+        ("DB005", "more than 200 endings")
+    ]
 
 
 def test_many_cases_of_a_large_scenario_are_refused(workshop, rail) -> None:
@@ -103,4 +119,6 @@ def test_signals_that_use_the_one_before_twice_are_followed_once_by_every_rule(
     ends = f"termination:\n  success: {{done: {condition.format('s59')}}}\n"
     text = rail(("reward:", f"{signals}reward:"), ("termination:\n", ends))
     found = api.lint(workshop.write(text), preview=True)
-    assert "DB205" in {finding.code for finding in found}  # which it comes to, instead of following 2^59 paths
+    assert "DB205" in {
+        finding.code for finding in found
+    }  # which it comes to, instead of following 2^59 paths

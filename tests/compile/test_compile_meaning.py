@@ -1,4 +1,5 @@
-"""What a scenario means, as far as the compiler settles it: order, when values are known, draws, endings, messages."""
+"""What a scenario means, as far as the compiler settles it: order, when values are known, draws, endings,
+messages."""
 
 from __future__ import annotations
 
@@ -31,7 +32,10 @@ def start(workshop, text: str, seed: int = 5):
 
 def test_parameters_are_drawn_after_those_that_they_are_made_of(workshop, rail) -> None:
     text = rail(
-        ("parameters: {cart_speed: 1 m/s}", "parameters:\n  near: 2 * far\n  far: uniform(1 .. 2)\n  cart_speed: 1 m/s"),
+        (
+            "parameters: {cart_speed: 1 m/s}",
+            "parameters:\n  near: 2 * far\n  far: uniform(1 .. 2)\n  cart_speed: 1 m/s",
+        ),
         ("reward: {alive: 1}", "reward: {alive: near}"),
     )
     assert [parameter.name for parameter in workshop.compile(text).program.parameters] == ["far", "near"]
@@ -54,7 +58,9 @@ def test_what_is_fixed_is_folded_and_has_no_slot(workshop, rail) -> None:
     ],
 )
 def test_what_shapes_spaces_and_time_must_be_fixed(workshop, rail, field: str, text: str) -> None:
-    assert workshop.codes(rail((field, text), ("{cart_speed", "{drawn: uniform(1 .. 2), cart_speed"))) == ["DB407"]
+    assert workshop.codes(rail((field, text), ("{cart_speed", "{drawn: uniform(1 .. 2), cart_speed"))) == [
+        "DB407"
+    ]
 
 
 # Draws
@@ -63,7 +69,10 @@ def test_what_shapes_spaces_and_time_must_be_fixed(workshop, rail, field: str, t
 def test_each_draw_as_written_has_a_stream_of_its_own(workshop, rail) -> None:
     text = rail(
         ("{cart_speed", "{gust: uniform(0 .. 1) + uniform(0 .. 1), cart_speed"),
-        ("cart.hinge: uniform(-0.05 .. 0.05 rad)", "cart.hinge: gust * 1 deg, cart.slider: uniform(-0.1 .. 0.1 m)"),
+        (
+            "cart.hinge: uniform(-0.05 .. 0.05 rad)",
+            "cart.hinge: gust * 1 deg, cart.slider: uniform(-0.1 .. 0.1 m)",
+        ),
     )
     found = draws(workshop.compile(text))
     assert len(found) == 3
@@ -86,7 +95,9 @@ def test_a_draw_is_shared_through_a_parameter(workshop, cartpole) -> None:
     )
     compiled = workshop.compile(text)
     assert draws(compiled) == ["parameters.turn#0"]
-    assert {position for start in compiled.program.reset.joint_starts for _, position, _ in start.states} == {Name("turn")}
+    assert {position for start in compiled.program.reset.joint_starts for _, position, _ in start.states} == {
+        Name("turn")
+    }
 
 
 def test_a_further_item_changes_no_other_draw(workshop, rail) -> None:
@@ -135,12 +146,16 @@ def outcome(workshop, text: str):
 
 
 def endings(success: str, failure: str) -> tuple[str, str]:
-    old = "termination:\n  failure:\n    fallen: abs(cart.lean) > 12 deg\n    off:    abs(cart.place) > 2.3 m\n"
+    old = (
+        "termination:\n  failure:\n    fallen: abs(cart.lean) > 12 deg\n    off:    abs(cart.place) > 2.3 m\n"
+    )
     return old, f"termination:\n  success: {{{success}}}\n  failure: {{{failure}}}\n"
 
 
 def test_failure_beats_success(workshop, rail) -> None:
-    terminated, truncated, _, info = outcome(workshop, rail(endings("late: time > 0.09 s", "later: time > 0.09 s")))
+    terminated, truncated, _, info = outcome(
+        workshop, rail(endings("late: time > 0.09 s", "later: time > 0.09 s"))
+    )
     assert terminated
     assert not truncated
     assert info["ended_by"] == "later"
@@ -186,7 +201,10 @@ def test_endings_in_a_circle_are_an_error(workshop, rail) -> None:
 
 
 def test_rewards_see_the_endings_of_their_step(workshop, rail) -> None:
-    text = rail(endings("done: time > 0.09 s", "never: time < 0 s"), ("{alive: 1}", "{alive: 1, bonus: 5 when done, end: 10 when ended}"))
+    text = rail(
+        endings("done: time > 0.09 s", "never: time < 0 s"),
+        ("{alive: 1}", "{alive: 1, bonus: 5 when done, end: 10 when ended}"),
+    )
     *_, reward, _ = outcome(workshop, text)
     assert reward == 16
 
@@ -216,7 +234,11 @@ def test_what_is_asked_for_may_stand_in_for_an_action_variable(workshop, rail) -
 def test_the_stamp_of_a_message_changes_with_its_fields(workshop, rail, emit: str) -> None:
     sensors = ("    actuators:", "      joints: {type: joint_position, joints: [slider]}\n    actuators:")
     plain = workshop.compile(rail(sensors)).program.robots[0].from_robot
-    other = workshop.compile(rail(sensors, ("emit: [place, rate, lean, turn]", f"emit: [{emit}]"))).program.robots[0].from_robot
+    other = (
+        workshop.compile(rail(sensors, ("emit: [place, rate, lean, turn]", f"emit: [{emit}]")))
+        .program.robots[0]
+        .from_robot
+    )
     assert plain.layout_hash != other.layout_hash
 
 
@@ -228,20 +250,33 @@ def sent(compiled: api.Compiled) -> list[str]:
     return [field.name for field in compiled.program.robots[0].emit]
 
 
-def test_without_emit_a_robot_sends_the_sensors_that_the_supervisor_uses_in_the_order_of_their_declaration(workshop, rail) -> None:
+def test_without_emit_a_robot_sends_the_sensors_that_the_supervisor_uses_in_the_order_of_their_declaration(
+    workshop, rail
+) -> None:
     listed = workshop.compile(rail())
     first = ("      place:", "      spin: {type: joint_velocity, joint: hinge}\n      place:")
     plain = workshop.compile(rail((EMIT, "")))
     assert plain.code == listed.code
     assert plain.program.robots[0].from_robot == listed.program.robots[0].from_robot
     assert sent(workshop.compile(rail((EMIT, ""), first))) == ["place", "rate", "lean", "turn"]
-    for use in ("signals: {spun: delta(cart.spin)}", "scripts: {mine: {drive: {forward: cart.spin > 0 rad/s, backward: true}}}"):
-        assert sent(workshop.compile(rail((EMIT, ""), first, ("reset:", f"{use}\nreset:")))) == ["spin", "place", "rate", "lean", "turn"]
+    for use in (
+        "signals: {spun: delta(cart.spin)}",
+        "scripts: {mine: {drive: {forward: cart.spin > 0 rad/s, backward: true}}}",
+    ):
+        assert sent(workshop.compile(rail((EMIT, ""), first, ("reset:", f"{use}\nreset:")))) == [
+            "spin",
+            "place",
+            "rate",
+            "lean",
+            "turn",
+        ]
 
 
 def test_a_case_sends_what_the_scenario_sends_even_if_it_does_not_use_it(workshop, rail) -> None:
     ends = "evaluation: {cases: {far: {set: {termination.failure: {off: abs(cart.place) > 9 m}}}}}\nreset:"
-    text = rail((EMIT, ""), SPIN, ("    fallen:", "    wild: cart.spin > 99 rad/s\n    fallen:"), ("reset:", ends))
+    text = rail(
+        (EMIT, ""), SPIN, ("    fallen:", "    wild: cart.spin > 99 rad/s\n    fallen:"), ("reset:", ends)
+    )
     (case,) = workshop.compile(text).program.cases
     assert [field.name for field in case.program.robots[0].emit] == ["place", "rate", "lean", "turn", "spin"]
 

@@ -20,7 +20,11 @@ def facts(compiled, name: str) -> set[EngineRead]:
 
 def test_a_name_that_a_joint_and_a_link_share_means_what_the_function_needs(workshop, cartpole) -> None:
     text = cartpole(
-        ("augment: ", "signals:\n  spin: joint_velocity(cart.wheel_front_left)\n  rise: velocity(cart.wheel_front_left).z\naugment: "),
+        (
+            "augment: ",
+            "signals:\n  spin: joint_velocity(cart.wheel_front_left)\n  rise:"
+            " velocity(cart.wheel_front_left).z\naugment: ",
+        ),
         (REWARD, "  alive: 1 + 0 * spin / (rad/s) + 0 * rise / (m/s)"),
     )
     compiled = workshop.compile(text)
@@ -35,7 +39,10 @@ def test_such_a_name_is_offered_once_among_the_known_ones(workshop, cartpole) ->
 
 
 def test_names_may_be_used_before_they_are_defined(workshop, cartpole) -> None:
-    text = cartpole(("  x:         position(cart).x", "  half: x / 2\n  x:         position(cart).x"), (REWARD, "  alive: half / m"))
+    text = cartpole(
+        ("  x:         position(cart).x", "  half: x / 2\n  x:         position(cart).x"),
+        (REWARD, "  alive: half / m"),
+    )
     assert workshop.codes(text) == []
     assert [signal.name for signal in workshop.compile(text).program.signals].index("half") == 1
 
@@ -103,13 +110,18 @@ def test_findings_far_apart_do_not_hide_each_other(workshop, cartpole) -> None:
 
 
 def test_a_list_under_augment_grants_what_it_names(workshop, rail) -> None:
-    given = ("reward:", "signals: {lean: joint_position(cart.hinge)}\nreward:"), ("  cart.turn:", "  lean: -1 .. 1 rad\n  cart.turn:")
+    given = (
+        ("reward:", "signals: {lean: joint_position(cart.hinge)}\nreward:"),
+        ("  cart.turn:", "  lean: -1 .. 1 rad\n  cart.turn:"),
+    )
     assert workshop.codes(rail(*given)) == ["DB609"]
     assert workshop.codes(rail(*given, ("reward:", "augment: [lean]\nreward:"))) == []
 
 
 def test_groups_of_links_are_no_joints(workshop, cartpole) -> None:
-    text = cartpole(("    sensors:", "    groups: {upper: [pole, tip]}\n    sensors:"), ("[wheel_*]", "upper"))
+    text = cartpole(
+        ("    sensors:", "    groups: {upper: [pole, tip]}\n    sensors:"), ("[wheel_*]", "upper")
+    )
     assert workshop.codes(text) == ["DB302"]
 
 
@@ -126,7 +138,10 @@ def test_a_finding_about_a_value_absorbs_the_warning_about_its_spelling(workshop
     assert finding.notes == ("`100_00` is read as text, because its digits are not grouped in threes",)
 
 
-@pytest.mark.parametrize(("old", "new"), [("alive: 1", "alive: 1,5"), ("alive: 1", "alive: 0x10"), ("timestep: 32 ms", "timestep: 0:32")])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("alive: 1", "alive: 1,5"), ("alive: 1", "alive: 0x10"), ("timestep: 32 ms", "timestep: 0:32")],
+)
 def test_so_does_one_about_a_part_of_the_value(workshop, cartpole, old, new):
     (finding,) = workshop.lint(cartpole((old, new)))
     assert finding.severity == "error"
@@ -148,10 +163,14 @@ def test_a_star_without_quotes_is_one_finding(workshop, cartpole, joints):
 def test_a_pose_with_a_wrong_value_is_one_finding_and_not_an_unknown_name_wherever_it_is_used() -> None:
     with pytest.raises(ScenarioError) as refused:
         api.compile("quadruped", overrides=['robots.dog.poses.stand={"*_joint": 45 cm}'])
-    assert [finding.headline for finding in refused.value.findings] == ["`*_joint` must be an angle (rad); this is a length (m)"]
+    assert [finding.headline for finding in refused.value.findings] == [
+        "`*_joint` must be an angle (rad); this is a length (m)"
+    ]
 
 
-def test_a_parameter_without_unit_in_a_product_is_named_with_the_line_that_sets_it(workshop, cartpole) -> None:
+def test_a_parameter_without_unit_in_a_product_is_named_with_the_line_that_sets_it(
+    workshop, cartpole
+) -> None:
     (finding,) = workshop.lint(cartpole(("wheel_speed: 5 rad/s", "wheel_speed: 5")))
     assert finding.code == "DB503"
     assert finding.help is not None

@@ -30,7 +30,9 @@ def test_a_joint_takes_range_and_limits_from_the_scenario(workshop, cartpole) ->
 
 def test_the_range_of_a_joint_bounds_what_its_sensor_can_read(workshop, cartpole) -> None:
     text = cartpole(with_cart("joints: {pole_hinge: {range: -30 .. 30 deg}}"), ("-20 .. 20 deg", "auto"))
-    lean = next(entry for entry in workshop.compile(text).program.agent.numbers if entry.name == "cart.pole_angle")
+    lean = next(
+        entry for entry in workshop.compile(text).program.agent.numbers if entry.name == "cart.pole_angle"
+    )
     assert (lean.low, lean.high) == pytest.approx((-math.pi / 6, math.pi / 6))
 
 
@@ -55,12 +57,18 @@ def test_a_group_may_stand_for_the_joints_that_change(workshop, cartpole) -> Non
 
 
 def test_a_stretch_may_be_one_factor_for_all_axes(workshop, cartpole) -> None:
-    pole = model(workshop.compile(cartpole(with_cart("links: {pole: {scale: size}}"), ("parameters:", "parameters:\n  size: 2"))))
+    pole = model(
+        workshop.compile(
+            cartpole(with_cart("links: {pole: {scale: size}}"), ("parameters:", "parameters:\n  size: 2"))
+        )
+    )
     assert pole.link("pole").inertial.mass == pytest.approx(8 * 0.2)
 
 
 def test_a_drawn_figure_is_drawn_for_each_link_that_a_pattern_means(workshop, cartpole) -> None:
-    varied = workshop.compile(cartpole(with_cart('links: {"wheel_*": {mass: urdf * uniform(0.8 .. 1.2)}}'))).program
+    varied = workshop.compile(
+        cartpole(with_cart('links: {"wheel_*": {mass: urdf * uniform(0.8 .. 1.2)}}'))
+    ).program
     assert [(v.what, v.of) for v in varied.reset.variations] == [
         ("mass", ("cart", f"wheel_{end}_{side}")) for end in ("front", "rear") for side in ("left", "right")
     ]
@@ -69,7 +77,9 @@ def test_a_drawn_figure_is_drawn_for_each_link_that_a_pattern_means(workshop, ca
 
 
 def test_a_later_figure_of_the_same_link_replaces_a_draw(workshop, cartpole) -> None:
-    varied = workshop.compile(cartpole(with_cart('links: {"*": {friction: uniform(0.5 .. 1)}, pole: {friction: 0.3}}'))).program
+    varied = workshop.compile(
+        cartpole(with_cart('links: {"*": {friction: uniform(0.5 .. 1)}, pole: {friction: 0.3}}'))
+    ).program
     assert ("cart", "pole") not in [v.of for v in varied.reset.variations]
     assert varied.world.robots[0].model.link("pole").friction.lateral == 0.3
 
@@ -137,14 +147,19 @@ def test_a_parameter_that_cannot_be_computed_is_an_error(workshop, cartpole, fig
 
 
 def test_an_object_has_the_density_of_water_unless_it_has_a_mass(workshop, cartpole) -> None:
-    objects = "objects:\n  a: {shape: box, size: 10 10 10 cm, pose: {x: 1 m}}\n  b: {shape: sphere, radius: 5 cm, mass: 0.3 kg}\nrobots:\n"
+    objects = (
+        "objects:\n  a: {shape: box, size: 10 10 10 cm, pose: {x: 1 m}}\n  b: {shape: sphere, radius:"
+        " 5 cm, mass: 0.3 kg}\nrobots:\n"
+    )
     a, b = workshop.compile(cartpole(("robots:\n", objects))).program.world.objects
     assert a.mass == pytest.approx(1.0)
     assert b.mass == 0.3
 
 
 def test_a_mark_is_seen_and_not_solid(workshop, cartpole) -> None:
-    objects = "objects:\n  spot: {shape: cylinder, radius: 2 cm, height: 1 mm, solid: false, color: red}\nrobots:\n"
+    objects = (
+        "objects:\n  spot: {shape: cylinder, radius: 2 cm, height: 1 mm, solid: false, color: red}\nrobots:\n"
+    )
     (spot,) = workshop.compile(cartpole(("robots:\n", objects))).program.world.objects
     assert not spot.solid
 

@@ -1,7 +1,7 @@
 """The worlds of the contract: each shipped scenario and some of tests/data.
 
-`make test` tries the whole contract on the few worlds of `FULL`, which differ most, and `make nightly` on all of them. The
-environment checkers take every shipped scenario in both.
+`make test` tries the whole contract on the few worlds of `FULL`, which differ most, and `make nightly` on all
+of them. The environment checkers take every shipped scenario in both.
 """
 
 from __future__ import annotations
@@ -73,7 +73,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize("case", few(CASES, chosen), indirect=True, scope="session")
     if "cases" in metafunc.fixturenames:
         full = [case for case in CASES if str(case) in FULL]
-        metafunc.parametrize("cases", [pytest.param(full, id="full"), pytest.param(CASES, id="all", marks=pytest.mark.slow)])
+        metafunc.parametrize(
+            "cases", [pytest.param(full, id="full"), pytest.param(CASES, id="all", marks=pytest.mark.slow)]
+        )
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,5 @@
-"""Random episodes as bytes; run as a program, it prints their digests for the cases that it reads from stdin."""
+"""Random episodes as bytes; run as a program, it prints their digests for the cases that it reads from
+stdin."""
 
 from __future__ import annotations
 
@@ -30,8 +31,11 @@ def asked(environment: Supervisor, script: str) -> Iterator[Any]:
         yield environment.script(script)
 
 
-def episode(environment: Supervisor, seed: int, steps: int, script: str | None = None) -> Iterator[Transition]:
-    """What `reset` and up to `steps` steps return, until the episode ends; with random actions, or by a script."""
+def episode(
+    environment: Supervisor, seed: int, steps: int, script: str | None = None
+) -> Iterator[Transition]:
+    """What `reset` and up to `steps` steps return, until the episode ends; with random actions, or by a
+    script."""
     observation, info = environment.reset(seed=seed)
     del info["drawn"]  # of a reset alone
     yield observation, 0.0, False, False, info
@@ -46,9 +50,23 @@ def episode(environment: Supervisor, seed: int, steps: int, script: str | None =
 def as_bytes(transition: Transition) -> bytes:
     observation, reward, terminated, truncated, info = transition
     terms = struct.pack(f"<{len(info['reward_terms'])}d", *info["reward_terms"].values())
-    said = json.dumps([terminated, truncated, info["is_success"], info["ended_by"], info["endings"], list(info["reward_terms"])])
+    said = json.dumps(
+        [
+            terminated,
+            truncated,
+            info["is_success"],
+            info["ended_by"],
+            info["endings"],
+            list(info["reward_terms"]),
+        ]
+    )
     parts = observation.values() if isinstance(observation, dict) else [observation]
-    return b"".join(np.asarray(part).tobytes() for part in parts) + struct.pack("<d", reward) + terms + said.encode()
+    return (
+        b"".join(np.asarray(part).tobytes() for part in parts)
+        + struct.pack("<d", reward)
+        + terms
+        + said.encode()
+    )
 
 
 def record(environment: Supervisor, seed: int, steps: int = 40) -> list[bytes]:
@@ -59,7 +77,10 @@ def digest(environment: Supervisor, seed: int) -> str:
     """Of an episode and of the one after it, which takes no seed of its own."""
     first = record(environment, seed)
     environment.reset()
-    second = [as_bytes(environment.step(action)) for _, action in zip(range(20), actions(environment, 5), strict=False)]
+    second = [
+        as_bytes(environment.step(action))
+        for _, action in zip(range(20), actions(environment, 5), strict=False)
+    ]
     return hashlib.sha256(b"".join([*first, *second])).hexdigest()
 
 

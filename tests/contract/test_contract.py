@@ -80,9 +80,15 @@ def test_the_same_seed_gives_the_same_bytes_in_two_environments(environment: Sup
 
 
 @pytest.mark.parametrize(
-    "lengths", [pytest.param((0, 1, 3, 53), id="few"), pytest.param((0, 1, 2, 3, 7, 19, 53), id="all", marks=pytest.mark.slow)]
+    "lengths",
+    [
+        pytest.param((0, 1, 3, 53), id="few"),
+        pytest.param((0, 1, 2, 3, 7, 19, 53), id="all", marks=pytest.mark.slow),
+    ],
 )
-def test_a_reset_world_equals_a_fresh_one_whatever_came_before(environment: Supervisor, make: Make, lengths: tuple[int, ...]) -> None:
+def test_a_reset_world_equals_a_fresh_one_whatever_came_before(
+    environment: Supervisor, make: Make, lengths: tuple[int, ...]
+) -> None:
     expected = record(make(), 4)
     for length in lengths:
         environment.reset(seed=length)
@@ -119,7 +125,9 @@ def test_every_message_format_gives_the_same_bytes(name: str, timing: str) -> No
     engine, source = ("exact", str(data)) if data.exists() else ("pybullet", name)
     found = {}
     for format in EXACT_FORMATS if timing == "immediate" else EXACT_FORMATS[:-1]:
-        environment = api.make(source, overrides=[f"messages.format={format}", f"messages.timing={timing}"], engine=engine)
+        environment = api.make(
+            source, overrides=[f"messages.format={format}", f"messages.timing={timing}"], engine=engine
+        )
         found[format] = digest(environment, 3)
         environment.close()
     assert len(set(found.values())) == 1, found
@@ -145,25 +153,35 @@ def test_observations_share_no_memory(environment: Supervisor) -> None:
 
 
 def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
-    """The numbers of the observation that never change; a bumper may well touch nothing in so short a time."""
+    """The numbers of the observation that never change; a bumper may well touch nothing in so short a
+    time."""
     seen = np.array([numbers(observation) for one in rollouts for observation, *_ in one])
     entries = scenario.agent.inputs
     spreads = np.ptp(seen, axis=0).reshape(-1, len(entries)).max(axis=0)
-    return {entry.name for entry, spread in zip(entries, spreads, strict=True) if spread == 0.0 and not entry.truth}
+    return {
+        entry.name
+        for entry, spread in zip(entries, spreads, strict=True)
+        if spread == 0.0 and not entry.truth
+    }
 
 
 def test_no_observation_is_constant(environment: Supervisor, rollouts: list[list[Any]]) -> None:
-    """Under random actions, or under a script of the scenario: one whose world shows itself to skill alone has to name such a script."""
+    """Under random actions, or under a script of the scenario: one whose world shows itself to skill alone
+    has to name such a script."""
     scenario, still = environment.scenario, constant(environment.scenario, rollouts)
     for script in scenario.agent.scripts if still else ():
         still &= constant(scenario, [list(episode(environment, seed, 250, script.name)) for seed in range(2)])
     assert still == set()
 
 
-def test_scripts_give_actions_of_the_space_and_the_same_bytes_again(environment: Supervisor, make: Make) -> None:
+def test_scripts_give_actions_of_the_space_and_the_same_bytes_again(
+    environment: Supervisor, make: Make
+) -> None:
     other = make()
     for script in environment.scenario.agent.scripts:
-        transitions = [[as_bytes(step) for step in episode(world, 5, 60, script.name)] for world in (environment, other)]
+        transitions = [
+            [as_bytes(step) for step in episode(world, 5, 60, script.name)] for world in (environment, other)
+        ]
         assert transitions[0] == transitions[1]
         assert environment.action_space.contains(environment.script(script.name))
 
@@ -173,7 +191,10 @@ def test_episodes_begin_differently(environment: Supervisor) -> None:
 
     def next_episode() -> bytes:
         environment.reset()
-        return b"".join(as_bytes(environment.step(action)) for _, action in zip(range(4), actions(environment, 0), strict=False))
+        return b"".join(
+            as_bytes(environment.step(action))
+            for _, action in zip(range(4), actions(environment, 0), strict=False)
+        )
 
     assert len({b"".join(record(environment, seed, steps=4)) for seed in range(8)}) == 8
     assert len({next_episode() for _ in range(8)}) == 8
@@ -183,7 +204,9 @@ def test_a_reset_says_what_the_episode_draws(environment: Supervisor) -> None:
     first, again = (environment.reset(seed=3)[1]["drawn"] for _ in range(2))
     assert first == again
     assert all(isinstance(value, (float, str)) for value in first.values())
-    plain = (value for value in environment.scenario.parameters if not value.components and value.redraw is None)
+    plain = (
+        value for value in environment.scenario.parameters if not value.components and value.redraw is None
+    )
     assert {value.name for value in plain if isinstance(value.scalar, Draw)} <= set(first)
 
 
@@ -204,7 +227,11 @@ def test_an_episode_ends_for_one_reason(environment: Supervisor, rollouts: list[
             "reward_terms",
         }
         assert (info["ended_by"] in known) if terminated or truncated else (info["ended_by"] is None)
-        assert not info["is_success"] or terminated or (truncated and environment.scenario.agent.goal is not None)
+        assert (
+            not info["is_success"]
+            or terminated
+            or (truncated and environment.scenario.agent.goal is not None)
+        )
         assert list(info["reward_terms"]) == [term.name for term in environment.scenario.agent.reward]
 
 
@@ -220,7 +247,12 @@ def test_the_papers_methods_only_read(environment: Supervisor, make: Make) -> No
         for _ in range(2):
             for agent, robot in product(agents(environment), environment.scenario.robots):
                 agent.controllers[robot.name].create_message()
-            again = (environment.get_observations(), environment.get_reward(), *environment.is_done(), environment.get_info())
+            again = (
+                environment.get_observations(),
+                environment.get_reward(),
+                *environment.is_done(),
+                environment.get_info(),
+            )
             assert str(again) == str(transition)
         found.append(transition)
     assert len(found) == len(expected)
@@ -237,7 +269,8 @@ def test_queues_are_empty_after_every_reset(environment: Supervisor) -> None:
 
 
 def test_channels_never_fill_up(environment: Supervisor) -> None:
-    """At most those that were sent within the latency, of at most 110 ms in these scenarios, are under way."""
+    """At most those that were sent within the latency, of at most 110 ms in these scenarios, are under
+    way."""
     list(episode(environment, 2, 60))
     for agent, robot in product(agents(environment), environment.scenario.robots):
         for route, way in ((robot.to_route, f"to_{robot.name}"), (robot.from_route, f"from_{robot.name}")):
@@ -263,25 +296,50 @@ def test_a_closed_environment_refuses_to_go_on(make: Make) -> None:
             use()
 
 
-BAD_ACTIONS = [None, float("nan"), "forward", [], {}, np.zeros((2, 2, 2)), np.full(11, 0), object(), [[1], [1, 2]], 1 + 2j]
+BAD_ACTIONS = [
+    None,
+    float("nan"),
+    "forward",
+    [],
+    {},
+    np.zeros((2, 2, 2)),
+    np.full(11, 0),
+    object(),
+    [[1], [1, 2]],
+    1 + 2j,
+]
 NO_CHOICE = [-1, 98, 99, 1.5, np.int64(-1), np.array(98), np.array([0])]
-NO_INTERVAL = [np.array([np.nan], np.float32), np.array([[0.5]]), np.full(99, 0.5), 0.5, np.array(0.5), [float("inf")], np.array([1j])]
+NO_INTERVAL = [
+    np.array([np.nan], np.float32),
+    np.array([[0.5]]),
+    np.full(99, 0.5),
+    0.5,
+    np.array(0.5),
+    [float("inf")],
+    np.array([1j]),
+]
 NO_CHOICES = [np.array([0]), np.array([0, 0, 0]), [0, 2], [-1, 0], [0.5, 0], np.array(0), 0, [0, [1]]]
 
 
 def test_a_bad_action_is_refused_in_words_and_changes_nothing(environment: Supervisor) -> None:
-    extra = {"Discrete": NO_CHOICE, "Box": NO_INTERVAL, "MultiDiscrete": NO_CHOICES}[type(environment.action_space).__name__]
+    extra = {"Discrete": NO_CHOICE, "Box": NO_INTERVAL, "MultiDiscrete": NO_CHOICES}[
+        type(environment.action_space).__name__
+    ]
     expected = record(environment, 8, steps=10)
     environment.reset(seed=8)
     for bad in (*BAD_ACTIONS, *extra):
         with pytest.raises(UsageError, match=r"^action .* does not fit "):
             environment.step(bad)
-    found = [as_bytes(environment.step(action)) for _, action in zip(expected[1:], actions(environment, 8), strict=False)]
+    found = [
+        as_bytes(environment.step(action))
+        for _, action in zip(expected[1:], actions(environment, 8), strict=False)
+    ]
     assert found == expected[1:]
 
 
 def test_an_action_may_come_in_every_usual_form(environment: Supervisor) -> None:
-    """As a number of numpy or Python, as an array, as a list: Stable-Baselines3 predicts a choice as an array without axes."""
+    """As a number of numpy or Python, as an array, as a list: Stable-Baselines3 predicts a choice as an array
+    without axes."""
     action = next(actions(environment, 3))
     found = set()
     for form in (action, np.asarray(action), np.asarray(action).tolist()):

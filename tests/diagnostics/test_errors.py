@@ -27,14 +27,23 @@ def test_the_docstring_shows_every_exception_below_its_parent() -> None:
     assert sorted((name, len(lines) // 4) for lines, name in rows) == sorted(tree(DeepbotsError))
 
 
-def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_no_index_that_may_not_have_it(tmp_path: Path) -> None:
+def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_no_index_that_may_not_have_it(
+    tmp_path: Path,
+) -> None:
     clone, packages = tmp_path / "my clone", tmp_path / "packages"
     known = packages / "deepbots_cli-0.1.0.dist-info"
     known.mkdir(parents=True)
     (known / "METADATA").write_text("Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n")
     (known / "direct_url.json").write_text(json.dumps({"url": clone.as_uri(), "dir_info": {}}))
-    command = [sys.executable, "-c", "from deepbots_cli.errors import install_hint; print(install_hint('sim'))"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(packages), str(Path(errors.__file__).parents[1])))}
+    command = [
+        sys.executable,
+        "-c",
+        "from deepbots_cli.errors import install_hint; print(install_hint('sim'))",
+    ]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join((str(packages), str(Path(errors.__file__).parents[1]))),
+    }
     for there, origin in ((False, "deepbots-cli"), (True, str(clone))):
         if there:
             clone.mkdir()

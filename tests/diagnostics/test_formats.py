@@ -16,10 +16,15 @@ from deepbots_cli.diagnostics import Finding, Label, Source, Span
 from deepbots_cli.diagnostics.findings import Fix
 from deepbots_cli.diagnostics.junit import junit
 from deepbots_cli.diagnostics.render import github, render, sarif
-from deepbots_cli.lint import pages_of
+from deepbots_cli.lint.pages import pages_of
 
 # What SARIF 2.1.0 asks of the objects that are used here, and no property that it does not know.
-TEXT = {"type": "object", "properties": {"text": {"type": "string"}}, "required": ["text"], "additionalProperties": False}
+TEXT = {
+    "type": "object",
+    "properties": {"text": {"type": "string"}},
+    "required": ["text"],
+    "additionalProperties": False,
+}
 WHOLE = {"type": "integer", "minimum": 1}
 REGION = {
     "type": "object",
@@ -29,7 +34,10 @@ REGION = {
 }
 ARTIFACT = {
     "type": "object",
-    "properties": {"uri": {"type": "string", "pattern": "^[!#-;=?-Z_a-z~%]+$"}, "uriBaseId": {"const": "%SRCROOT%"}},
+    "properties": {
+        "uri": {"type": "string", "pattern": "^[!#-;=?-Z_a-z~%]+$"},
+        "uriBaseId": {"const": "%SRCROOT%"},
+    },
     "required": ["uri"],
     "additionalProperties": False,
 }
@@ -52,7 +60,10 @@ REPLACEMENT = {
 }
 CHANGE = {
     "type": "object",
-    "properties": {"artifactLocation": ARTIFACT, "replacements": {"type": "array", "minItems": 1, "items": REPLACEMENT}},
+    "properties": {
+        "artifactLocation": ARTIFACT,
+        "replacements": {"type": "array", "minItems": 1, "items": REPLACEMENT},
+    },
     "required": ["artifactLocation", "replacements"],
     "additionalProperties": False,
 }
@@ -89,7 +100,10 @@ RULE = {
         "shortDescription": TEXT,
         "help": {
             "type": "object",
-            "properties": {"text": {"type": "string", "minLength": 1}, "markdown": {"type": "string", "minLength": 1}},
+            "properties": {
+                "text": {"type": "string", "minLength": 1},
+                "markdown": {"type": "string", "minLength": 1},
+            },
             "required": ["text"],
             "additionalProperties": False,
         },
@@ -98,7 +112,10 @@ RULE = {
             "properties": {"enabled": {"type": "boolean"}, "level": LEVEL},
             "additionalProperties": False,
         },
-        "properties": {"type": "object", "properties": {"tags": {"type": "array", "uniqueItems": True, "items": {"type": "string"}}}},
+        "properties": {
+            "type": "object",
+            "properties": {"tags": {"type": "array", "uniqueItems": True, "items": {"type": "string"}}},
+        },
     },
     "required": ["id"],
     "additionalProperties": False,
@@ -116,7 +133,12 @@ DRIVER = {
 RUN = {
     "type": "object",
     "properties": {
-        "tool": {"type": "object", "properties": {"driver": DRIVER}, "required": ["driver"], "additionalProperties": False},
+        "tool": {
+            "type": "object",
+            "properties": {"driver": DRIVER},
+            "required": ["driver"],
+            "additionalProperties": False,
+        },
         "columnKind": {"enum": ["utf16CodeUnits", "unicodeCodePoints"]},
         "results": {"type": "array", "items": RESULT},
     },
@@ -125,7 +147,11 @@ RUN = {
 }
 SARIF = {
     "type": "object",
-    "properties": {"$schema": {"type": "string", "format": "uri"}, "version": {"const": "2.1.0"}, "runs": {"type": "array", "items": RUN}},
+    "properties": {
+        "$schema": {"type": "string", "format": "uri"},
+        "version": {"const": "2.1.0"},
+        "runs": {"type": "array", "items": RUN},
+    },
     "required": ["version", "runs"],
     "additionalProperties": False,
 }
@@ -137,9 +163,13 @@ def page(code: str) -> tuple[str, str]:
     return only.text(), only.markdown()
 
 
-def finding(text: str = "world:\n  tmiestep: 32 ms\n", marked: str = "tmiestep", name: str = "a.yaml", **more: object) -> Finding:
+def finding(
+    text: str = "world:\n  tmiestep: 32 ms\n", marked: str = "tmiestep", name: str = "a.yaml", **more: object
+) -> Finding:
     start = text.index(marked)
-    return Finding("DB101", Span(Source(name, text), start, start + len(marked)), "the key is not known", **more)  # type: ignore[arg-type]
+    return Finding(
+        "DB101", Span(Source(name, text), start, start + len(marked)), "the key is not known", **more
+    )  # type: ignore[arg-type]
 
 
 def warning(name: str = "a.yaml") -> Finding:
@@ -156,14 +186,25 @@ def sarif_of(findings: list[Finding]) -> dict[str, object]:
 
 def test_a_workflow_shows_the_finding_at_its_line_with_its_code_and_help() -> None:
     assert github([finding(help="write `timestep`")]) == (
-        "::error title=DB101 unknown-key,file=a.yaml,line=2,endLine=2,col=3,endColumn=11::the key is not known%0Ahelp: write `timestep`\n"
+        "::error title=DB101 unknown-key,file=a.yaml,line=2,endLine=2,col=3,endColumn=11::the key is not"
+        " known%0Ahelp: write `timestep`\n"
     )
 
 
 def test_a_workflow_is_given_errors_first_since_it_shows_only_ten() -> None:
     said = github([warning("a.yaml"), finding(name="b.yaml"), warning("c.yaml"), finding(name="d.yaml")])
-    assert [line.partition(" ")[0] for line in said.splitlines()] == ["::error", "::error", "::warning", "::warning"]
-    assert [name for name in ("b.yaml", "d.yaml", "a.yaml", "c.yaml") if name in said] == ["b.yaml", "d.yaml", "a.yaml", "c.yaml"]
+    assert [line.partition(" ")[0] for line in said.splitlines()] == [
+        "::error",
+        "::error",
+        "::warning",
+        "::warning",
+    ]
+    assert [name for name in ("b.yaml", "d.yaml", "a.yaml", "c.yaml") if name in said] == [
+        "b.yaml",
+        "d.yaml",
+        "a.yaml",
+        "c.yaml",
+    ]
     assert said.index("b.yaml") < said.index("d.yaml") < said.index("a.yaml") < said.index("c.yaml")
 
 
@@ -174,7 +215,9 @@ def test_a_workflow_is_given_no_columns_for_a_place_over_several_lines() -> None
 
 def test_nothing_from_a_file_becomes_a_workflow_command_of_its_own() -> None:
     evil = "x\n::set-output name=a::b\r::stop-commands::y"
-    found = Finding("DB101", Span(Source("a,line=9::b%\n.yaml", "a"), 0, 1), f"100 % {evil}", help=evil, notes=(evil,))
+    found = Finding(
+        "DB101", Span(Source("a,line=9::b%\n.yaml", "a"), 0, 1), f"100 % {evil}", help=evil, notes=(evil,)
+    )
     said = github([found])
     assert said.count("\n") == 1
     assert "\r" not in said
@@ -185,7 +228,11 @@ def test_nothing_from_a_file_becomes_a_workflow_command_of_its_own() -> None:
 def test_sarif_has_a_result_for_each_finding_and_tells_of_the_rules() -> None:
     run = sarif_of([warning(), finding(help="did you mean `timestep`?"), finding(name="b.yaml")])
     results, rules = run["results"], run["tool"]["driver"]["rules"]  # type: ignore[index]
-    assert [(result["ruleId"], result["level"]) for result in results] == [("DB003", "warning"), ("DB101", "error"), ("DB101", "error")]
+    assert [(result["ruleId"], result["level"]) for result in results] == [
+        ("DB003", "warning"),
+        ("DB101", "error"),
+        ("DB101", "error"),
+    ]
     assert [rules[result["ruleIndex"]]["id"] for result in results] == ["DB003", "DB101", "DB101"]
     assert results[1]["message"]["text"] == "the key is not known\nhelp: did you mean `timestep`?"
     place = results[1]["locations"][0]["physicalLocation"]
@@ -203,30 +250,49 @@ def test_sarif_without_findings_is_a_run_with_no_results() -> None:
 
 def test_sarif_holds_the_fix_of_a_finding_as_replacements() -> None:
     plain = finding()
-    fixed = finding(fix=Fix.replacing(plain.span, "tmiestep", "timestep", safe=True), help="did you mean `timestep`?")
+    fixed = finding(
+        fix=Fix.replacing(plain.span, "tmiestep", "timestep", safe=True), help="did you mean `timestep`?"
+    )
     ((fix,),) = [result["fixes"] for result in sarif_of([fixed])["results"]]  # type: ignore[attr-defined]
     ((change,),) = [fix["artifactChanges"]]
     assert change["artifactLocation"]["uri"] == "a.yaml"
     assert change["replacements"] == [
-        {"deletedRegion": {"startLine": 2, "startColumn": 3, "endLine": 2, "endColumn": 11}, "insertedContent": {"text": "timestep"}}
+        {
+            "deletedRegion": {"startLine": 2, "startColumn": 3, "endLine": 2, "endColumn": 11},
+            "insertedContent": {"text": "timestep"},
+        }
     ]
     assert fix["properties"] == {"safe": True}
     assert json.loads(render([fixed], "json"))["findings"][0]["fix"] == {
         "safe": True,
-        "edits": [{"file": "a.yaml", "start": {"line": 2, "column": 3}, "end": {"line": 2, "column": 11}, "text": "timestep"}],
+        "edits": [
+            {
+                "file": "a.yaml",
+                "start": {"line": 2, "column": 3},
+                "end": {"line": 2, "column": 11},
+                "text": "timestep",
+            }
+        ],
     }
 
 
 def test_sarif_names_further_places_and_the_files_that_included_this_one() -> None:
     main = Source("main.yaml", "include: b.yaml")
     part = Source("b.yaml", "a: 1\na: 2\n", Span(main, 9, 15))
-    found = Finding("DB002", Span(part, 5, 6), "given twice", labels=(Label(Span(part, 0, 1), "first defined here"),))
+    found = Finding(
+        "DB002", Span(part, 5, 6), "given twice", labels=(Label(Span(part, 0, 1), "first defined here"),)
+    )
     (result,) = sarif_of([found])["results"]  # type: ignore[attr-defined]
-    told = [(place["message"]["text"], place["physicalLocation"]["artifactLocation"]["uri"]) for place in result["relatedLocations"]]
+    told = [
+        (place["message"]["text"], place["physicalLocation"]["artifactLocation"]["uri"])
+        for place in result["relatedLocations"]
+    ]
     assert told == [("first defined here", "b.yaml"), ("included from here", "main.yaml")]
 
 
-def test_a_file_below_the_working_directory_is_named_from_there_in_every_format(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_below_the_working_directory_is_named_from_there_in_every_format(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     found = [finding(name=str(tmp_path / "my worlds" / "a.yaml"))]
     assert "file=my worlds/a.yaml," in github(found)
@@ -237,7 +303,9 @@ def test_a_file_below_the_working_directory_is_named_from_there_in_every_format(
 
 
 def test_a_report_of_tests_has_a_suite_for_each_file_and_a_case_for_each_finding() -> None:
-    root = ElementTree.fromstring(junit([warning(), finding(), finding(name="b.yaml")], ["c.yaml", "a.yaml"], ("error",)))
+    root = ElementTree.fromstring(
+        junit([warning(), finding(), finding(name="b.yaml")], ["c.yaml", "a.yaml"], ("error",))
+    )
     assert root.attrib["tests"] == "4"
     assert root.attrib["failures"] == "2"
     suites = {suite.attrib["name"]: suite for suite in root}
@@ -265,11 +333,26 @@ def test_a_warning_is_a_failure_of_a_report_where_warnings_fail() -> None:
 
 
 @settings(max_examples=30)
-@given(st.text(max_size=60), st.integers(0, 60), st.integers(0, 60), st.text(max_size=20), st.text(min_size=1, max_size=20))
-def test_any_text_whatever_makes_reports_that_programs_can_read(text: str, one: int, two: int, headline: str, name: str) -> None:
+@given(
+    st.text(max_size=60),
+    st.integers(0, 60),
+    st.integers(0, 60),
+    st.text(max_size=20),
+    st.text(min_size=1, max_size=20),
+)
+def test_any_text_whatever_makes_reports_that_programs_can_read(
+    text: str, one: int, two: int, headline: str, name: str
+) -> None:
     start, end = sorted((min(one, len(text)), min(two, len(text))))
     source = Source(name, text)
-    found = Finding("DB101", Span(source, start, end), f"x{headline}", headline, (Label(Span(source, 0, start), headline),), (headline,))
+    found = Finding(
+        "DB101",
+        Span(source, start, end),
+        f"x{headline}",
+        headline,
+        (Label(Span(source, 0, start), headline),),
+        (headline,),
+    )
     assert github([found]).count("\n") == 1
     ElementTree.fromstring(junit([found], [name], ("error",)))
     (result,) = sarif_of([found])["results"]  # type: ignore[attr-defined]

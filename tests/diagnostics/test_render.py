@@ -23,7 +23,13 @@ def finding(text: str, marked: str, name: str = "a.yaml", **more: object) -> Fin
 
 
 def test_the_full_form_shows_the_line_and_underlines_the_place() -> None:
-    shown = render([finding("world:\n  tmiestep: 32 ms\n", "tmiestep", help="did you mean `timestep`?", notes=("a note",))])
+    shown = render(
+        [
+            finding(
+                "world:\n  tmiestep: 32 ms\n", "tmiestep", help="did you mean `timestep`?", notes=("a note",)
+            )
+        ]
+    )
     assert shown == (
         "error DB101[unknown-key]: the key is not known\n"
         " --> a.yaml:2:3\n"
@@ -40,7 +46,9 @@ def test_the_full_form_shows_the_line_and_underlines_the_place() -> None:
 def test_further_places_are_shown_in_the_order_of_the_file() -> None:
     source = Source("a.yaml", "name: x\nb: 1\nc: 1\nname: y\n")
     label = Label(Span(source, 0, 4), "first defined here")
-    lines = render([Finding("DB002", Span(source, 18, 22), "the key `name` is given twice", labels=(label,))]).splitlines()
+    lines = render(
+        [Finding("DB002", Span(source, 18, 22), "the key `name` is given twice", labels=(label,))]
+    ).splitlines()
     assert lines[1:] == [
         " --> a.yaml:4:1",
         "  |",
@@ -73,7 +81,9 @@ def test_a_finding_in_an_included_file_shows_the_chain() -> None:
     ]
 
 
-@pytest.mark.parametrize("text", ["日本語: x", "e\u0301e\u0301: x", "\ta\t: x", "äöü: x", "😀: x", "\u202eabc\u200d: x"])
+@pytest.mark.parametrize(
+    "text", ["日本語: x", "e\u0301e\u0301: x", "\ta\t: x", "äöü: x", "😀: x", "\u202eabc\u200d: x"]
+)
 def test_the_underline_stands_below_the_place_whatever_is_before_it(text: str) -> None:
     lines = render([finding(text, "x")]).splitlines()
 
@@ -120,7 +130,9 @@ def test_color_changes_nothing_but_the_escapes() -> None:
 @pytest.mark.parametrize("format", ["full", "concise"])
 def test_nothing_from_a_file_is_obeyed_by_the_terminal(format: str) -> None:
     evil = "a: \x1b[2J\x07\u202e\x9b31m"
-    found = Finding("DB101", place(Source("\x1b]0;x\x07.yaml", evil), "a"), f"bad {evil}", f"help {evil}\n", notes=(evil,))
+    found = Finding(
+        "DB101", place(Source("\x1b]0;x\x07.yaml", evil), "a"), f"bad {evil}", f"help {evil}\n", notes=(evil,)
+    )
     shown = render([found], format)  # type: ignore[arg-type]
     assert not set("\x1b\x07\u202e\x9b").intersection(shown)
     assert "\\u{1b}" in shown
@@ -128,12 +140,17 @@ def test_nothing_from_a_file_is_obeyed_by_the_terminal(format: str) -> None:
 
 def test_the_concise_form_is_one_line_that_editors_can_link() -> None:
     found = finding("a:\n  b: 1", "b", help="write\nc")
-    assert render([found], "concise") == "a.yaml:2:3: error DB101[unknown-key] the key is not known (write\\u{a}c)\n"
+    assert (
+        render([found], "concise")
+        == "a.yaml:2:3: error DB101[unknown-key] the key is not known (write\\u{a}c)\n"
+    )
 
 
 def test_the_json_form_is_versioned_and_complete() -> None:
     source = Source("a.yaml", "é: 1\nb: 2\n")
-    found = Finding("DB003", Span(source, 5, 6), "text", "help", (Label(Span(source, 0, 1), "here"),), ("note",))
+    found = Finding(
+        "DB003", Span(source, 5, 6), "text", "help", (Label(Span(source, 0, 1), "here"),), ("note",)
+    )
     assert json.loads(render([found], "json")) == {
         "version": 1,
         "findings": [
@@ -147,7 +164,14 @@ def test_the_json_form_is_versioned_and_complete() -> None:
                 "end": {"line": 2, "column": 2},
                 "help": "help",
                 "notes": ["note"],
-                "also": [{"file": "a.yaml", "start": {"line": 1, "column": 1}, "end": {"line": 1, "column": 2}, "message": "here"}],
+                "also": [
+                    {
+                        "file": "a.yaml",
+                        "start": {"line": 1, "column": 1},
+                        "end": {"line": 1, "column": 2},
+                        "message": "here",
+                    }
+                ],
                 "fix": None,
             }
         ],
@@ -157,7 +181,11 @@ def test_the_json_form_is_versioned_and_complete() -> None:
 
 def test_no_findings_are_no_text_but_still_json() -> None:
     assert render([]) == render([], "concise") == ""
-    assert json.loads(render([], "json")) == {"version": 1, "findings": [], "counts": {"error": 0, "warning": 0}}
+    assert json.loads(render([], "json")) == {
+        "version": 1,
+        "findings": [],
+        "counts": {"error": 0, "warning": 0},
+    }
 
 
 def test_the_summary_counts_by_severity() -> None:
@@ -168,11 +196,20 @@ def test_the_summary_counts_by_severity() -> None:
     assert summary([]) == "no findings"
 
 
-@given(st.text(max_size=120), st.integers(0, 120), st.integers(0, 120), st.text(max_size=20), st.integers(0, 120))
+@given(
+    st.text(max_size=120), st.integers(0, 120), st.integers(0, 120), st.text(max_size=20), st.integers(0, 120)
+)
 def test_any_place_in_any_text_can_be_drawn(text: str, one: int, two: int, headline: str, width: int) -> None:
     start, end = sorted((min(one, len(text)), min(two, len(text))))
     source = Source("a.yaml", text)
-    found = Finding("DB101", Span(source, start, end), headline, headline, (Label(Span(source, 0, start), headline),), (headline,))
+    found = Finding(
+        "DB101",
+        Span(source, start, end),
+        headline,
+        headline,
+        (Label(Span(source, 0, start), headline),),
+        (headline,),
+    )
     assert "^" in render([found], width=width)
     assert render([found], "concise").count("\n") == 1
     assert json.loads(render([found], "json"))["findings"][0]["message"] == headline

@@ -1,9 +1,8 @@
-"""What the pages of lint rules show is so: the example has the finding, and what stands there instead has none of that code."""
+"""What the pages of lint rules show is so: the example has the finding, and what stands there instead has
+none of that code."""
 
 from __future__ import annotations
 
-import re
-from inspect import cleandoc
 from pathlib import Path
 
 import pytest
@@ -17,21 +16,17 @@ from deepbots_cli.lint import (
     EXPLOIT_RULES,
     SIMULATED_RULES,
     STATIC_RULES,
-    RulePage,
-    code_of,
-    every_page,
     find_exploits,
     simulate,
     static_findings,
 )
-from deepbots_cli.lint.context import StaticRule
+from deepbots_cli.lint.pages import RulePage, every_page
 from deepbots_cli.robots.reader import read
 from tests.few import few
 
 pytestmark = pytest.mark.usefixtures("simulated_here")
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
-SHAPE = re.compile(r"(DB\d{3}): .*?\n\nExample::\n\n(.*?)\n\nInstead::\n\n(.*)", re.DOTALL)
 
 
 MEASURED = """\
@@ -47,14 +42,17 @@ truncation: {max_steps: 100}
 
 
 def codes(text: str, page: RulePage, folder: Path) -> set[str]:
-    """What is found in a fragment upon CartPole, by a simulation too where the page is about one, or in a robot file."""
+    """What is found in a fragment upon CartPole, by a simulation too where the page is about one, or in a
+    robot file."""
     if page.language == "xml":
         file, findings = folder / "robot.urdf", Findings()
         file.write_text(text, encoding="utf-8")
         robot = read(file, file.name, findings)
         scenario = folder / "robot.yaml"
         about_free = page.code == "DB323"  # a rule about robots that nothing holds
-        scenario.write_text(MEASURED.replace("base: fixed, ", "") if about_free else MEASURED, encoding="utf-8")
+        scenario.write_text(
+            MEASURED.replace("base: fixed, ", "") if about_free else MEASURED, encoding="utf-8"
+        )
         measured = api.lint(scenario) if robot is not None and robot.model.moving_joints else []
         return {finding.code for finding in (*findings, *measured)}
     checked = check(loads(f"deepbots: 1\nextends: cartpole.yaml\n{text}\n", base=SCENARIOS))
@@ -62,14 +60,13 @@ def codes(text: str, page: RulePage, folder: Path) -> set[str]:
     if page.deep:
         assert page.code not in {finding.code for finding in found}, "the text alone tells it"
         searched = RULES[page.code].deep == "exploits"
-        found += [each.finding for each in find_exploits(checked).exploits] if searched else simulate(checked, preview=True).findings
+        found += (
+            [each.finding for each in find_exploits(checked).exploits]
+            if searched
+            else simulate(checked, preview=True).findings
+        )
     kept, unused = suppress(found, checked.document.sources, preview=True, deep=page.deep)
     return {finding.code for finding in (*kept, *unused)}
-
-
-@pytest.mark.parametrize("rule", [rule for rule in STATIC_RULES if code_of(rule) != "DB316"], ids=lambda rule: rule.__name__)
-def test_the_docstring_of_a_rule_is_a_page(rule: StaticRule) -> None:
-    assert SHAPE.fullmatch(cleandoc(rule.__doc__ or ""))
 
 
 def named(page: RulePage) -> str:
@@ -78,11 +75,14 @@ def named(page: RulePage) -> str:
 
 EXAMPLES = [page for page in every_page() if page.example]
 QUICK = {named(page) for page in EXAMPLES if not page.deep} | {"DB310-deep"}
-"""All but one of those that are simulated, which take 1 to 4 s each; `tests/golden/deep` has a case of each of them."""
+"""All but one of those that are simulated, which take 1 to 4 s each; `tests/golden/deep` has a case of each
+of them."""
 
 
 @pytest.mark.parametrize("page", few(EXAMPLES, QUICK, named))
-def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not(page: RulePage, tmp_path: Path) -> None:
+def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not(
+    page: RulePage, tmp_path: Path
+) -> None:
     assert page.code in codes(page.example, page, tmp_path)
     found = codes(page.instead, page, tmp_path)
     assert page.code not in found
@@ -90,23 +90,33 @@ def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not
 
 
 def test_every_finding_has_a_page_and_all_but_four_an_example() -> None:
-    """DB316 depends on what is installed. DB410 and DB902 are about options of commands, and DB903 is about faults of deepbots.
+    """DB316 depends on what is installed. DB410 and DB902 are about options of commands, and DB903 is about
+    faults of deepbots.
 
     What text and a simulation tell has a second page.
     """
-    assert [page.code for page in every_page() if not page.deep or RULES[page.code].deep in ("only", "exploits")] == list(RULES)
+    assert [
+        page.code for page in every_page() if not page.deep or RULES[page.code].deep in ("only", "exploits")
+    ] == list(RULES)
     assert [page.code for page in every_page() if not page.example] == ["DB316", "DB410", "DB902", "DB903"]
 
 
 def test_a_rule_is_in_the_catalog_under_the_name_of_its_function() -> None:
     for rule in STATIC_RULES:
-        name = rule.__name__.replace("_", "-")
-        assert RULES[code_of(rule)].name == name
+        assert RULES[rule.code].name == rule.check.__name__.replace("_", "-")
 
 
 def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
     deep = {code for code, entry in RULES.items() if entry.deep != "no"}
-    assert deep == set(map(code_of, (*SIMULATED_RULES, *EXPLOIT_RULES))) == {page.code for page in every_page() if page.deep}
+    assert (
+        deep
+        == {rule.code for rule in (*SIMULATED_RULES, *EXPLOIT_RULES)}
+        == {page.code for page in every_page() if page.deep}
+    )
+
+
+def test_what_the_text_tells_has_a_page_of_its_own() -> None:
+    assert {rule.code for rule in STATIC_RULES} <= {page.code for page in every_page() if not page.deep}
 
 
 def test_a_comment_about_what_a_simulation_finds_is_of_use_where_there_was_none() -> None:

@@ -25,7 +25,12 @@ def test_without_a_word_everything_is_shown() -> None:
 
 def test_the_beginning_of_codes_a_code_and_a_name_select() -> None:
     selection = Selection(words("DB5", "DB603", "never-true"))
-    assert shown(selection, "DB003", "DB504", "DB505", "DB603", "DB611", "DB801", "DB804") == ["DB504", "DB505", "DB603", "DB801"]
+    assert shown(selection, "DB003", "DB504", "DB505", "DB603", "DB611", "DB801", "DB804") == [
+        "DB504",
+        "DB505",
+        "DB603",
+        "DB801",
+    ]
     assert not selection.selects_all
 
 
@@ -35,9 +40,16 @@ def test_what_is_ignored_is_not_shown() -> None:
 
 @pytest.mark.parametrize(
     ("select", "ignore", "left"),
-    [("DB5", "DB505", ["DB504"]), ("DB505", "DB5", ["DB505"]), ("implausible-magnitude", "DB5", ["DB505"]), ("DB5", "DB5", [])],
+    [
+        ("DB5", "DB505", ["DB504"]),
+        ("DB505", "DB5", ["DB505"]),
+        ("implausible-magnitude", "DB5", ["DB505"]),
+        ("DB5", "DB5", []),
+    ],
 )
-def test_the_longer_of_two_words_counts_and_ignoring_among_equals(select: str, ignore: str, left: list[str]) -> None:
+def test_the_longer_of_two_words_counts_and_ignoring_among_equals(
+    select: str, ignore: str, left: list[str]
+) -> None:
     assert shown(Selection(words(select), words(ignore)), "DB504", "DB505") == left
 
 
@@ -72,7 +84,11 @@ def test_a_selection_of_nothing_is_refused() -> None:
 
 def test_a_rule_in_preview_that_is_selected_by_itself_is_told_of() -> None:
     (doubt,) = Selection(words("DB5", "hidden-state-reward")).inactive_rules()
-    assert (doubt.code, doubt.span.location, doubt.span.text) == ("DB902", "--select:1:5", "hidden-state-reward")
+    assert (doubt.code, doubt.span.location, doubt.span.text) == (
+        "DB902",
+        "--select:1:5",
+        "hidden-state-reward",
+    )
     assert "--preview" in (doubt.help or "")
 
 

@@ -33,11 +33,31 @@ def test_a_comment_on_the_line_or_above_it_suppresses_a_warning(text: str) -> No
 @pytest.mark.parametrize(
     ("text", "marked", "headline"),
     [
-        ("b: 1 # deepbots: ignore[DB003]\na: on\n", "DB003", "this comment suppresses nothing: there is no DB003 here"),
-        ("# deepbots: ignore[DB003]\n\na: on\n", "DB003", "this comment suppresses nothing: there is no DB003 here"),
-        ("a: on # deepbots: ignore[DB004]\n", "DB004", "this comment suppresses nothing: there is no DB004 here"),
-        ("a: on # deepbots: ignore\n", "# deepbots: ignore", "the comment does not name the code to suppress"),
-        ("a: on # deepbots: ignore[ ]\n", "# deepbots: ignore[ ]", "the comment does not name the code to suppress"),
+        (
+            "b: 1 # deepbots: ignore[DB003]\na: on\n",
+            "DB003",
+            "this comment suppresses nothing: there is no DB003 here",
+        ),
+        (
+            "# deepbots: ignore[DB003]\n\na: on\n",
+            "DB003",
+            "this comment suppresses nothing: there is no DB003 here",
+        ),
+        (
+            "a: on # deepbots: ignore[DB004]\n",
+            "DB004",
+            "this comment suppresses nothing: there is no DB004 here",
+        ),
+        (
+            "a: on # deepbots: ignore\n",
+            "# deepbots: ignore",
+            "the comment does not name the code to suppress",
+        ),
+        (
+            "a: on # deepbots: ignore[ ]\n",
+            "# deepbots: ignore[ ]",
+            "the comment does not name the code to suppress",
+        ),
         ("a: on # deepbots: ignore[DB0O3]\n", "DB0O3", "there is no rule `DB0O3`"),
         ("a: on # deepbots: ignore[DB101]\n", "DB101", "DB101 is an error, which cannot be suppressed"),
     ],

@@ -1,4 +1,5 @@
-"""What README and docs say is true: scenarios lint, Python runs, commands parse, links lead somewhere, tables and maps are current."""
+"""What README and docs say is true: scenarios lint, Python runs, commands parse, links lead somewhere, tables
+and maps are current."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ from deepbots_cli.compiler import check
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.document import loads
-from deepbots_cli.lint import pages_of
 from deepbots_cli.lint import static_findings as run_rules
+from deepbots_cli.lint.pages import pages_of
 from tests.docs.test_docs_tutorials import TUTORIALS
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +32,9 @@ PACKAGES = sorted(path.parent for path in (ROOT / "deepbots_cli").rglob("__init_
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 TOPICS = "(?:cart|supervisor|deepbots)/"  # of ROS 2, in docs/ros.md
-FORBIDDEN = re.compile(rf"(?<![\w.:/)\]}}*-])/(?!{TOPICS})[a-z]+/[A-Za-z]\w*|index-url|\bTODO\b")  # an absolute path is some machine's
+FORBIDDEN = re.compile(
+    rf"(?<![\w.:/)\]}}*-])/(?!{TOPICS}|dev/null)[a-z]+/[A-Za-z]\w*|index-url|\bTODO\b"
+)  # an absolute path is some machine's
 UPON_CARTPOLE = "deepbots: 1\nextends: cartpole\n"
 
 
@@ -55,12 +58,16 @@ def blocks(language: str) -> list[Block]:
 def _blocks(page: Path) -> Iterator[Block]:
     text = page.read_text(encoding="utf-8")
     for found in re.finditer(r"^```(\w+)[ ]?([^\n]*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
-        yield Block(str(page.relative_to(ROOT)), text[: found.start()].count("\n") + 1, found[1], found[2], found[3])
+        yield Block(
+            str(page.relative_to(ROOT)), text[: found.start()].count("\n") + 1, found[1], found[2], found[3]
+        )
 
 
 def findings_of(text: str, base: Path = ROOT / "scenarios") -> list[Finding]:
     checked = check(loads(text, base=base))
-    kept, unused = suppress([*checked.findings, *run_rules(checked, preview=True)], checked.document.sources, preview=True)
+    kept, unused = suppress(
+        [*checked.findings, *run_rules(checked, preview=True)], checked.document.sources, preview=True
+    )
     return [*kept, *unused]
 
 
@@ -89,7 +96,9 @@ def test_a_scenario_in_the_docs_is_what_the_text_says(block: Block, tmp_path: Pa
             if file.language == "xml" and file.mark:  # a robot file of the same page
                 (tmp_path / file.mark).write_text(file.text, encoding="utf-8")
         found = findings_of(UPON_CARTPOLE + block.text, tmp_path)
-        assert [f"{finding.code} {finding.headline}" for finding in found if finding.severity == "error"] == []
+        assert [
+            f"{finding.code} {finding.headline}" for finding in found if finding.severity == "error"
+        ] == []
     else:
         assert [f"{finding.code} {finding.headline}" for finding in findings_of(block.text)] == []
 
@@ -106,7 +115,9 @@ def test_python_in_the_docs_runs(block: Block, monkeypatch: pytest.MonkeyPatch):
 def command_lines() -> list[tuple[str, str]]:
     found = []
     for block in blocks("console"):
-        found += [(str(block), line.removeprefix("$ ")) for line in block.text.splitlines() if line.startswith("$ ")]
+        found += [
+            (str(block), line.removeprefix("$ ")) for line in block.text.splitlines() if line.startswith("$ ")
+        ]
     for page in PAGES:
         quoted = re.findall(r"`(deepbots [a-z][^`]*)`", page.read_text(encoding="utf-8"))
         found += [(page.name, line) for line in quoted if not re.search("COMMAND|VERB|NAME", line)]
@@ -125,7 +136,11 @@ def test_a_command_in_the_docs_is_one(place: str, line: str):
         return
     verb, *arguments = words[1:]
     assert verb in COMMANDS
-    options = {option for parameter in Commands().get_command(None, verb).params for option in (*parameter.opts, *parameter.secondary_opts)}
+    options = {
+        option
+        for parameter in Commands().get_command(None, verb).params
+        for option in (*parameter.opts, *parameter.secondary_opts)
+    }
     assert {word.partition("=")[0] for word in arguments if word.startswith("-")} <= options
 
 
@@ -142,7 +157,11 @@ def test_links_lead_somewhere(page: Path):
 
 def linked(page: Path) -> set[Path]:
     targets = re.findall(r"\]\(([^)\s#]+)", page.read_text(encoding="utf-8"))
-    return {(page.parent / target).resolve() for target in targets if target.endswith(".md") and "://" not in target}
+    return {
+        (page.parent / target).resolve()
+        for target in targets
+        if target.endswith(".md") and "://" not in target
+    }
 
 
 def test_every_page_is_reached_from_the_readme():
@@ -161,7 +180,9 @@ def anchors(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("name", ["keys.md", "functions.md", "rules.md", "commands.md", "glossary.md"])
 def test_the_reference_is_current(name: str, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if Path(folder).name != "exact"])  # an engine of the tests
+    monkeypatch.setattr(
+        sys, "path", [folder for folder in sys.path if Path(folder).name != "exact"]
+    )  # an engine of the tests
     written = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")
     assert written == load_reference().pages()[name], "run: python docs/build_reference.py"
 
@@ -194,7 +215,9 @@ def test_the_picture_is_small():
     assert (ROOT / "docs" / "images" / "cartpole.png").stat().st_size < 60_000
 
 
-def test_the_readme_shows_a_finding_as_lint_prints_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_the_readme_shows_a_finding_as_lint_prints_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     (scenario,) = (block.text for block in blocks("yaml") if block.page == "README.md")
     (shown,) = (block.text for block in blocks("text") if block.page == "README.md")
     monkeypatch.chdir(tmp_path)
@@ -205,9 +228,18 @@ def test_the_readme_shows_a_finding_as_lint_prints_it(tmp_path: Path, monkeypatc
 
 def test_the_page_about_the_pipeline_quotes_the_code():
     page = (ROOT / "docs" / "pipeline.md").read_text(encoding="utf-8")
-    files = [ROOT / "deepbots_cli" / name for name in re.findall(r"^\| `([\w/]+\.py)` \|", page, re.MULTILINE)]
+    files = [
+        ROOT / "deepbots_cli" / name for name in re.findall(r"^\| `([\w/]+\.py)` \|", page, re.MULTILINE)
+    ]
     assert len(files) == 5
-    code = "\n".join([path.read_text(encoding="utf-8") for path in (*files, ROOT / "scenarios" / "cartpole.yaml")])
+    code = "\n".join(
+        [path.read_text(encoding="utf-8") for path in (*files, ROOT / "scenarios" / "cartpole.yaml")]
+    )
     code += api.compile("cartpole").code
-    lines = [line for block in blocks("text") if block.page == "docs/pipeline.md" for line in block.text.splitlines()]
+    lines = [
+        line
+        for block in blocks("text")
+        if block.page == "docs/pipeline.md"
+        for line in block.text.splitlines()
+    ]
     assert [line for line in lines if line not in ("", "...") and line not in code] == []

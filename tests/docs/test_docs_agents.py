@@ -18,24 +18,39 @@ PAGE = Path(__file__).parents[2] / "docs" / "agents.md"
 
 def _schema(verb: str) -> dict[str, Any]:
     """The documented output of a command."""
-    schema = json.loads((PAGE.parents[1] / "schemas" / "deepbots-output-1.schema.json").read_text(encoding="utf-8"))
+    schema = json.loads(
+        (PAGE.parents[1] / "schemas" / "deepbots-output-1.schema.json").read_text(encoding="utf-8")
+    )
     jsonschema.Draft202012Validator.check_schema(schema)
     return {**schema, "$ref": f"#/$defs/{verb}"}
 
 
 def steps() -> list[tuple[list[str], Any]]:
     """Each block of commands, and what the last of them prints."""
-    found = re.findall(r"```console\n(.*?)```\n\n```json\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    return [([line.removeprefix("$ ") for line in commands.splitlines()], json.loads(shown)) for commands, shown in found]
+    found = re.findall(
+        r"```console\n(.*?)```\n\n```json\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL
+    )
+    return [
+        ([line.removeprefix("$ ") for line in commands.splitlines()], json.loads(shown))
+        for commands, shown in found
+    ]
 
 
 def lacking(shown: Any, printed: Any, place: str = "") -> list[str]:
     """What is shown and was not printed: keys in any order, and the first items of a list."""
     if isinstance(shown, dict) and isinstance(printed, dict):
-        return [text for key, value in shown.items() for text in lacking(value, printed.get(key), f"{place}.{key}")]
+        return [
+            text
+            for key, value in shown.items()
+            for text in lacking(value, printed.get(key), f"{place}.{key}")
+        ]
     if isinstance(shown, list) and isinstance(printed, list):
         pairs = zip(shown, [*printed, *[None] * len(shown)], strict=False)
-        return [text for number, (one, other) in enumerate(pairs) for text in lacking(one, other, f"{place}[{number}]")]
+        return [
+            text
+            for number, (one, other) in enumerate(pairs)
+            for text in lacking(one, other, f"{place}[{number}]")
+        ]
     return [] if shown == printed else [f"{place}: {shown!r} is shown, {printed!r} was printed"]
 
 
@@ -49,12 +64,16 @@ def test_the_loop_for_agents_prints_what_the_page_shows(
             main(shlex.split(command)[1:])
             printed = json.loads(capsys.readouterr().out)
             verb = shlex.split(command)[1]
-            wrong += [f"{command}: {error.message}" for error in jsonschema.Draft202012Validator(_schema(verb)).iter_errors(printed)]
+            wrong += [
+                f"{command}: {error.message}"
+                for error in jsonschema.Draft202012Validator(_schema(verb)).iter_errors(printed)
+            ]
         wrong += lacking(shown, printed, commands[-1])
         if commands[0].startswith("deepbots new"):
             scenario = Path("mine.yaml")
             scenario.write_text(
-                scenario.read_text(encoding="utf-8").replace("abs(cart.pole_angle)", "abs(cart.pole_angel)"), encoding="utf-8"
+                scenario.read_text(encoding="utf-8").replace("abs(cart.pole_angle)", "abs(cart.pole_angel)"),
+                encoding="utf-8",
             )
     assert wrong == []
     assert len(steps()) == 7
@@ -91,7 +110,11 @@ def test_a_script_that_knows_no_word_of_the_language_repairs_twelve_faults_by_th
     for _ in range(len(FAULTS)):
         scenario.write_text(text, encoding="utf-8")
         main(["lint", "mine.yaml", "--json"])
-        edits = [edit for finding in json.loads(capsys.readouterr().out)["findings"] for edit in (finding["fix"] or {"edits": []})["edits"]]
+        edits = [
+            edit
+            for finding in json.loads(capsys.readouterr().out)["findings"]
+            for edit in (finding["fix"] or {"edits": []})["edits"]
+        ]
         if not edits:
             break
         text = edited(text, edits)
@@ -101,8 +124,12 @@ def test_a_script_that_knows_no_word_of_the_language_repairs_twelve_faults_by_th
 def edited(text: str, edits: list[dict[str, Any]]) -> str:
     """The text after edits, the last ones first, so that places stay."""
     lines = text.splitlines(keepends=True)
-    for edit in sorted(edits, key=lambda edit: (edit["start"]["line"], edit["start"]["column"]), reverse=True):
+    for edit in sorted(
+        edits, key=lambda edit: (edit["start"]["line"], edit["start"]["column"]), reverse=True
+    ):
         assert edit["start"]["line"] == edit["end"]["line"]
         row = edit["start"]["line"] - 1
-        lines[row] = lines[row][: edit["start"]["column"] - 1] + edit["text"] + lines[row][edit["end"]["column"] - 1 :]
+        lines[row] = (
+            lines[row][: edit["start"]["column"] - 1] + edit["text"] + lines[row][edit["end"]["column"] - 1 :]
+        )
     return "".join(lines)

@@ -38,7 +38,9 @@ def test_the_loop_in_the_vector_api_runs() -> None:
     assert main_of("vector_loop")(steps=40, copies=2) != {}
 
 
-def test_the_package_for_sbx_is_loaded_without_jax_and_stores_weights_as_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_package_for_sbx_is_loaded_without_jax_and_stores_weights_as_tensors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.syspath_prepend(str(FOLDER / "sbx"))
     package = import_module("deepbots_sbx")
     assert [(model.base(), model.import_path) for model in (package.JaxPPO, package.JaxSAC)] == [
@@ -47,12 +49,17 @@ def test_the_package_for_sbx_is_loaded_without_jax_and_stores_weights_as_tensors
     ]
     pytest.importorskip("sbx")
     algorithms, space = import_module("deepbots_sbx.algorithms"), gym.spaces.Box(-1, 1, (4,), np.float32)
-    one, other = (algorithms.JaxPPO("MlpPolicy", _Still(space), n_steps=8, batch_size=8, seed=seed) for seed in (0, 1))
+    one, other = (
+        algorithms.JaxPPO("MlpPolicy", _Still(space), n_steps=8, batch_size=8, seed=seed) for seed in (0, 1)
+    )
     one.learn(16)
     for part in one._get_torch_save_params()[0]:
         getattr(other, part).load_state_dict(getattr(one, part).state_dict())
     seen = np.linspace(-1, 1, 40, dtype=np.float32).reshape(10, 4)
-    assert all(np.array_equal(one.predict(seen, deterministic=d)[0], other.predict(seen, deterministic=d)[0]) for d in (True, False))
+    assert all(
+        np.array_equal(one.predict(seen, deterministic=d)[0], other.predict(seen, deterministic=d)[0])
+        for d in (True, False)
+    )
 
 
 class _Still(gym.Env[Any, Any]):
@@ -61,7 +68,9 @@ class _Still(gym.Env[Any, Any]):
     def __init__(self, space: gym.spaces.Box) -> None:
         self.observation_space, self.action_space = space, gym.spaces.Discrete(2)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         return np.zeros(4, np.float32), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:

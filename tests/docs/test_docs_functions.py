@@ -18,11 +18,18 @@ SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
 
 
 def scenario_with_examples(observation: dict[str, str]) -> CheckedScenario:
-    """The model scenario with each example as a value that the policy may see: a draw as a parameter, all else as an augmentation."""
+    """The model scenario with each example as a value that the policy may see: a draw as a parameter, all
+    else as an augmentation."""
     drawn = [name for name, function in FUNCTIONS.items() if function.family is Family.DRAW]
     lines = ["deepbots: 1", "extends: reference.yaml", "parameters:"]
     lines += [f"  drawn_{name}: {FUNCTIONS[name].example}" for name in drawn]
-    lines += ["augment:", *(f"  by_{name}: '{f'drawn_{name}' if name in drawn else FUNCTIONS[name].example}'" for name in FUNCTIONS)]
+    lines += [
+        "augment:",
+        *(
+            f"  by_{name}: '{f'drawn_{name}' if name in drawn else FUNCTIONS[name].example}'"
+            for name in FUNCTIONS
+        ),
+    ]
     lines += ["observation:", *(f"  {name}: {shown}" for name, shown in observation.items())]
     return check(loads("\n".join(lines), base=SCENARIOS))
 
@@ -37,13 +44,19 @@ def symbol(checked: CheckedScenario, name: str) -> Symbol:
 def as_observed(symbol: Symbol) -> str:
     assert symbol.type is not None
     dimension = symbol.type.dimension
-    return "auto" if symbol.type.boolean else f"{{range: -1 .. 1{'' if dimension == NUMBER else f' {dimension}'}, clip: false}}"
+    return (
+        "auto"
+        if symbol.type.boolean
+        else f"{{range: -1 .. 1{'' if dimension == NUMBER else f' {dimension}'}, clip: false}}"
+    )
 
 
 @pytest.fixture(scope="module")
 def checked() -> CheckedScenario:
     first = scenario_with_examples({"rover.near": "0 .. 50 cm"})
-    return scenario_with_examples({f"by_{name}": as_observed(symbol(first, f"by_{name}")) for name in FUNCTIONS})
+    return scenario_with_examples(
+        {f"by_{name}": as_observed(symbol(first, f"by_{name}")) for name in FUNCTIONS}
+    )
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -52,7 +65,9 @@ def test_an_example_is_about_its_function(name: str):
 
 
 def test_the_examples_have_no_findings(checked: CheckedScenario):
-    assert [f"{finding.code} {finding.headline}" for finding in checked.findings if finding.severity == "error"] == []
+    assert [
+        f"{finding.code} {finding.headline}" for finding in checked.findings if finding.severity == "error"
+    ] == []
 
 
 def test_the_examples_give_finite_values_in_every_step(checked: CheckedScenario):
@@ -65,4 +80,6 @@ def test_the_examples_give_finite_values_in_every_step(checked: CheckedScenario)
     env.close()
     values = np.array(seen)
     assert values.shape == (21, len(fields))
-    assert [name for name, column in zip(fields, values.T, strict=True) if not np.isfinite(column).all()] == []
+    assert [
+        name for name, column in zip(fields, values.T, strict=True) if not np.isfinite(column).all()
+    ] == []

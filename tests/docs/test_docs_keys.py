@@ -1,4 +1,5 @@
-"""Every key of the language has an example in the reference, which lints clean and runs in a scenario that has a place for it."""
+"""Every key of the language has an example in the reference, which lints clean and runs in a scenario that
+has a place for it."""
 
 from __future__ import annotations
 
@@ -16,7 +17,16 @@ from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Document, load, loads
 from deepbots_cli.document.load import merge
-from deepbots_cli.document.nodes import Entry, MappingNode, Node, NodePath, descend, to_data, walk, without_paths
+from deepbots_cli.document.nodes import (
+    Entry,
+    MappingNode,
+    Node,
+    NodePath,
+    descend,
+    to_data,
+    walk,
+    without_paths,
+)
 from deepbots_cli.document.nodes import with_entry as replaced
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.base import Section, example_of, examples, section_fields, shape_at, walk_sections
@@ -54,8 +64,20 @@ def declared(part: type[Section], name: str) -> type[Section]:
     return [base for base in part.__mro__ if issubclass(base, Section) and name in base.model_fields][-1]
 
 
-PARTS = list(dict.fromkeys((section, kind) for _, section, kind in walk_sections(Scenario) if isinstance(section, type)))
-KEYS = sorted({Key(declared(part, name), name) for part, kind in PARTS for name in section_fields(part) if name != kind}, key=str)
+PARTS = list(
+    dict.fromkeys(
+        (section, kind) for _, section, kind in walk_sections(Scenario) if isinstance(section, type)
+    )
+)
+KEYS = sorted(
+    {
+        Key(declared(part, name), name)
+        for part, kind in PARTS
+        for name in section_fields(part)
+        if name != kind
+    },
+    key=str,
+)
 KEYS = [key for key in KEYS if not issubclass(key.owner, Training) or key.owner is Training]
 
 
@@ -73,8 +95,13 @@ def places() -> tuple[Place, ...]:
 
 
 def fitting(key: Key) -> list[Place]:
-    """Where an example may be tried, cheap hosts first: where the key stands already, where nothing excludes it, then anywhere."""
-    found = [place for place in places() if issubclass(place.part, key.owner) and key.name in section_fields(place.part)]
+    """Where an example may be tried, cheap hosts first: where the key stands already, where nothing excludes
+    it, then anywhere."""
+    found = [
+        place
+        for place in places()
+        if issubclass(place.part, key.owner) and key.name in section_fields(place.part)
+    ]
 
     def order(place: Place) -> tuple[bool, ...]:
         costly = place.document.path.stem in COSTLY
@@ -99,15 +126,23 @@ def with_example(place: Place, key: Key) -> CheckedScenario:
     assert example is not None
     entry = example.entry
     old = here.get(key.name)
-    value = merge(old, entry.value, key.name) if isinstance(old, MappingNode) and isinstance(entry.value, MappingNode) else entry.value
+    value = (
+        merge(old, entry.value, key.name)
+        if isinstance(old, MappingNode) and isinstance(entry.value, MappingNode)
+        else entry.value
+    )
     changed = replaced(root, (*place.path, key.name), Entry(entry.key, value))
     assert isinstance(changed, MappingNode)
     return check(replace(place.document, root=changed, findings=Findings(), base=place.document.path.parent))
 
 
 def findings_of(checked: CheckedScenario) -> list[str]:
-    """What lint says; that nothing uses a definition is said of examples that define something, and is no fault of theirs."""
-    found = [f"{finding.code} {finding.headline}" for finding in [*checked.findings, *lint.static_findings(checked)]]
+    """What lint says; that nothing uses a definition is said of examples that define something, and is no
+    fault of theirs."""
+    found = [
+        f"{finding.code} {finding.headline}"
+        for finding in [*checked.findings, *lint.static_findings(checked)]
+    ]
     return [finding for finding in found if not finding.startswith("DB205")]
 
 
@@ -133,13 +168,27 @@ def tried(key: Key) -> tuple[CheckedScenario | None, str]:
 @pytest.mark.parametrize("part", dict.fromkeys(part for part, _ in PARTS), ids=lambda part: part.__name__)
 def test_every_key_has_an_example(part: type[Section]):
     kinds = {kind for model, kind in PARTS if model is part}
-    assert [name for name in section_fields(part) if example_of(part, name) is None and name not in kinds] == []
+    assert [
+        name for name in section_fields(part) if example_of(part, name) is None and name not in kinds
+    ] == []
 
 
 def test_every_example_is_of_a_key():
-    known = {base.__name__: set(base.model_fields) for part, _ in PARTS for base in part.__mro__ if issubclass(base, Section)}
-    known["Training"] |= {name for part, _ in PARTS if issubclass(part, Training) for name in section_fields(part)}
-    assert [f"{part}.{key}" for part, keys in examples().items() for key in keys if key not in known.get(part, set())] == []
+    known = {
+        base.__name__: set(base.model_fields)
+        for part, _ in PARTS
+        for base in part.__mro__
+        if issubclass(base, Section)
+    }
+    known["Training"] |= {
+        name for part, _ in PARTS if issubclass(part, Training) for name in section_fields(part)
+    }
+    assert [
+        f"{part}.{key}"
+        for part, keys in examples().items()
+        for key in keys
+        if key not in known.get(part, set())
+    ] == []
 
 
 @pytest.mark.parametrize(
@@ -160,9 +209,16 @@ def test_an_example_lints_clean_in_its_place(key: Key):
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_examples_of_an_algorithm_lint_clean_together(algorithm: str):
-    own = {key: found.data for key in ALGORITHMS[algorithm].hyperparameter_names() if (found := example_of(ALGORITHMS[algorithm], key))}
+    own = {
+        key: found.data
+        for key in ALGORITHMS[algorithm].hyperparameter_names()
+        if (found := example_of(ALGORITHMS[algorithm], key))
+    }
     text = json.dumps({"deepbots": 1, "train": {"algorithm": algorithm, "total_timesteps": 100_000} | own})
-    said = [findings_of(check(loads(f"{text[:-1]}, extends: {host}}}", base=ROOT / "tests" / "data" / "hosts"))) for host in LEARNERS]
+    said = [
+        findings_of(check(loads(f"{text[:-1]}, extends: {host}}}", base=ROOT / "tests" / "data" / "hosts")))
+        for host in LEARNERS
+    ]
     assert [] in said
 
 

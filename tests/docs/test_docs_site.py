@@ -1,4 +1,5 @@
-"""The site: every page is two clicks from the first one, its links lead somewhere, and Sphinx builds it without a warning."""
+"""The site: every page is two clicks from the first one, its links lead somewhere, and Sphinx builds it
+without a warning."""
 
 from __future__ import annotations
 
@@ -40,7 +41,10 @@ def sources(site: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def pages(sources: Path) -> dict[str, str]:
     """The text of each page without its code, by its place in the site."""
-    return {path.relative_to(sources).as_posix(): without_code(path.read_text(encoding="utf-8")) for path in sources.rglob("*.md")}
+    return {
+        path.relative_to(sources).as_posix(): without_code(path.read_text(encoding="utf-8"))
+        for path in sources.rglob("*.md")
+    }
 
 
 def without_code(text: str) -> str:
@@ -51,12 +55,18 @@ def targets(place: str, text: str) -> list[tuple[str, str]]:
     """Where the links and pictures of a page lead: a place in the site, and an anchor."""
     found = re.findall(r"\]\(([^)\s]+)\)|<img src=\"([^\"]+)\"", text)
     links = [(link or image).partition("#") for link, image in found if "://" not in link]
-    return [(posixpath.normpath(posixpath.join(posixpath.dirname(place), path)) if path else place, anchor) for path, _, anchor in links]
+    return [
+        (posixpath.normpath(posixpath.join(posixpath.dirname(place), path)) if path else place, anchor)
+        for path, _, anchor in links
+    ]
 
 
 def anchors(text: str) -> set[str]:
     headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", re.sub(r"\]\([^)]*\)", "", heading).lower()).replace(" ", "-") for heading in headings}
+    return {
+        re.sub(r"[^\w\- ]", "", re.sub(r"\]\([^)]*\)", "", heading).lower()).replace(" ", "-")
+        for heading in headings
+    }
 
 
 def test_every_link_of_the_site_leads_somewhere(sources: Path, pages: dict[str, str]) -> None:
@@ -81,7 +91,9 @@ def test_every_page_on_disk_is_in_the_list_and_the_navigation(site: ModuleType) 
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_every_scenario_is_in_the_gallery_with_its_file(name: str, pages: dict[str, str], sources: Path) -> None:
+def test_every_scenario_is_in_the_gallery_with_its_file(
+    name: str, pages: dict[str, str], sources: Path
+) -> None:
     texts = [path.read_text(encoding="utf-8") for path in (sources / "scenarios").glob("*.md")]
     whole = (DOCS.parent / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8").rstrip()
     assert sum(whole in text for text in texts) == 1
@@ -99,8 +111,14 @@ def test_a_page_of_the_gallery_shows_names_ranges_and_units(pages: dict[str, str
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_every_scenario_has_its_results_in_the_gallery_and_curves_where_it_was_trained(name: str, pages: dict[str, str]) -> None:
-    card = without_code((DOCS / "results" / f"{name}.md").read_text(encoding="utf-8")).partition("\n# ")[2].rstrip()
+def test_every_scenario_has_its_results_in_the_gallery_and_curves_where_it_was_trained(
+    name: str, pages: dict[str, str]
+) -> None:
+    card = (
+        without_code((DOCS / "results" / f"{name}.md").read_text(encoding="utf-8"))
+        .partition("\n# ")[2]
+        .rstrip()
+    )
     assert sum(f"## {card}\n" in text or f"### {card}\n" in text for text in pages.values()) == 1
     record = DOCS / "results" / f"{name}.json"
     is_trained = record.is_file() and "trainings" in json.loads(record.read_text(encoding="utf-8"))
@@ -109,22 +127,34 @@ def test_every_scenario_has_its_results_in_the_gallery_and_curves_where_it_was_t
 
 def test_every_page_of_the_gallery_has_a_moving_picture_of_a_trained_policy(site: ModuleType) -> None:
     gallery = import_module("build_gallery")
-    moving = {path.stem for path in (DOCS / "images" / "policies").glob("*.gif") if getattr(Image.open(path), "n_frames", 1) > 10}
+    moving = {
+        path.stem
+        for path in (DOCS / "images" / "policies").glob("*.gif")
+        if getattr(Image.open(path), "n_frames", 1) > 10
+    }
     assert set(gallery.families()) == set(gallery.POLICIES) == moving
 
 
-def test_every_picture_that_is_drawn_by_code_is_current_and_on_a_page(site: ModuleType, pages: dict[str, str]) -> None:
+def test_every_picture_that_is_drawn_by_code_is_current_and_on_a_page(
+    site: ModuleType, pages: dict[str, str]
+) -> None:
     drawn: dict[str, str] = import_module("build_figures").figures()
-    assert [name for name, text in drawn.items() if (DOCS / "images" / name).read_text(encoding="utf-8") != text] == []
+    assert [
+        name for name, text in drawn.items() if (DOCS / "images" / name).read_text(encoding="utf-8") != text
+    ] == []
     assert [name for name in drawn if not any(f"images/{name})" in page for page in pages.values())] == []
 
 
 def test_machines_find_pages_findings_and_the_schema(site: ModuleType, sources: Path, tmp_path: Path) -> None:
     site.write_for_machines(sources, tmp_path)
-    links = re.findall(r"^- \[.+\]\((.+?)\): .+", (tmp_path / "llms.txt").read_text(encoding="utf-8"), re.MULTILINE)
+    links = re.findall(
+        r"^- \[.+\]\((.+?)\): .+", (tmp_path / "llms.txt").read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert len(links) > 40
     assert [link for link in links if not (tmp_path / link).is_file()] == []
-    assert [rule["code"] for rule in json.loads((tmp_path / "rules.json").read_text(encoding="utf-8"))["rules"]] == list(RULES)
+    assert [
+        rule["code"] for rule in json.loads((tmp_path / "rules.json").read_text(encoding="utf-8"))["rules"]
+    ] == list(RULES)
     assert (tmp_path / "schemas" / "deepbots-1.schema.json").is_file()
 
 
@@ -139,7 +169,12 @@ def test_a_key_in_an_example_shows_its_description_and_a_name_shows_none(site: M
     page = '<div class="highlight-{}"><div class="highlight"><pre><span></span>{}</pre></div></div>'
     shown = import_module("hover").with_hover_texts(page.format("yaml notranslate", block))
     titles = re.findall(r'<span class="nt"(?: title="([^"]*)")?>(\w+)</span>', shown)
-    assert [(bool(title), name) for title, name in titles] == [(True, "world"), (True, "substeps"), (True, "robots"), (False, "cart")]
+    assert [(bool(title), name) for title, name in titles] == [
+        (True, "world"),
+        (True, "substeps"),
+        (True, "robots"),
+        (False, "cart"),
+    ]
     assert titles[1][0].startswith("Number of physics steps")
     assert re.sub(r' title="[^"]*"', "", shown) == page.format("yaml notranslate", block)
     assert "title" not in import_module("hover").with_hover_texts(page.format("python notranslate", block))
@@ -173,13 +208,22 @@ def built_site(site: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 @pytest.mark.slow
 def test_links_and_anchors_of_the_built_site_lead_somewhere(built_site: Path) -> None:
-    built = {path.relative_to(built_site).as_posix(): Page(path.read_text(encoding="utf-8")) for path in built_site.rglob("*.html")}
+    built = {
+        path.relative_to(built_site).as_posix(): Page(path.read_text(encoding="utf-8"))
+        for path in built_site.rglob("*.html")
+    }
     broken = []
     for place, page in built.items():
         for link in page.links:
             path, _, anchor = link.partition("#")
-            target = posixpath.normpath(posixpath.join(posixpath.dirname(place), path.partition("?")[0])) if path else place
-            there = (built_site / target).is_file() and (target not in built or anchor in built[target].anchors)
+            target = (
+                posixpath.normpath(posixpath.join(posixpath.dirname(place), path.partition("?")[0]))
+                if path
+                else place
+            )
+            there = (built_site / target).is_file() and (
+                target not in built or anchor in built[target].anchors
+            )
             broken += [] if there else [(place, link)]
     assert broken == []
 
@@ -188,7 +232,9 @@ def test_links_and_anchors_of_the_built_site_lead_somewhere(built_site: Path) ->
 def test_a_line_of_a_page_that_begins_with_a_percent_sign_is_text(built_site: Path) -> None:
     for place in ("install", "scenarios/quadruped"):
         html = re.sub(r"<[^>]+>", "", (built_site / f"{place}.html").read_text(encoding="utf-8"))
-        lines = re.findall(r"^%[^`\n]+", (built_site / f"{place}.md").read_text(encoding="utf-8"), re.MULTILINE)
+        lines = re.findall(
+            r"^%[^`\n]+", (built_site / f"{place}.md").read_text(encoding="utf-8"), re.MULTILINE
+        )
         assert lines
         assert all(unescape(line) in unescape(html) for line in lines)
 
@@ -226,9 +272,12 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
         tab = new_tab()
         tab.call("Page.navigate", url=(built_site / "worlds.html").as_uri())
         shown = (
-            "[...document.querySelectorAll('.card')].filter(card => card.offsetParent).map(card => card.querySelector('strong').innerText)"
+            "[...document.querySelectorAll('.card')].filter(card => card.offsetParent).map(card =>"
+            " card.querySelector('strong').innerText)"
         )
-        assert len(tab.wait(f"document.querySelector('.filters') && {shown}")) == len(import_module("build_gallery").families())
+        assert len(tab.wait(f"document.querySelector('.filters') && {shown}")) == len(
+            import_module("build_gallery").families()
+        )
         choose = "(() => {{ const s = document.querySelectorAll('.filters select')[{}]; s.value = '{}';"
         choose += " s.dispatchEvent(new Event('change', {{bubbles: true}})); return true; }})()"
         tab.run(choose.format(1, "gyro"))
@@ -241,20 +290,40 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
             tab.run(choose.format(index, ""))
         tab.run(choose.format(3, "CPU over 5 min"))
         assert tab.run(shown) == ["FindAndAvoid", "FindBallRandom", "PandaPush", "A1Velocity", "Tag"]
-        tab.call("Emulation.setDeviceMetricsOverride", width=380, height=800, deviceScaleFactor=1, mobile=False)
-        for name in ("index", "worlds", "start", "results", "reference/keys", "reference/commands", "scenarios/quadruped", "agents"):
+        tab.call(
+            "Emulation.setDeviceMetricsOverride", width=380, height=800, deviceScaleFactor=1, mobile=False
+        )
+        for name in (
+            "index",
+            "worlds",
+            "start",
+            "results",
+            "reference/keys",
+            "reference/commands",
+            "scenarios/quadruped",
+            "agents",
+        ):
             tab.call("Page.navigate", url=(built_site / f"{name}.html").as_uri())
             tab.wait(f"location.pathname.endsWith('/{name}.html') && document.readyState == 'complete'")
             assert tab.run("document.documentElement.scrollWidth") <= 380, name
-        found = "[...document.querySelectorAll('#search-results ul.search > li > a')].map(link => link.innerText)"
+        found = (
+            "[...document.querySelectorAll('#search-results ul.search > li > a')].map(link => link.innerText)"
+        )
         for query, page in SEARCHES.items():
-            tab.call("Page.navigate", url=f"{(built_site / 'search.html').as_uri()}?q={query.replace(' ', '+')}")
-            tab.wait("location.search && document.querySelector('#search-results p.search-summary')?.innerText.includes('found')")
+            tab.call(
+                "Page.navigate", url=f"{(built_site / 'search.html').as_uri()}?q={query.replace(' ', '+')}"
+            )
+            tab.wait(
+                "location.search && document.querySelector('#search-results"
+                " p.search-summary')?.innerText.includes('found')"
+            )
             assert any(title.startswith(page) for title in tab.run(found)[:3]), (query, tab.run(found)[:5])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wrong", ["[lost](nowhere.md)", "[lost](index.md#nowhere)", "![lost](images/nowhere.png)"])
+@pytest.mark.parametrize(
+    "wrong", ["[lost](nowhere.md)", "[lost](index.md#nowhere)", "![lost](images/nowhere.png)"]
+)
 def test_a_broken_link_stops_the_build_with_its_file_and_line(
     wrong: str, site: ModuleType, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,4 +1,5 @@
-"""The tutorials, done word by word in an empty folder: files are written, edits are made, and commands print what the page shows."""
+"""The tutorials, done word by word in an empty folder: files are written, edits are made, and commands print
+what the page shows."""
 
 from __future__ import annotations
 
@@ -28,18 +29,31 @@ def test_the_files_of_a_tutorial_are_what_its_page_says(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", TUTORIALS)
-def test_a_tutorial_done_word_by_word(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+def test_a_tutorial_done_word_by_word(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
     follow(page, tmp_path, monkeypatch, capsys, whole=True)
 
 
-def follow(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *, whole: bool) -> None:
+def follow(
+    page: str,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    whole: bool,
+) -> None:
     """Do what the page says; without `whole`, leave out simulations and what is shown of them."""
     monkeypatch.chdir(folder)
     printed, exact, complete = "", True, False
     for language, mark, text in BLOCK.findall((DOCS / f"{page}.md").read_text(encoding="utf-8")):
         kind, _, file = mark.rpartition(" ")
         if language == "console":
-            lines = [shlex.split(line.removeprefix("$ ")) for line in text.splitlines() if line.startswith("$ deepbots ")]
+            lines = [
+                shlex.split(line.removeprefix("$ "))
+                for line in text.splitlines()
+                if line.startswith("$ deepbots ")
+            ]
             wanted = [line for line in lines if whole or is_quick(line)]
             complete, exact = len(wanted) == len(lines), all(is_quick(line) for line in lines)
             for _, *words in wanted:
@@ -60,7 +74,9 @@ def follow(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyt
 
 
 def is_quick(line: list[str]) -> bool:
-    return line[1] in QUICK and not any(word.startswith("runs/") or word in ("--deep", "--exploits") for word in line)
+    return line[1] in QUICK and not any(
+        word.startswith("runs/") or word in ("--deep", "--exploits") for word in line
+    )
 
 
 def edit(file: Path, text: str) -> None:
@@ -76,7 +92,10 @@ def is_shown(line: str, printed: str, *, exact: bool) -> bool:
     """Whether a line was printed; `...` stands for the rest of a line, or for lines."""
     start, rest, _ = line.partition("...")
     lines = [plain(one, exact=exact) for one in printed.splitlines()]
-    return any(one.startswith(plain(start, exact=exact)) if rest else one == plain(line, exact=exact) for one in ["", *lines])
+    return any(
+        one.startswith(plain(start, exact=exact)) if rest else one == plain(line, exact=exact)
+        for one in ["", *lines]
+    )
 
 
 def plain(line: str, *, exact: bool) -> str:

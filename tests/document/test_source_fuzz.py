@@ -11,16 +11,59 @@ from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.render import render
-from deepbots_cli.document import Document, MappingNode, Node, ScalarNode, SequenceNode, load, loads, to_data, walk
+from deepbots_cli.document import (
+    Document,
+    MappingNode,
+    Node,
+    ScalarNode,
+    SequenceNode,
+    load,
+    loads,
+    to_data,
+    walk,
+)
 
 # Pieces that YAML gives a meaning, and words; strings of them reach far into the parser.
 SIGNS = list("ab1:\n\t[]{},'\"\\|>#*%@`~()é日😀\u2028\ufeff\x00\x85")
-LAYOUT = [": ", "\n  ", "\n    ", "- ", "? ", ", ", "|\n  ", ">-\n  ", " #", "&a ", "*a", "!t ", "---", "...", "\r\n", "''"]
-WORDS_OF_OURS = ["key", "\\x41", "0x1", "1_000", "<<", "extends: ", "include: ", "remove: ", "uniform(0, 1)", "true", "on", "1,5", "null"]
+LAYOUT = [
+    ": ",
+    "\n  ",
+    "\n    ",
+    "- ",
+    "? ",
+    ", ",
+    "|\n  ",
+    ">-\n  ",
+    " #",
+    "&a ",
+    "*a",
+    "!t ",
+    "---",
+    "...",
+    "\r\n",
+    "''",
+]
+WORDS_OF_OURS = [
+    "key",
+    "\\x41",
+    "0x1",
+    "1_000",
+    "<<",
+    "extends: ",
+    "include: ",
+    "remove: ",
+    "uniform(0, 1)",
+    "true",
+    "on",
+    "1,5",
+    "null",
+]
 PIECES = st.sampled_from(SIGNS + LAYOUT + WORDS_OF_OURS)
 TEXTS = st.lists(PIECES, max_size=40).map("".join)
 WORDS = st.text(
-    st.characters(codec="utf-8", exclude_categories=["C", "Z"], exclude_characters="\x7f") | st.just(" "), min_size=1, max_size=20
+    st.characters(codec="utf-8", exclude_categories=["C", "Z"], exclude_characters="\x7f") | st.just(" "),
+    min_size=1,
+    max_size=20,
 )
 DATA = st.recursive(
     WORDS | st.integers(-(2**62), 2**62) | st.floats(allow_nan=False, allow_infinity=False) | st.booleans(),
@@ -30,7 +73,11 @@ DATA = st.recursive(
 
 
 def spans(document: Document) -> list[Span]:
-    found = [span for finding in document.findings for span in (finding.span, *(label.span for label in finding.labels))]
+    found = [
+        span
+        for finding in document.findings
+        for span in (finding.span, *(label.span for label in finding.labels))
+    ]
     for _, node in walk(document.root) if document.root else ():
         found.append(node.span)
         if isinstance(node, MappingNode):

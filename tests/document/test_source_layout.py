@@ -1,4 +1,5 @@
-"""The canonical layout: it changes white space only, keeps comments and columns, and is the layout of what is shipped."""
+"""The canonical layout: it changes white space only, keeps comments and columns, and is the layout of what is
+shipped."""
 
 from __future__ import annotations
 
@@ -135,6 +136,9 @@ def test_any_layout_of_a_scenario_is_changed_without_its_meaning_and_once_for_al
 def test_a_scenario_compiles_to_the_same_before_and_after(name):
     path = shipped.scenario_path(name).resolve()
     text = text_of(name)
-    layouts = [canonical_text(text), *(canonical_text(other) for other in [disturbed(text, 1)] if meaning(other) == meaning(text))]
+    layouts = [
+        canonical_text(text),
+        *(canonical_text(other) for other in [disturbed(text, 1)] if meaning(other) == meaning(text)),
+    ]
     digests = {api.compile(api.load(path, drafts={path: layout.encode()})).digest for layout in layouts}
     assert digests == {api.compile(path).digest}

@@ -64,7 +64,9 @@ def test_a_file_that_is_no_scenario_gets_one_finding_at_the_place(
     path.write_bytes(content)
     document = load(path, display="a.yaml")
     assert document.root is None
-    assert [(f.code, f.span.start_position, f.span.source.name) for f in document.findings] == [(code, where, "a.yaml")]
+    assert [(f.code, f.span.start_position, f.span.source.name) for f in document.findings] == [
+        (code, where, "a.yaml")
+    ]
 
 
 def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> None:
@@ -86,7 +88,11 @@ def test_an_extending_file_merges_by_key_and_keeps_the_order_of_the_base(tmp_pat
         base="observation:\n  x: 1\n  speed: 1\n  y: 1\nlist: [a, b]\nkept: true\n",
     )
     document = load(path)
-    assert data(document) == {"observation": {"x": 1, "speed": 2, "y": 1, "new": 3}, "list": ["c"], "kept": True}
+    assert data(document) == {
+        "observation": {"x": 1, "speed": 2, "y": 1, "new": 3},
+        "list": ["c"],
+        "kept": True,
+    }
     assert document.root is not None
     observation = document.root.get("observation")
     assert isinstance(observation, MappingNode)
@@ -108,7 +114,11 @@ def test_a_changed_type_shape_or_algorithm_replaces_its_mapping(tmp_path: Path) 
         child="extends: base.yaml\ns: {type: camera}\nt: {algorithm: PPO, rate: 2}\nreward: {shape: 3}\n",
         base="s: {type: gyro, noise: 1}\nt: {algorithm: PPO, size: 1}\nreward: {shape: 1, other: 2}\n",
     )
-    expected = {"s": {"type": "camera"}, "t": {"algorithm": "PPO", "size": 1, "rate": 2}, "reward": {"shape": 3, "other": 2}}
+    expected = {
+        "s": {"type": "camera"},
+        "t": {"algorithm": "PPO", "size": 1, "rate": 2},
+        "reward": {"shape": 3, "other": 2},
+    }
     assert data(load(path)) == expected
 
 
@@ -116,9 +126,19 @@ def test_an_included_mapping_lies_beneath_its_siblings(tmp_path: Path) -> None:
     robot = "urdf: urdf/epuck.urdf\nsensors: {a: {type: gyro}}\n"
     (tmp_path / "robots").mkdir()
     (tmp_path / "robots" / "epuck.yaml").write_text(robot)
-    path = write(tmp_path, main="robots:\n  r:\n    include: robots/epuck.yaml\n    sensors: {b: {type: touch}}\n    emit: [a]\n")
+    path = write(
+        tmp_path,
+        main="robots:\n  r:\n    include: robots/epuck.yaml\n    sensors: {b: {type: touch}}\n    emit:"
+        " [a]\n",
+    )
     document = load(path)
-    robots = {"r": {"urdf": "urdf/epuck.urdf", "sensors": {"a": {"type": "gyro"}, "b": {"type": "touch"}}, "emit": ["a"]}}
+    robots = {
+        "r": {
+            "urdf": "urdf/epuck.urdf",
+            "sensors": {"a": {"type": "gyro"}, "b": {"type": "touch"}},
+            "emit": ["a"],
+        }
+    }
     assert data(document) == {"robots": robots}
 
 
@@ -156,12 +176,19 @@ def test_a_missing_file_is_reported_once_and_the_nearest_name_is_suggested(tmp_p
     path = write(tmp_path, main="r: {include: epuk.yaml}\ns: 1\n", epuck="a: 1\n")
     document = load(path)
     (finding,) = document.findings
-    assert (finding.code, finding.span.text, finding.help) == ("DB204", "epuk.yaml", "did you mean epuck.yaml?")
+    assert (finding.code, finding.span.text, finding.help) == (
+        "DB204",
+        "epuk.yaml",
+        "did you mean epuck.yaml?",
+    )
     assert document.root is not None
     assert to_data(document.root) == {"r": {}, "s": 1}
 
 
-@pytest.mark.parametrize("reference", ["/etc/passwd", "../../secret.yaml", "link.yaml", "~/x.yaml", '"a\\0b"', "x" * 5000, ".", "loop"])
+@pytest.mark.parametrize(
+    "reference",
+    ["/etc/passwd", "../../secret.yaml", "link.yaml", "~/x.yaml", '"a\\0b"', "x" * 5000, ".", "loop"],
+)
 def test_no_reference_leads_out_of_the_project(tmp_path: Path, reference: str) -> None:
     project = tmp_path / "far" / "project"
     (tmp_path / "secret.yaml").write_text("password: 1\n")
@@ -211,7 +238,10 @@ def test_shipped_files_may_be_read_from_anywhere(tmp_path: Path) -> None:
     for root in shipped.data_roots():
         for path in root.rglob("*.*"):
             assert resolve_reference(str(path), tmp_path, shipped.data_roots()) == path
-    assert isinstance(resolve_reference(str(shipped.data_dir() / "pyproject.toml"), tmp_path, shipped.data_roots()), UnusableFile)
+    assert isinstance(
+        resolve_reference(str(shipped.data_dir() / "pyproject.toml"), tmp_path, shipped.data_roots()),
+        UnusableFile,
+    )
 
 
 @pytest.mark.parametrize("name", ["../x", "", "a/b", "x" * 10_000, "a\0", "nothing-like-it"])
@@ -244,7 +274,11 @@ def test_what_a_file_writes_and_removes_itself_is_reported(tmp_path: Path) -> No
     file = write(tmp_path, one="extends: base.yaml\na: {b: 2, c: 3}\nremove: [a.b]\n", base="a: {b: 1}\n")
     document = load(file)
     (finding,) = document.findings
-    assert (finding.code, finding.span.location, finding.labels[0].span.text) == ("DB205", f"{file}:2:5", "a.b")
+    assert (finding.code, finding.span.location, finding.labels[0].span.text) == (
+        "DB205",
+        f"{file}:2:5",
+        "a.b",
+    )
     assert document.root is not None
     assert to_data(document.root) == {"a": {"c": 3}}
 
@@ -255,14 +289,20 @@ def test_removing_what_is_not_there_is_reported_where_the_path_goes_wrong() -> N
     assert "b" in (finding.help or "")
 
 
-@pytest.mark.parametrize("text", ["extends: [a]", "extends: 3", "remove: a", "remove: [[a]]", "r: {include: {a: 1}}", "remove: [3]"])
+@pytest.mark.parametrize(
+    "text",
+    ["extends: [a]", "extends: 3", "remove: a", "remove: [[a]]", "r: {include: {a: 1}}", "remove: [3]"],
+)
 def test_the_words_of_the_source_take_only_their_type(text: str) -> None:
     assert codes(loads(f"a: 1\n{text}\n")) == ["DB103"]
 
 
 # --set
 
-BASE = "parameters: {pole: 1, track: 2 m}\nworld: {timestep: 32 ms, arena: {size: 1 m}}\nobservation: {cart.pole: 1, x: 2}\nlist: [a, b]\n"
+BASE = (
+    "parameters: {pole: 1, track: 2 m}\nworld: {timestep: 32 ms, arena: {size: 1 m}}\nobservation:"
+    " {cart.pole: 1, x: 2}\nlist: [a, b]\n"
+)
 
 
 @pytest.mark.parametrize(
@@ -279,7 +319,9 @@ BASE = "parameters: {pole: 1, track: 2 m}\nworld: {timestep: 32 ms, arena: {size
         ("pole='a = b'", ("parameters", "pole"), "a = b"),
     ],
 )
-def test_an_assignment_replaces_the_value_at_its_path(assignment: str, path: tuple[str | int, ...], expected: object) -> None:
+def test_an_assignment_replaces_the_value_at_its_path(
+    assignment: str, path: tuple[str | int, ...], expected: object
+) -> None:
     found: object = data(loads(BASE, overrides=[assignment]))
     for step in path:
         found = found[step]  # type: ignore[index]
@@ -315,7 +357,9 @@ def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
         ("pole=\udc80", "DB001", "\udc80", "remove it"),
     ],
 )
-def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(assignment: str, code: str, marked: str, hint: str) -> None:
+def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(
+    assignment: str, code: str, marked: str, hint: str
+) -> None:
     document = loads(BASE, overrides=[assignment])
     (finding,) = document.findings
     assert (finding.code, finding.span.text) == (code, marked)
@@ -326,7 +370,10 @@ def test_an_assignment_that_cannot_be_made_is_reported_in_its_own_text(assignmen
 
 
 def test_a_section_that_the_file_leaves_out_is_begun_by_an_assignment() -> None:
-    document = loads("deepbots: 1\nname: X\n", overrides=["messages.format=none", "train.network.hidden=[8]", "train.replay.type=her"])
+    document = loads(
+        "deepbots: 1\nname: X\n",
+        overrides=["messages.format=none", "train.network.hidden=[8]", "train.replay.type=her"],
+    )
     assert document.root is not None
     assert to_data(document.root) == {
         "deepbots": 1,
@@ -341,10 +388,14 @@ def test_a_misspelled_section_in_an_assignment_is_not_begun() -> None:
     assert [finding.code for finding in document.findings] == ["DB201"]
 
 
-def test_extends_takes_the_name_of_a_shipped_scenario_and_a_file_of_that_name_comes_first(tmp_path: Path) -> None:
+def test_extends_takes_the_name_of_a_shipped_scenario_and_a_file_of_that_name_comes_first(
+    tmp_path: Path,
+) -> None:
     path = write(tmp_path, main="deepbots: 1\nextends: cartpole\nname: Mine\n")
     shipped_root, document = data(load(Path(shipped.scenario_path("cartpole") or ""))), load(path)
-    assert data(document) == {key: value for key, value in shipped_root.items() if key != "tests"} | {"name": "Mine"}
+    assert data(document) == {key: value for key, value in shipped_root.items() if key != "tests"} | {
+        "name": "Mine"
+    }
     assert [source.name.split("/")[-1] for source in document.sources] == ["main.yaml", "cartpole.yaml"]
     (tmp_path / "cartpole").write_text("a: 1\n")
     assert data(load(path)) == {"deepbots": 1, "name": "Mine", "a": 1}
@@ -352,7 +403,10 @@ def test_extends_takes_the_name_of_a_shipped_scenario_and_a_file_of_that_name_co
 
 def test_an_unknown_name_under_extends_is_reported_with_the_nearest_shipped_scenario() -> None:
     (finding,) = loads("deepbots: 1\nextends: cartpoel\n").findings
-    assert (finding.code, finding.help) == ("DB204", "did you mean `cartpole`, which is shipped with deepbots?")
+    assert (finding.code, finding.help) == (
+        "DB204",
+        "did you mean `cartpole`, which is shipped with deepbots?",
+    )
     assert finding.notes[0].startswith("shipped scenarios are balancer, cartpole, ")
 
 

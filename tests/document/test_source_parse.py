@@ -203,7 +203,9 @@ def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
         pytest.param("a: " + "9" * 5000, "DB105", "9" * 5000, "smaller", id="5000 digits"),
     ],
 )
-def test_a_trap_gets_one_finding_at_its_place_that_says_what_to_write(text: str, code: str, marked: str, hint: str) -> None:
+def test_a_trap_gets_one_finding_at_its_place_that_says_what_to_write(
+    text: str, code: str, marked: str, hint: str
+) -> None:
     finding = only(text)
     assert finding.code == code
     assert finding.span.text == marked
@@ -212,7 +214,10 @@ def test_a_trap_gets_one_finding_at_its_place_that_says_what_to_write(text: str,
     assert not finding.headline.endswith(".")
 
 
-@pytest.mark.parametrize("text", ["a: y", "a: n", "a: 'on'", 'a: "0777"', "a: 1.5", "a: -0", "on: 1", "a: 10:b", "a: 0 5 10", "a: 1e3"])
+@pytest.mark.parametrize(
+    "text",
+    ["a: y", "a: n", "a: 'on'", 'a: "0777"', "a: 1.5", "a: -0", "on: 1", "a: 10:b", "a: 0 5 10", "a: 1e3"],
+)
 def test_values_that_mean_what_they_seem_to_are_not_reported(text: str) -> None:
     assert read(text)[1] == []
 
@@ -239,7 +244,14 @@ def test_any_depth_of_nesting_ends_in_one_finding(unit: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["a: " * 100_000, "\n".join(" " * i + "a:" for i in range(1400)), "&a " * 100_000, "!a " * 100_000, "}" * 100_000]
+    "text",
+    [
+        "a: " * 100_000,
+        "\n".join(" " * i + "a:" for i in range(1400)),
+        "&a " * 100_000,
+        "!a " * 100_000,
+        "}" * 100_000,
+    ],
 )
 def test_any_amount_of_repetition_ends_in_one_finding(text: str) -> None:
     assert only(text).code in ("DB001", "DB005")
@@ -285,11 +297,14 @@ def test_an_alias_inside_its_own_anchor_is_reported() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "a: {b: [1, 'x y'], c: \"d\\u00e9\"}\nlong:\n  - one\n  - two words\n  # note\n  - |\n    block\n    text\n",
+        "a: {b: [1, 'x y'], c: \"d\\u00e9\"}\nlong:\n  - one\n  - two words\n  # note\n  - |\n    block\n   "
+        " text\n",
         "anchors: &x {y: 1}\nagain: *x\nfolded: >\n  a\n  b\n\nlast: 1 # c\n",
     ],
 )
-def test_the_parser_in_python_gives_the_same_nodes_as_the_one_in_c(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+def test_the_parser_in_python_gives_the_same_nodes_as_the_one_in_c(
+    monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
     trees = []
     for loader in (yaml.CBaseLoader, yaml.BaseLoader):
         monkeypatch.setattr("deepbots_cli.document.parse.LOADER", loader)

@@ -10,7 +10,9 @@ import pytest
 from deepbots_cli.files import read_at_most
 
 
-@pytest.mark.parametrize(("size", "most"), [(0, 5), (4, 5), (5, 5), (6, 5), (70_000, 5), (70_000, 70_001), (70_000, 1 << 25)])
+@pytest.mark.parametrize(
+    ("size", "most"), [(0, 5), (4, 5), (5, 5), (6, 5), (70_000, 5), (70_000, 70_001), (70_000, 1 << 25)]
+)
 def test_a_file_is_read_to_its_end_or_to_the_limit(tmp_path, size, most):
     data = bytes(number % 251 for number in range(size))
     (tmp_path / "file").write_bytes(data)

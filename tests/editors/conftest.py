@@ -1,4 +1,5 @@
-"""The YAML language server, which VS Code and Neovim use, as a process of its own; `make editors` says where it is."""
+"""The YAML language server, which VS Code and Neovim use, as a process of its own; `make editors` says where
+it is."""
 
 from __future__ import annotations
 
@@ -29,7 +30,9 @@ class Typed:
     problems: list[Message]
 
     def _asked(self, method: str) -> Message:
-        found: Message = self.client.request(f"textDocument/{method}", {"textDocument": {"uri": self.uri}, "position": self.place})
+        found: Message = self.client.request(
+            f"textDocument/{method}", {"textDocument": {"uri": self.uri}, "position": self.place}
+        )
         return found
 
     @property
@@ -61,7 +64,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the schemas; below `general` and `own` a comment leads to them."""
     root = tmp_path_factory.mktemp("scenarios")
     (root / FILE_NAME).write_text(schema_text(), encoding="utf-8")
-    (root / "cartpole.schema.json").write_text(schema_text(scenario_names(api.load("cartpole"))), encoding="utf-8")
+    (root / "cartpole.schema.json").write_text(
+        schema_text(scenario_names(api.load("cartpole"))), encoding="utf-8"
+    )
     return root
 
 
@@ -104,7 +109,8 @@ def _typing(client: Client, folder: Path, ending: str, comment: str) -> Type:
 
 @pytest.fixture
 def typed(client: Client, folder: Path) -> Type:
-    """CartPole with a change, in a file that settings give the general schema; where the change has a `§`, the cursor is."""
+    """CartPole with a change, in a file that settings give the general schema; where the change has a `§`,
+    the cursor is."""
     return _typing(client, folder, ".scenario.yaml", "")
 
 

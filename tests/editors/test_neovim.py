@@ -1,4 +1,5 @@
-"""Neovim with the settings of docs/editors.md: what it shows of a scenario. It is looked for on the `PATH`, or by `NEOVIM`."""
+"""Neovim with the settings of docs/editors.md: what it shows of a scenario. It is looked for on the `PATH`,
+or by `NEOVIM`."""
 
 from __future__ import annotations
 
@@ -37,7 +38,11 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Message:
     (folder / "deepbots.toml").touch()
     page = (ROOT / "docs" / "editors.md").read_text(encoding="utf-8")
     (folder / "init.lua").write_text(
-        "\n".join(re.findall(r"^```lua\n(.*?)^```", page.partition("## The JSON Schema")[0], re.MULTILINE | re.DOTALL))
+        "\n".join(
+            re.findall(
+                r"^```lua\n(.*?)^```", page.partition("## The JSON Schema")[0], re.MULTILINE | re.DOTALL
+            )
+        )
     )
     command = folder / "bin" / "deepbots"
     command.parent.mkdir()
@@ -48,7 +53,9 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Message:
     environment["PATH"] = f"{command.parent}{os.pathsep}{environment['PATH']}"
     script = Path(__file__).with_name("neovim.lua")
     arguments = [NEOVIM, "--headless", "-u", "init.lua", "-c", f"luafile {script}"]
-    ran = subprocess.run(arguments, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    ran = subprocess.run(
+        arguments, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
     assert (folder / "seen.json").exists(), ran.stderr
     told: Message = json.loads((folder / "seen.json").read_text(encoding="utf-8"))
     assert told.get("fault") is None

@@ -29,9 +29,15 @@ def sarif(findings: list[Finding]) -> object:
     return json.loads(report(findings, Format.sarif, (), ("error",)))
 
 
-def test_every_mistake_of_the_golden_cases_is_told_in_valid_sarif(schema: jsonschema.Draft7Validator, tmp_path: Path) -> None:
+def test_every_mistake_of_the_golden_cases_is_told_in_valid_sarif(
+    schema: jsonschema.Draft7Validator, tmp_path: Path
+) -> None:
     (tmp_path / "deepbots.toml").touch()
-    findings = [finding for path in sorted(write(tmp_path / "golden").glob("lint/err/*.yaml")) for finding in api.lint(path, preview=True)]
+    findings = [
+        finding
+        for path in sorted(write(tmp_path / "golden").glob("lint/err/*.yaml"))
+        for finding in api.lint(path, preview=True)
+    ]
     assert len(findings) > 200
     assert [error.message for error in schema.iter_errors(sarif(findings))] == []
 

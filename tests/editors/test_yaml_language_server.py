@@ -51,7 +51,9 @@ def test_before_its_kind_is_known_a_sensor_is_offered_the_key_for_it(typed: Type
         ("lidar", {"link", "rays", "angle_range", "measure"}, {"joint", "fov", "spot"}),
     ],
 )
-def test_a_sensor_is_offered_the_keys_of_its_kind_alone(typed: Type, kind: str, own: set[str], others: set[str]) -> None:
+def test_a_sensor_is_offered_the_keys_of_its_kind_alone(
+    typed: Type, kind: str, own: set[str], others: set[str]
+) -> None:
     offers = set(typed(SENSOR, f"\n        type: {kind}\n        §").offers)
     assert own <= offers
     assert not others & offers
@@ -60,10 +62,25 @@ def test_a_sensor_is_offered_the_keys_of_its_kind_alone(typed: Type, kind: str, 
 @pytest.mark.parametrize(
     ("old", "new", "offered", "others"),
     [
-        ("  drive: {choices: {forward: 1, backward: -1}}", "  drive:\n    §", {"range", "each", "choices", "forbid"}, set()),
-        ("{choices: {forward: 1, backward: -1}}", "\n    choices: {a: 1, b: 2}\n    §", {"forbid"}, {"range", "each", "choices"}),
+        (
+            "  drive: {choices: {forward: 1, backward: -1}}",
+            "  drive:\n    §",
+            {"range", "each", "choices", "forbid"},
+            set(),
+        ),
+        (
+            "{choices: {forward: 1, backward: -1}}",
+            "\n    choices: {a: 1, b: 2}\n    §",
+            {"forbid"},
+            {"range", "each", "choices"},
+        ),
         ("\nreset:\n", "\nreset:\n  layouts:\n    one:\n      §\n", {"map", "cell"}, set()),
-        ("\nreset:\n", "\nreset:\n  layouts:\n    one:\n      cell: 10 cm\n      §\n", {"map", "legend"}, {"cell"}),
+        (
+            "\nreset:\n",
+            "\nreset:\n  layouts:\n    one:\n      cell: 10 cm\n      §\n",
+            {"map", "legend"},
+            {"cell"},
+        ),
     ],
     ids=["an action", "a choice", "a layout", "a map"],
 )
@@ -79,7 +96,9 @@ def test_in_an_empty_file_the_sections_are_offered(client: Client, folder: Path)
     uri = client.open(folder / "empty.yaml", f"# yaml-language-server: $schema={FILE_NAME}\n")
     client.published(uri)
     place = {"line": 1, "character": 0}
-    found = client.request("textDocument/completion", {"textDocument": {"uri": uri}, "position": place})["items"]
+    found = client.request("textDocument/completion", {"textDocument": {"uri": uri}, "position": place})[
+        "items"
+    ]
     texts = {item["label"]: item["insertText"] for item in found}
     assert {"deepbots", "world", "robots", "reward", "extends"} <= set(texts)
     assert texts["deepbots"] == "deepbots: ${1:1}"
@@ -125,7 +144,9 @@ def test_the_joints_of_the_robot_are_offered_in_a_list(typed_for: Type) -> None:
     ],
     ids=["sensors", "signals", "values", "joints by their full names"],
 )
-def test_names_of_the_scenario_are_offered_where_they_may_stand(typed_for: Type, old: str, new: str, names: set[str]) -> None:
+def test_names_of_the_scenario_are_offered_where_they_may_stand(
+    typed_for: Type, old: str, new: str, names: set[str]
+) -> None:
     assert names <= set(typed_for(old, new).offers)
 
 
@@ -135,15 +156,25 @@ def test_names_of_the_scenario_are_offered_where_they_may_stand(typed_for: Type,
 @pytest.mark.parametrize(
     ("old", "new", "shown"),
     [
-        ("timestep:", "time§step:", ["Duration of one control step", "Unit: s", "Required", "Example: timestep: 32 ms"]),
-        ("size: 1 1 m}", "size: 1 1 m, wall§_height: 20 cm}", ["Height of the walls", "Unit: m", "Default: 0", "20 cm"]),
+        (
+            "timestep:",
+            "time§step:",
+            ["Duration of one control step", "Unit: s", "Required", "Example: timestep: 32 ms"],
+        ),
+        (
+            "size: 1 1 m}",
+            "size: 1 1 m, wall§_height: 20 cm}",
+            ["Height of the walls", "Unit: m", "Default: 0", "20 cm"],
+        ),
         ("gae_lambda:", "gae§_lambda:", ["trade-off between bias and variance", "Example: gae"]),
         ("  alive: 1", "  al§ive: 1", ["Terms of the reward"]),
         ("pole_angle: {", "pole§_angle: {", ["Measures one joint, or several joints by name."]),
     ],
     ids=["a key", "a key with a default", "a key of a kind", "a name of one's own", "a part of a kind"],
 )
-def test_a_key_is_explained_with_unit_default_and_example(typed: Type, old: str, new: str, shown: list[str]) -> None:
+def test_a_key_is_explained_with_unit_default_and_example(
+    typed: Type, old: str, new: str, shown: list[str]
+) -> None:
     hover = typed(old, new).hover
     assert [text for text in shown if text not in hover] == []
     assert hover.count("```yaml") <= 1
@@ -172,13 +203,27 @@ def test_the_joints_of_the_robot_are_explained(typed_for: Type) -> None:
         ("  timestep: 32 ms\n", "", ("world", 'Missing property "timestep".')),
         ("substeps: 4", "substeps: four", ("four", "expected a whole number")),
         ("gamma: 0.98", "gamma: 1.98", ("1.98", "Value is above the maximum of 1.")),
-        ("-20 .. 20 deg", "20 deg", ("20 deg", "write it like `-1 .. 1 m` (a vector: `-1 -2 .. 1 2 m`), or `auto`")),
-        ("-20 .. 20 deg", "{range: 20 deg}", ("20 deg", "write it like `-1 .. 1 m` (a vector: `-1 -2 .. 1 2 m`), or `auto`")),
-        (", joint: pole_hinge", ", joint: pole_hinge, joints: all", ("joints", "`joints` cannot be combined with `joint`")),
+        (
+            "-20 .. 20 deg",
+            "20 deg",
+            ("20 deg", "write it like `-1 .. 1 m` (a vector: `-1 -2 .. 1 2 m`), or `auto`"),
+        ),
+        (
+            "-20 .. 20 deg",
+            "{range: 20 deg}",
+            ("20 deg", "write it like `-1 .. 1 m` (a vector: `-1 -2 .. 1 2 m`), or `auto`"),
+        ),
+        (
+            ", joint: pole_hinge",
+            ", joint: pole_hinge, joints: all",
+            ("joints", "`joints` cannot be combined with `joint`"),
+        ),
         ("joint: pole_hinge", "joint: pole_hinge, fov: 60 deg", ("fov", "Property fov is not allowed.")),
     ],
 )
-def test_a_mistake_is_marked_in_its_place_once(typed: Type, old: str, new: str, said: tuple[str, str]) -> None:
+def test_a_mistake_is_marked_in_its_place_once(
+    typed: Type, old: str, new: str, said: tuple[str, str]
+) -> None:
     assert typed(old, new).said == [said]
 
 
@@ -193,7 +238,9 @@ def test_an_unknown_kind_is_marked_with_those_that_there_are(typed: Type) -> Non
     [("joint: pole_hinge", "joint: pole_hing", "pole_hing"), ("[wheel_*]", "[wheel_*, pole]", "pole")],
     ids=["an unknown joint", "a link in a list of joints"],
 )
-def test_a_joint_that_the_robot_has_not_is_marked_with_those_that_it_has(typed_for: Type, old: str, new: str, place: str) -> None:
+def test_a_joint_that_the_robot_has_not_is_marked_with_those_that_it_has(
+    typed_for: Type, old: str, new: str, place: str
+) -> None:
     ((marked, message),) = typed_for(old, new).said
     assert marked == place
     assert "wheel_front_left" in message
@@ -206,7 +253,9 @@ def test_without_the_names_of_the_scenario_any_joint_will_do(typed: Type) -> Non
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
 def test_in_a_shipped_scenario_nothing_is_marked(client: Client, folder: Path, path: Path) -> None:
-    (folder / f"{path.stem}.own.json").write_text(schema_text(scenario_names(api.load(path))), encoding="utf-8")
+    (folder / f"{path.stem}.own.json").write_text(
+        schema_text(scenario_names(api.load(path))), encoding="utf-8"
+    )
     text = path.read_text(encoding="utf-8")
     for schema in (FILE_NAME, f"{path.stem}.own.json"):
         comment = f"# yaml-language-server: $schema={schema}\n"
@@ -216,6 +265,8 @@ def test_in_a_shipped_scenario_nothing_is_marked(client: Client, folder: Path, p
 def test_the_comment_leads_to_the_schema_and_not_past_it(client: Client, folder: Path) -> None:
     """Without it, or where it leads nowhere, none of this would be marked."""
     nonsense = "deepbots: 1\nnonsense: true\n"
-    led = client.published(client.open(folder / "led.yaml", f"# yaml-language-server: $schema={FILE_NAME}\n{nonsense}"))
+    led = client.published(
+        client.open(folder / "led.yaml", f"# yaml-language-server: $schema={FILE_NAME}\n{nonsense}")
+    )
     assert "Property nonsense is not allowed." in [problem["message"] for problem in led]
     assert client.published(client.open(folder / "unled.yaml", nonsense)) == []

@@ -1,4 +1,5 @@
-"""An episode in contact, as bytes; run as a program, in a process of its own, with the name of an engine and a pickled world on stdin."""
+"""An episode in contact, as bytes; run as a program, in a process of its own, with the name of an engine and
+a pickled world on stdin."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ WHEELS = [f"wheel_{i}" for i in range(4)]
 
 
 def trajectory(engine: Engine, world: WorldModel, seed: int, ticks: int) -> bytes:
-    """Every pose, and velocities and torques, while carts are driven at random into each other and what stands around."""
+    """Every pose, and velocities and torques, while carts are driven at random into each other and what
+    stands around."""
     rng = random.Random(seed)
     robots = [robot.name for robot in world.robots]
     readers = [engine.pose(name) for name in (*robots, "ball", "crate", "drum")]

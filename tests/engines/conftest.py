@@ -11,7 +11,19 @@ import pytest
 from deepbots_cli.engines import ENGINES, create
 from deepbots_cli.port import Engine
 from deepbots_cli.program.world import Arena, Ground, ObjectBody, RobotBody, WorldModel
-from deepbots_cli.robots.model import Box, Cylinder, Friction, Geometry, Inertial, Joint, Limit, Link, Pose, RobotModel, Sphere
+from deepbots_cli.robots.model import (
+    Box,
+    Cylinder,
+    Friction,
+    Geometry,
+    Inertial,
+    Joint,
+    Limit,
+    Link,
+    Pose,
+    RobotModel,
+    Sphere,
+)
 
 
 def rod(name: str, mass: float = 0.1, length: float = 1.0) -> Link:
@@ -26,12 +38,18 @@ def block(name: str, mass: float = 1.0) -> Link:
 
 def cart() -> RobotModel:
     """A hull of two boxes on four wheels, with a pole on a hinge."""
-    wheels = [(f"wheel_{i}", x, y) for i, (x, y) in enumerate(((0.06, 0.05), (0.06, -0.05), (-0.06, 0.05), (-0.06, -0.05)))]
+    wheels = [
+        (f"wheel_{i}", x, y)
+        for i, (x, y) in enumerate(((0.06, 0.05), (0.06, -0.05), (-0.06, 0.05), (-0.06, -0.05)))
+    ]
     tire = (Geometry(Cylinder(0.04, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
     hull = tuple(Geometry(Box((0.08, 0.05, 0.04)), Pose((x, 0, 0.02))) for x in (0.06, -0.06))
     links = (
         Link("body", Inertial(2.0, ixx=0.0015, iyy=0.0077, izz=0.0071), hull, hull),
-        *(Link(name, Inertial(0.1, ixx=4e-5, iyy=8e-5, izz=4e-5), tire, tire, Friction(1.0)) for name, _, _ in wheels),
+        *(
+            Link(name, Inertial(0.1, ixx=4e-5, iyy=8e-5, izz=4e-5), tire, tire, Friction(1.0))
+            for name, _, _ in wheels
+        ),
         rod("pole", 0.2),
     )
     joints = (
@@ -47,20 +65,39 @@ class Worlds:
 
     @staticmethod
     def rail(
-        timestep: float = 0.02, substeps: int = 4, damping: float = 0.0, friction: float = 0.0, limit: Limit | None = None
+        timestep: float = 0.02,
+        substeps: int = 4,
+        damping: float = 0.0,
+        friction: float = 0.0,
+        limit: Limit | None = None,
     ) -> WorldModel:
-        """A cart of 1 kg on a rail, with a rod of 0.1 kg and 1 m on a free hinge and a massless tip at its end."""
+        """A cart of 1 kg on a rail, with a rod of 0.1 kg and 1 m on a free hinge and a massless tip at its
+        end."""
         model = RobotModel(
             "rail",
             (block("rail"), block("cart"), rod("pole"), Link("tip")),
             (
-                Joint("slide", "prismatic", "rail", "cart", axis=(1, 0, 0), limit=limit or Limit(), damping=damping, friction=friction),
+                Joint(
+                    "slide",
+                    "prismatic",
+                    "rail",
+                    "cart",
+                    axis=(1, 0, 0),
+                    limit=limit or Limit(),
+                    damping=damping,
+                    friction=friction,
+                ),
                 Joint("hinge", "continuous", "cart", "pole", axis=(0, 1, 0)),
                 Joint("end", "fixed", "pole", "tip", origin=Pose((0, 0, 1))),
             ),
             root="rail",
         )
-        return WorldModel(timestep, substeps, ground=None, robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 1))),))
+        return WorldModel(
+            timestep,
+            substeps,
+            ground=None,
+            robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 1))),),
+        )
 
     @staticmethod
     def rotor(timestep: float = 0.02, substeps: int = 4) -> WorldModel:
@@ -68,18 +105,24 @@ class Worlds:
         arm = Link("arm", Inertial(2.0, Pose((0.3, 0.1, 0)), ixx=0.02, iyy=0.02, izz=0.02))
         hinge = Joint("hinge", "continuous", "base", "arm", origin=Pose((0.2, 0, 0)), axis=(0, 0, 1))
         model = RobotModel("rotor", (block("base"), arm), (hinge,), root="base")
-        return WorldModel(timestep, substeps, (0, 0, 0), None, robots=(RobotBody("robot", model, fixed_base=True),))
+        return WorldModel(
+            timestep, substeps, (0, 0, 0), None, robots=(RobotBody("robot", model, fixed_base=True),)
+        )
 
     @staticmethod
     def crooked(timestep: float = 0.02, substeps: int = 4) -> WorldModel:
         """A free body whose center of mass and principal axes are not those of its frame."""
-        inertial = Inertial(0.7, Pose((0.1, -0.2, 0.05), (0.3, 0.2, -0.4)), 0.01, 0.002, 0.001, 0.02, -0.001, 0.025)
+        inertial = Inertial(
+            0.7, Pose((0.1, -0.2, 0.05), (0.3, 0.2, -0.4)), 0.01, 0.002, 0.001, 0.02, -0.001, 0.025
+        )
         model = RobotModel("stone", (Link("stone", inertial),), (), root="stone")
         return WorldModel(timestep, substeps, ground=None, robots=(RobotBody("robot", model),))
 
     @staticmethod
     def ball(height: float = 5.0) -> WorldModel:
-        return WorldModel(0.02, 4, ground=None, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, height)), 0.5),))
+        return WorldModel(
+            0.02, 4, ground=None, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, height)), 0.5),)
+        )
 
     @staticmethod
     def arena(timestep: float = 0.032, substeps: int = 4, carts: int = 1) -> WorldModel:
@@ -92,7 +135,10 @@ class Worlds:
             ObjectBody("drum", Cylinder(0.04, 0.1), Pose((0.2, -0.3, 0.05)), 0.1),
             ObjectBody("mark", Sphere(0.03), Pose((0.0, 0.3, 0.05)), solid=False),
         )
-        robots = tuple(RobotBody(name, cart(), pose=Pose((x, y, 0.04))) for name, (x, y) in zip(names, places, strict=False))
+        robots = tuple(
+            RobotBody(name, cart(), pose=Pose((x, y, 0.04)))
+            for name, (x, y) in zip(names, places, strict=False)
+        )
         return WorldModel(timestep, substeps, arena=Arena((1, 1), 0.1), robots=robots, objects=things)
 
     @staticmethod

@@ -16,7 +16,8 @@ HELD = Joint("mount", "fixed", "frame", "hull", Pose((0.1, 0.0, 0.3)))
 
 
 def robot(bare: bool) -> RobotModel:
-    """A box on a fixed joint; the mass is at the box, or, which means the same, in the root's own inertial."""
+    """A box on a fixed joint; the mass is at the box, or, which means the same, in the root's own
+    inertial."""
     known = Inertial(2.0, **TENSOR)
     hull = Link("hull", known if bare else None, SHAPE, SHAPE)
     frame = Link("frame", None if bare else Inertial(2.0, Pose((0.1, 0.0, 0.3)), **TENSOR))

@@ -22,14 +22,32 @@ PIXEL = 2 * tan(FOV / 2) / HIGH
 def scout() -> RobotModel:
     shell = (Geometry(Sphere(0.2), color=(0.2, 0.2, 0.2, 1)),)
     links = (
-        Link("base", Inertial(1.0, Pose((0.05, -0.02, 0.01), (0.3, 0.2, -0.4)), 0.01, 0.002, 0.001, 0.02, -0.001, 0.025), shell, shell),
+        Link(
+            "base",
+            Inertial(
+                1.0, Pose((0.05, -0.02, 0.01), (0.3, 0.2, -0.4)), 0.01, 0.002, 0.001, 0.02, -0.001, 0.025
+            ),
+            shell,
+            shell,
+        ),
         Link("head", Inertial(0.2, Pose((0.02, 0.03, 0.0)), 0.001, 0.0, 0.0, 0.002, 0.0, 0.0015)),
     )
-    return RobotModel("scout", links, (Joint("neck", "continuous", "base", "head", Pose((0, 0, 0.5)), (0, 0, 1)),), root="base")
+    return RobotModel(
+        "scout",
+        links,
+        (Joint("neck", "continuous", "base", "head", Pose((0, 0, 0.5)), (0, 0, 1)),),
+        root="base",
+    )
 
 
 def world(*objects: ObjectBody) -> WorldModel:
-    return WorldModel(0.02, 1, (0.0, 0.0, 0.0), robots=(RobotBody("scout", scout(), True, Pose((0, 0, 1))),), objects=objects)
+    return WorldModel(
+        0.02,
+        1,
+        (0.0, 0.0, 0.0),
+        robots=(RobotBody("scout", scout(), True, Pose((0, 0, 1))),),
+        objects=objects,
+    )
 
 
 def wall(x: float, color=RED, **figures: object) -> ObjectBody:
@@ -77,7 +95,9 @@ def test_a_camera_looks_along_its_mount_on_a_link_that_turns(engine_name, build)
     assert center == pytest.approx(2.0, rel=1e-4)
     engine.set_joint("scout", "neck", 1.2 + 0.2, 0.0)
     columns = np.where((look().bodies == look().body_names.index("wall")).any(axis=0))[0]
-    assert PIXEL * (columns.mean() + 0.5 - WIDE / 2) == pytest.approx((tan(0.2 + 0.245) + tan(0.2 - 0.245)) / 2, abs=0.05)
+    assert PIXEL * (columns.mean() + 0.5 - WIDE / 2) == pytest.approx(
+        (tan(0.2 + 0.245) + tan(0.2 - 0.245)) / 2, abs=0.05
+    )
 
 
 def test_up_in_a_picture_is_up_in_the_mount(engine_name, build):
@@ -111,7 +131,9 @@ def test_a_flat_disc_is_not_shaded_as_a_cone(engine_name, build):
     disc = ObjectBody("disc", Cylinder(0.3, 0.002), Pose((0, 0, 0.001)), color=GREEN, fixed=True)
     engine = build(engine_name, world(disc))
     engine.place("scout", (0.0, 0.0, 1.0), frames.IDENTITY_ROTATION)
-    image = engine.camera(("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 1.2)()
+    image = engine.camera(
+        ("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 1.2
+    )()
     seen = image.colors[image.bodies == image.body_names.index("disc")]
     assert len(seen) > 500
     assert (seen.max(axis=0) - seen.min(axis=0)).max() < 3
@@ -131,7 +153,8 @@ def test_looking_changes_nothing(engine_name, build):
 
 
 def test_lines_are_seen_painted_on_a_floor_of_its_own_color(engine_name, build):
-    """From 1 m above, looking straight down: a square of 1 m with a stroke of 0.1 m, closed, and a speck beside it."""
+    """From 1 m above, looking straight down: a square of 1 m with a stroke of 0.1 m, closed, and a speck
+    beside it."""
     square = Line("track", ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)), True, 0.1, color=RED)
     speck = Line("speck", ((0.0, 0.0), (0.0, 0.0)), False, 0.2, color=(0, 0, 0, 1))
     engine = build(engine_name, replace(world(), ground=Ground(color=GREEN), lines=(square, speck)))

@@ -13,7 +13,9 @@ from deepbots_cli.robots.model import Box, Capsule, Cylinder, Pose, Sphere
 STAYS = {"fixed": True}
 
 
-def things(*objects: ObjectBody, gravity: tuple[float, float, float] = (0, 0, -9.81), substeps: int = 4) -> WorldModel:
+def things(
+    *objects: ObjectBody, gravity: tuple[float, float, float] = (0, 0, -9.81), substeps: int = 4
+) -> WorldModel:
     return WorldModel(0.02, substeps, gravity, objects=objects)
 
 
@@ -23,11 +25,9 @@ def ball(name: str, at: tuple[float, float, float], mass: float = 0.2, radius: f
 
 def test_a_ball_touches_the_ground_from_its_landing_on(engine_name, build):
     engine = build(engine_name, things(ball("ball", (0, 0, 0.2))))
-    on_ground, anything, but_ground = (
-        engine.contact(("ball", None), [("ground", None)]),
-        engine.contact(("ball", None)),
-        engine.contact(("ball", None), ground=False),
-    )
+    on_ground = engine.contact(("ball", None), [("ground", None)])
+    anything = engine.contact(("ball", None))
+    but_ground = engine.contact(("ball", None), ground=False)
     landed = 0
     for tick in range(40):
         engine.step(4)
@@ -63,7 +63,8 @@ def test_what_is_touched_late_in_a_tick_counts_beside_what_was_touched_all_along
     crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 3.0)
     world = replace(things(crate, ball("ball", (0, 0, 0.4))), timestep=0.05, substeps=50)
     engine = build(engine_name, world)
-    on_ground, hit = engine.contact(("crate", None), [("ground", None)]), engine.contact(("crate", None), ground=False)
+    on_ground = engine.contact(("crate", None), [("ground", None)])
+    hit = engine.contact(("crate", None), ground=False)
     told = []
     for _ in range(6):
         engine.step(50)
@@ -77,10 +78,8 @@ def test_links_of_a_robot_tell_their_contacts_apart(engine_name, worlds, build):
     engine = build(engine_name, worlds.arena())
     wheels = [engine.contact(("robot", f"wheel_{i}"), [("ground", None)]) for i in range(4)]
     body, pole = engine.contact(("robot", "body")), engine.contact(("robot", "pole"))
-    crate, all_but_ground = (
-        engine.contact(("robot", None), [("crate", None), ("drum", None)]),
-        engine.contact(("robot", None), ground=False),
-    )
+    crate = engine.contact(("robot", None), [("crate", None), ("drum", None)])
+    all_but_ground = engine.contact(("robot", None), ground=False)
     for _ in range(10):
         engine.step(4)
     assert [wheel() for wheel in wheels] == [True] * 4
@@ -127,10 +126,14 @@ SOLIDS = {
 @pytest.mark.parametrize("one", SOLIDS)
 @pytest.mark.parametrize("other", SOLIDS)
 @pytest.mark.parametrize("apart", [0.003, 0.5, 30.0])
-def test_the_gap_between_two_solids_along_x_is_what_is_left_between_them(engine_name, one, other, apart, build):
+def test_the_gap_between_two_solids_along_x_is_what_is_left_between_them(
+    engine_name, one, other, apart, build
+):
     (shape, half), (other_shape, other_half) = SOLIDS[one], SOLIDS[other]
     place = Pose((half + other_half + apart, 0, 1))
-    world = things(ObjectBody("one", shape, Pose((0, 0, 1)), **STAYS), ObjectBody("other", other_shape, place, **STAYS))
+    world = things(
+        ObjectBody("one", shape, Pose((0, 0, 1)), **STAYS), ObjectBody("other", other_shape, place, **STAYS)
+    )
     engine = build(engine_name, world)
     assert engine.clearance(("one", None), ("other", None))() == pytest.approx(apart, abs=1e-6)
 
@@ -140,7 +143,9 @@ def test_gaps_to_the_ground_to_corners_and_to_what_overlaps(engine_name, build):
     engine = build(engine_name, things(ball("ball", (0, 0, 1)), turned, ball("inside", (0.05, 0, 1))))
     assert engine.clearance(("ball", None), ("ground", None))() == pytest.approx(0.95, abs=1e-6)
     # a corner is rounded by the library's margin of 1 mm: 0.4 mm too far
-    assert engine.clearance(("ball", None), ("turned", None))() == pytest.approx(1 - 0.05 - 0.1 * sqrt(2), abs=5e-4)
+    assert engine.clearance(("ball", None), ("turned", None))() == pytest.approx(
+        1 - 0.05 - 0.1 * sqrt(2), abs=5e-4
+    )
     assert engine.clearance(("ball", None), ("inside", None))() == 0.0
 
 
@@ -167,7 +172,10 @@ def test_a_gap_to_nothing_is_infinite(engine_name, build):
 
 def test_bodies_within_each_other_are_told_with_their_depth_deepest_first(engine_name, build):
     post = ObjectBody("post", Sphere(0.05), Pose((0, 0, 0.05)), **STAYS)
-    engine = build(engine_name, things(ball("near", (0.08, 0, 0.055)), ball("sunk", (1, 0, 0.03)), ball("clear", (2, 0, 0.06)), post))
+    engine = build(
+        engine_name,
+        things(ball("near", (0.08, 0, 0.055)), ball("sunk", (1, 0, 0.03)), ball("clear", (2, 0, 0.06)), post),
+    )
     first, second = engine.overlaps()
     depths = {frozenset((found.one[0], found.other[0])): found.depth for found in (first, second)}
     assert depths[frozenset(("near", "post"))] == pytest.approx(0.1 - sqrt(0.08**2 + 0.005**2), abs=1e-3)

@@ -18,7 +18,9 @@ TURNED = quaternion(0.4, -0.3, 1.1)
 
 def episode(engine, ticks: int, substeps: int = 4, start: float = 0.1) -> bytes:
     """Every figure of a run in which the cart is pushed to and fro."""
-    read, pose, velocity = engine.joint_states("robot", ["slide", "hinge"]), engine.pose("robot", "tip"), engine.velocity("robot", "tip")
+    read = engine.joint_states("robot", ["slide", "hinge"])
+    pose = engine.pose("robot", "tip")
+    velocity = engine.velocity("robot", "tip")
     push = engine.torque_motor("robot", ["slide"], [8.0])
     engine.set_joint("robot", "hinge", start, 0.2)
     figures: list[float] = []
@@ -85,7 +87,9 @@ def test_a_restored_snapshot_goes_on_to_the_bit_whatever_came_between(engine_nam
         engine.restore(kept)
         assert follow(30) == expected
     engine.reset()
-    assert episode(engine, 20) == episode(build(engine_name, worlds.rail()), 20)  # values that were restored are reset as well
+    assert episode(engine, 20) == episode(
+        build(engine_name, worlds.rail()), 20
+    )  # values that were restored are reset as well
 
 
 def test_an_engine_without_exact_snapshots_says_so(engine_name, worlds, build):
@@ -119,7 +123,10 @@ def test_a_reader_only_reads(engine_name, worlds, build):
     readers = [
         curious.joint_states("robot", ["slide", "hinge"]),
         curious.joint_torques("robot", ["slide"]),
-        *(read("robot", link) for read, link in product((curious.pose, curious.velocity), ("rail", "cart", "pole", "tip"))),
+        *(
+            read("robot", link)
+            for read, link in product((curious.pose, curious.velocity), ("rail", "cart", "pole", "tip"))
+        ),
     ]
     for engine in (quiet, curious):
         engine.set_joint("robot", "hinge", 0.5, 0.0)
@@ -174,7 +181,10 @@ def test_pose_and_velocity_read_together_are_what_they_are_read_apart(engine_nam
     if world_name == "rail":
         engine.set_joint("robot", "hinge", 0.4, 2.0)
     for link in links:
-        assert engine.motion("robot", link)() == (engine.pose("robot", link)(), engine.velocity("robot", link)())
+        assert engine.motion("robot", link)() == (
+            engine.pose("robot", link)(),
+            engine.velocity("robot", link)(),
+        )
 
 
 def test_a_joint_goes_exactly_where_it_is_set_and_its_links_with_it(engine_name, worlds, build):
@@ -199,7 +209,9 @@ def test_poses_and_velocities_agree_while_moving(engine_name, worlds, build):
         before, speed_before = pose()[0], velocity()[0]
         engine.step(2)
         mean = [(a + b) / 2 for a, b in zip(speed_before, velocity()[0], strict=True)]
-        assert [(b - a) / 0.002 for a, b in zip(before, pose()[0], strict=True)] == pytest.approx(mean, abs=0.02)
+        assert [(b - a) / 0.002 for a, b in zip(before, pose()[0], strict=True)] == pytest.approx(
+            mean, abs=0.02
+        )
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 4, 8])
@@ -208,7 +220,8 @@ def test_a_torque_acts_alike_over_any_number_of_substeps(engine_name, substeps, 
     engine.set_joint("robot", "hinge", pi / 2, 0.0)
     engine.torque_motor("robot", ["slide"], [5.0])([2.0])
     engine.step(substeps)
-    # With the pole level, the hinge hands on no force along the rail: 1.1 kg in all, but the pole's weight acts across it.
+    # With the pole level, the hinge hands on no force along the rail: 1.1 kg in all, but the pole's weight
+    # acts across it.
     assert isclose(engine.joint_states("robot", ["slide"])()[0][1], 2.0 / 1.1 * 0.01, rel_tol=0.01)
     assert isclose(engine.joint_torques("robot", ["slide"])()[0], 2.0, rel_tol=1e-9)
 

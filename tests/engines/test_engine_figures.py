@@ -68,7 +68,8 @@ def test_a_motor_that_is_bound_again_replaces_the_earlier(engine_name, worlds, b
 
 def test_the_torque_of_a_spring_is_limited_and_damped(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
-    aim, torque = engine.position_motor("robot", ["slide"], [5.0], [20.0], [3.0]), engine.joint_torques("robot", ["slide"])
+    aim = engine.position_motor("robot", ["slide"], [5.0], [20.0], [3.0])
+    torque = engine.joint_torques("robot", ["slide"])
     for velocity, target, expected in ((0.0, 0.1, 2.0), (0.5, 0.1, 0.5), (0.0, -9.0, -5.0), (0.0, 9.0, 5.0)):
         engine.reset()
         engine.set_joint("robot", "slide", 0.0, velocity)
@@ -91,7 +92,8 @@ def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_na
 
 
 def test_a_new_mass_scales_the_inertia_along(engine_name, worlds, build):
-    """A pendulum's acceleration does not depend on its mass, if its inertia follows; with a made-up inertia it would."""
+    """A pendulum's acceleration does not depend on its mass, if its inertia follows; with a made-up inertia
+    it would."""
     engine = build(engine_name, worlds.rail(timestep=0.001, substeps=1))
     rates = []
     for mass in (0.1, 5.0):
@@ -139,7 +141,9 @@ def test_friction_of_a_joint_slows_until_the_next_reset(engine_name, worlds, bui
         engine.set_joint("robot", "hinge", pi / 2, 0.0)
         for _ in range(10):
             engine.step(4)
-        assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(1.0 - friction / 1.1 * 0.1, rel=0.01)
+        assert engine.joint_states("robot", ["slide"])()[0][1] == pytest.approx(
+            1.0 - friction / 1.1 * 0.1, rel=0.01
+        )
 
 
 @pytest.mark.parametrize("angle", [10, 25])
@@ -213,7 +217,9 @@ def test_a_push_acts_at_the_origin_of_a_body_for_one_engine_step(engine_name, fr
     tilted = np.array([frames.rotate(quaternion(*inertial.origin.rpy), axis) for axis in np.eye(3)]).T
     own = np.array([[0.01, 0.002, 0.001], [0.002, 0.02, -0.001], [0.001, -0.001, 0.025]])
     center = np.array(inertial.origin.xyz)
-    spin = turn @ np.linalg.solve(tilted @ own @ tilted.T, local_torque - np.cross(center, local_force)) * 0.001
+    spin = (
+        turn @ np.linalg.solve(tilted @ own @ tilted.T, local_torque - np.cross(center, local_force)) * 0.001
+    )
     assert angular == pytest.approx(spin, rel=1e-3, abs=1e-9)
     speed = turn @ local_force / 0.7 * 0.001 + np.cross(spin, turn @ -center)
     assert engine.velocity("robot")()[0] == pytest.approx(speed, rel=1e-3, abs=1e-9)
@@ -228,7 +234,9 @@ def test_a_push_on_a_link_turns_its_joint(engine_name, frame, worlds, build):
     engine.step(1)
     engine.pusher(("robot", "arm"), frame)((3.0, 2.0, 0.0), (0.0, 0.0, 0.4))
     engine.step(1)  # the force acts on the axis and turns nothing
-    assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(0.4 / (0.02 + 2.0 * 0.1) * 0.001, rel=1e-3)
+    assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(
+        0.4 / (0.02 + 2.0 * 0.1) * 0.001, rel=1e-3
+    )
 
 
 def test_colors_and_light_change_a_picture_until_the_next_reset(engine_name, build):
@@ -236,14 +244,26 @@ def test_colors_and_light_change_a_picture_until_the_next_reset(engine_name, bui
         "lamp",
         (
             Link(
-                "lamp", None, (Geometry(Box((0.2, 0.2, 0.2)), color=(1, 0, 0, 1)), Geometry(Sphere(0.12), Pose((0, 0, 0.1)), (0, 1, 0, 1)))
+                "lamp",
+                None,
+                (
+                    Geometry(Box((0.2, 0.2, 0.2)), color=(1, 0, 0, 1)),
+                    Geometry(Sphere(0.12), Pose((0, 0, 0.1)), (0, 1, 0, 1)),
+                ),
             ),
-            Link("arm", Inertial(0.1, ixx=0.01, iyy=0.01, izz=0.01), (Geometry(Box((0.3, 0.05, 0.05)), Pose((0.15, 0, 0)), (0, 0, 1, 1)),)),
+            Link(
+                "arm",
+                Inertial(0.1, ixx=0.01, iyy=0.01, izz=0.01),
+                (Geometry(Box((0.3, 0.05, 0.05)), Pose((0.15, 0, 0)), (0, 0, 1, 1)),),
+            ),
         ),
         (Joint("hinge", "revolute", "lamp", "arm"),),
         root="lamp",
     )
-    engine = build(engine_name, WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 0.5))),)))
+    engine = build(
+        engine_name,
+        WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True, pose=Pose((0, 0, 0.5))),)),
+    )
     view = View((1.0, 0.4, 1.2), (0.0, 0.0, 0.5), 60, 40)
     usual = engine.render(view)
     engine.set_parameter("color", ("robot", ""), 1.0, 1.0, 0.0, 1.0)

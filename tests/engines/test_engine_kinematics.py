@@ -35,10 +35,17 @@ def arm() -> RobotModel:
     axes = ((0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1))
     links = (Link("l0"), *(Link(f"l{i}", BULK) for i in range(1, 8)), Link("tool"))
     joints = [
-        Joint(f"j{i}", "revolute", f"l{i}", f"l{i + 1}", Pose((0.03 * (i % 2), 0, 0.2)), axis, Limit(-2.8, 2.8))
+        Joint(
+            f"j{i}", "revolute", f"l{i}", f"l{i + 1}", Pose((0.03 * (i % 2), 0, 0.2)), axis, Limit(-2.8, 2.8)
+        )
         for i, axis in enumerate(axes)
     ]
-    return RobotModel("arm", links, (*joints, Joint("grip", "fixed", "l7", "tool", Pose((0.05, 0, 0.1), (0.2, 0.1, 0.4)))), root="l0")
+    return RobotModel(
+        "arm",
+        links,
+        (*joints, Joint("grip", "fixed", "l7", "tool", Pose((0.05, 0, 0.1), (0.2, 0.1, 0.4)))),
+        root="l0",
+    )
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.6, 0.3), (0.2, -0.5), (-0.7, 0.1)])
@@ -56,7 +63,9 @@ def test_ranges_of_joints_are_kept_and_what_is_out_of_reach_is_approached():
     _, elbow = chain.solve(IDENTITY_FRAME, [0.0, 0.3, 0.8], (0.05, 0.0, 0.0), None)
     assert elbow == 2.5
     shoulder, elbow = chain.solve(IDENTITY_FRAME, [0.0, 0.3, 0.8], (3.0, 4.0, 0.0), None)
-    assert hypot(cos(shoulder) + cos(shoulder + elbow), sin(shoulder) + sin(shoulder + elbow)) == pytest.approx(2.0, abs=1e-3)
+    assert hypot(
+        cos(shoulder) + cos(shoulder + elbow), sin(shoulder) + sin(shoulder + elbow)
+    ) == pytest.approx(2.0, abs=1e-3)
     slide = Chain(planar(), "tip", ["slide"]).solve(IDENTITY_FRAME, [0.0, 0.0, 0.0], (1.0, 0.4, 0.0), None)
     assert slide == pytest.approx([0.4], abs=1e-6)
 
@@ -70,7 +79,9 @@ def test_a_joint_that_does_not_move_the_link_is_refused_by_name():
 def test_an_arm_of_seven_joints_goes_where_it_is_sent_from_where_it_stands(engine_name, with_attitude, build):
     names = [f"j{i}" for i in range(7)]
     place = Pose((0.3, -0.2, 0.4), (0.1, 0.2, 0.3))
-    engine = build(engine_name, WorldModel(0.01, 1, ground=None, robots=(RobotBody("arm", arm(), True, place),)))
+    engine = build(
+        engine_name, WorldModel(0.01, 1, ground=None, robots=(RobotBody("arm", arm(), True, place),))
+    )
     pose, solve = engine.pose("arm", "tool"), engine.inverse_kinematics(("arm", "tool"), names)
     rng, reached = random.Random(4), 0
     for _ in range(40):

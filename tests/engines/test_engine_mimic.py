@@ -1,4 +1,5 @@
-"""Joints that follow others (<mimic>), against their closed form: position = multiplier * position of the leader + offset."""
+"""Joints that follow others (<mimic>), against their closed form: position = multiplier * position of the
+leader + offset."""
 
 from __future__ import annotations
 
@@ -28,31 +29,48 @@ def pair(
     kinds: tuple[str, str] = ("prismatic", "prismatic"),
     masses: tuple[float, float] = (0.1, 0.1),
 ) -> RobotModel:
-    """A joint with a range of 1 m or rad, one that follows it, and one that follows the follower with the opposite sign."""
+    """A joint with a range of 1 m or rad, one that follows it, and one that follows the follower with the
+    opposite sign."""
     lead, follow = kinds
     ends = sorted((offset - 0.5 * multiplier, offset + 0.5 * multiplier))
     return RobotModel(
         "pair",
         (block("base", 1.0), block("a", masses[0]), block("b", masses[1]), block("c", 1e-3)),
         (
-            Joint("second", follow, "base", "c", axis=(0, 0, 1), limit=Limit(-3, 3), mimic=Mimic("first", -1.0)),
+            Joint(
+                "second", follow, "base", "c", axis=(0, 0, 1), limit=Limit(-3, 3), mimic=Mimic("first", -1.0)
+            ),
             Joint("lead", lead, "base", "a", Pose((0, 0.2, 0)), (0, 0, 1), Limit(-0.5, 0.5)),
-            Joint("first", follow, "base", "b", Pose((0, -0.2, 0)), (0, 0, 1), Limit(*ends), mimic=Mimic("lead", multiplier, offset)),
+            Joint(
+                "first",
+                follow,
+                "base",
+                "b",
+                Pose((0, -0.2, 0)),
+                (0, 0, 1),
+                Limit(*ends),
+                mimic=Mimic("lead", multiplier, offset),
+            ),
         ),
         root="base",
     )
 
 
-def world(model: RobotModel, gravity: tuple[float, float, float] = (0.0, 0.0, -9.81), substeps: int = 4) -> WorldModel:
+def world(
+    model: RobotModel, gravity: tuple[float, float, float] = (0.0, 0.0, -9.81), substeps: int = 4
+) -> WorldModel:
     return WorldModel(0.02, substeps, gravity, None, robots=(RobotBody("robot", model, fixed_base=True),))
 
 
 @pytest.mark.parametrize(("multiplier", "offset"), LAWS)
-@pytest.mark.parametrize("kinds", [("prismatic", "prismatic"), ("revolute", "revolute"), ("revolute", "prismatic")], ids="-".join)
+@pytest.mark.parametrize(
+    "kinds", [("prismatic", "prismatic"), ("revolute", "revolute"), ("revolute", "prismatic")], ids="-".join
+)
 def test_a_motor_on_the_leader_moves_the_follower(engine_name, build, kinds, multiplier, offset):
     multiplier = 0.05 * multiplier if kinds[0] != kinds[1] else multiplier  # m per rad
     engine = build(engine_name, world(pair(multiplier, offset, kinds)))
-    aim, read = engine.position_motor("robot", ["lead"], [20.0], None, None), engine.joint_states("robot", ["lead", "first", "second"])
+    aim = engine.position_motor("robot", ["lead"], [20.0], None, None)
+    read = engine.joint_states("robot", ["lead", "first", "second"])
     for target in (0.3, -0.4):
         for _ in range(60):
             aim([target])
@@ -66,11 +84,15 @@ def test_a_motor_on_the_leader_moves_the_follower(engine_name, build, kinds, mul
 
 @pytest.mark.parametrize(("multiplier", "offset"), LAWS)
 @pytest.mark.parametrize("pushed", ["lead", "first"])
-def test_a_passive_follower_and_its_leader_move_together_whichever_is_pushed(engine_name, build, pushed, multiplier, offset):
-    """A force on one side moves both as a gear does: the mass that it moves is that of the leader + multiplier^2 * that of the follower."""
+def test_a_passive_follower_and_its_leader_move_together_whichever_is_pushed(
+    engine_name, build, pushed, multiplier, offset
+):
+    """A force on one side moves both as a gear does: the mass that it moves is that of the leader +
+    multiplier^2 * that of the follower."""
     masses = (0.2, 0.3)
     engine = build(engine_name, world(pair(multiplier, offset, masses=masses), WEIGHTLESS, substeps=20))
-    push, read = engine.torque_motor("robot", [pushed], [100.0]), engine.joint_states("robot", ["lead", "first"])
+    push = engine.torque_motor("robot", [pushed], [100.0])
+    read = engine.joint_states("robot", ["lead", "first"])
     mass = masses[0] + multiplier**2 * (masses[1] + 1e-3)
     force = 1.0 if pushed == "lead" else multiplier
     for _ in range(10):
@@ -86,7 +108,8 @@ def test_a_follower_with_the_multiplier_0_stays_at_its_offset(engine_name, build
     model = pair(0.0, 0.1)
     free = tuple(replace(joint, limit=Limit()) if joint.name == "first" else joint for joint in model.joints)
     engine = build(engine_name, world(replace(model, joints=free)))
-    aim, read = engine.position_motor("robot", ["lead"], [20.0], None, None), engine.joint_states("robot", ["lead", "first"])
+    aim = engine.position_motor("robot", ["lead"], [20.0], None, None)
+    read = engine.joint_states("robot", ["lead", "first"])
     for _ in range(40):
         aim([0.3])
         engine.step(4)
@@ -95,7 +118,8 @@ def test_a_follower_with_the_multiplier_0_stays_at_its_offset(engine_name, build
 
 def test_a_heavy_follower_keeps_up(engine_name, build):
     engine = build(engine_name, world(pair(-1.0, masses=(0.1, 1.0))))
-    aim, read = engine.position_motor("robot", ["lead"], [50.0], None, None), engine.joint_states("robot", ["lead", "first"])
+    aim = engine.position_motor("robot", ["lead"], [50.0], None, None)
+    read = engine.joint_states("robot", ["lead", "first"])
     for tick in range(100):
         aim([0.3 if tick % 50 < 25 else -0.3])
         engine.step(4)
@@ -115,7 +139,8 @@ def test_a_start_of_the_leader_is_one_of_its_followers_too(engine_name, build):
 
 
 def stroke(engine, target: float, ticks: int) -> bytes:
-    aim, read = engine.position_motor("robot", ["lead"], [20.0], None, None), engine.joint_states("robot", ["lead", "first", "second"])
+    aim = engine.position_motor("robot", ["lead"], [20.0], None, None)
+    read = engine.joint_states("robot", ["lead", "first", "second"])
     engine.set_joint("robot", "lead", 0.1, 0.0)
     figures: list[float] = []
     for _ in range(ticks):
@@ -140,7 +165,8 @@ def test_a_restored_world_with_followers_goes_on_to_the_bit(engine_name, build):
     engine = build(engine_name, world(pair(-2.0, 0.1)))
     if "snapshot" not in engine.capabilities:
         pytest.skip("it has no snapshots")
-    aim, read = engine.position_motor("robot", ["lead"], [20.0], None, None), engine.joint_states("robot", ["lead", "first", "second"])
+    aim = engine.position_motor("robot", ["lead"], [20.0], None, None)
+    read = engine.joint_states("robot", ["lead", "first", "second"])
 
     def follow() -> list[object]:
         seen: list[object] = []
@@ -169,7 +195,15 @@ def test_inverse_kinematics_moves_a_follower_with_its_leader():
         tuple(block(name, 1.0) for name in ("base", "lower", "upper")),
         (
             Joint("stage", "prismatic", "base", "lower", axis=(0, 0, 1), limit=Limit(0.0, 0.5)),
-            Joint("top", "prismatic", "lower", "upper", axis=(0, 0, 1), limit=Limit(0.0, 1.0), mimic=Mimic("stage", 2.0, 0.1)),
+            Joint(
+                "top",
+                "prismatic",
+                "lower",
+                "upper",
+                axis=(0, 0, 1),
+                limit=Limit(0.0, 1.0),
+                mimic=Mimic("stage", 2.0, 0.1),
+            ),
         ),
         root="base",
     )

@@ -1,4 +1,5 @@
-"""Readings that are kept while the world stands still are those of the present moment, whatever changed it."""
+"""Readings that are kept while the world stands still are those of the present moment, whatever changed
+it."""
 
 from __future__ import annotations
 

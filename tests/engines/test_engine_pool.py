@@ -15,16 +15,17 @@ from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Box, Pose, Sphere
 
 IDENTITY_ROTATION = (0.0, 0.0, 0.0, 1.0)
-ROUND, SQUARE, PILLAR = (
-    Variant("round", Sphere(0.05), 0.3, (1, 0, 0, 1)),
-    Variant("square", Box((0.1, 0.1, 0.1)), 0.2, (0, 1, 0, 1)),
-    Variant("pillar", Box((0.1, 0.1, 0.4)), color=(0, 0, 1, 1), fixed=True),
-)
+ROUND = Variant("round", Sphere(0.05), 0.3, (1, 0, 0, 1))
+SQUARE = Variant("square", Box((0.1, 0.1, 0.1)), 0.2, (0, 1, 0, 1))
+PILLAR = Variant("pillar", Box((0.1, 0.1, 0.4)), color=(0, 0, 1, 1), fixed=True)
 WHEELS = [f"wheel_{i}" for i in range(4)]
 
 
 def pooled(count: int, *variants: Variant, **figures: object) -> tuple[ObjectBody, ...]:
-    return tuple(ObjectBody(f"thing#{i}", Sphere(0.05), mass=0.3, pooled=True, variants=variants, **figures) for i in range(1, count + 1))
+    return tuple(
+        ObjectBody(f"thing#{i}", Sphere(0.05), mass=0.3, pooled=True, variants=variants, **figures)
+        for i in range(1, count + 1)
+    )
 
 
 def arena(worlds, things: tuple[ObjectBody, ...]) -> WorldModel:
@@ -69,12 +70,26 @@ def test_a_placed_body_falls_and_rolls_like_any_other(engine_name, build):
 
 
 def test_readers_follow_the_form_that_was_chosen(engine_name, build):
-    world = WorldModel(0.02, 4, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(1, ROUND, SQUARE, PILLAR)))
+    world = WorldModel(
+        0.02,
+        4,
+        objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(1, ROUND, SQUARE, PILLAR)),
+    )
     engine = build(engine_name, world)
     pose, gap = engine.pose("thing#1"), engine.clearance(("ball", None), ("thing#1", None))
     apart = (1 + 0.8**2) ** 0.5 - 0.15
-    inside = {"pillar": (0.95**2 + 0.6**2) ** 0.5 - 0.1, "square": (0.95**2 + 0.75**2) ** 0.5 - 0.1, "round": apart, None: apart}
-    for form, height, stays in (("pillar", 0.9, True), ("square", 0.05, False), ("round", 0.05, False), (None, 0.05, False)):
+    inside = {
+        "pillar": (0.95**2 + 0.6**2) ** 0.5 - 0.1,
+        "square": (0.95**2 + 0.75**2) ** 0.5 - 0.1,
+        "round": apart,
+        None: apart,
+    }
+    for form, height, stays in (
+        ("pillar", 0.9, True),
+        ("square", 0.05, False),
+        ("round", 0.05, False),
+        (None, 0.05, False),
+    ):
         engine.reset()
         if form:
             engine.choose("thing#1", form)
@@ -115,7 +130,9 @@ def brawl(engine, seed: int, ticks: int) -> bytes:
             engine.set_parameter("mass", (name, ""), rng.uniform(0.05, 1.0))
             engine.set_parameter("lateral_friction", (name, ""), rng.uniform(0.2, 1.0))
         engine.place(name, (rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 0.05), IDENTITY_ROTATION)
-    readers = [engine.pose(name) for name in ("robot", "ball", "crate", *present)] + [engine.velocity("robot")]
+    readers = [engine.pose(name) for name in ("robot", "ball", "crate", *present)] + [
+        engine.velocity("robot")
+    ]
     drive, touched, gap = (
         engine.velocity_motor("robot", WHEELS, [10.0] * 4),
         engine.contact(("robot", None), ground=False),
@@ -134,7 +151,9 @@ def brawl(engine, seed: int, ticks: int) -> bytes:
     return struct.pack(f"{len(figures)}d", *figures)
 
 
-def test_an_episode_among_pooled_bodies_equals_one_in_a_fresh_world_whatever_came_before(engine_name, worlds, build):
+def test_an_episode_among_pooled_bodies_equals_one_in_a_fresh_world_whatever_came_before(
+    engine_name, worlds, build
+):
     world = arena(worlds, pooled(5, ROUND, SQUARE, PILLAR))
     fresh = {seed: brawl(build(engine_name, world), seed, 60) for seed in (3, 4, 5)}
     engine = build(engine_name, world)

@@ -38,7 +38,9 @@ def in_fresh_process(engine: str, world: WorldModel, seed: int, ticks: int) -> b
 
 @pytest.mark.parametrize("pasts", PASTS)
 @pytest.mark.parametrize("carts", [1, 3])
-def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(engine_name, carts, pasts, worlds, build):
+def test_an_episode_after_a_reset_equals_one_in_a_fresh_process_whatever_came_before(
+    engine_name, carts, pasts, worlds, build
+):
     world = worlds.arena(carts=carts)
     fresh = in_fresh_process(engine_name, world, seed=5, ticks=100)
     engine = build(engine_name, world)
@@ -72,17 +74,17 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
         engine.set_parameter("joint_damping", ("dog", LEGS[1]), rng.uniform(0.0, 0.2))
         engine.set_parameter("joint_friction", ("dog", LEGS[4]), rng.uniform(0.0, 0.2))
         engine.set_parameter("gravity", (), 0.0, 0.0, rng.uniform(-12.0, -8.0))
-    engine.place("dog", (0, 0, 0.33), (0, 0, 0, 1), (rng.uniform(-0.3, 0.3), 0, 0), (0, 0, rng.uniform(-1, 1)))
+    engine.place(
+        "dog", (0, 0, 0.33), (0, 0, 0, 1), (rng.uniform(-0.3, 0.3), 0, 0), (0, 0, rng.uniform(-1, 1))
+    )
     for joint, angle in zip(LEGS, STAND, strict=True):
         engine.set_joint("dog", joint, angle + rng.uniform(-0.1, 0.1), 0.0)
     stiff = [rng.uniform(60.0, 120.0)] * 12
     aim = engine.position_motor("dog", LEGS, [rng.uniform(20.0, 33.5)] * 12, stiff, [2.0] * 12)
     pose, velocity, joints = engine.pose("dog"), engine.velocity("dog"), engine.joint_states("dog", LEGS)
-    feet, torques, crate = (
-        [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")],
-        engine.joint_torques("dog", LEGS),
-        engine.pose("crate"),
-    )
+    feet = [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")]
+    torques = engine.joint_torques("dog", LEGS)
+    crate = engine.pose("crate")
     push = engine.pusher(("dog", None))
     figures: list[float] = []
     for tick in range(ticks):
@@ -91,7 +93,14 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
         if tick % 10 == 5:
             push((rng.uniform(-300, 300), rng.uniform(-300, 300), 0.0), ZERO_VECTOR)
         engine.step(10)
-        for part in (*pose(), *velocity(), *crate(), *(state[:2] for state in joints()), torques(), [foot() for foot in feet]):
+        for part in (
+            *pose(),
+            *velocity(),
+            *crate(),
+            *(state[:2] for state in joints()),
+            torques(),
+            [foot() for foot in feet],
+        ):
             figures += part
     return struct.pack(f"{len(figures)}d", *figures)
 
@@ -114,8 +123,15 @@ def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engin
     if "snapshot" not in engine.capabilities:
         pytest.skip("it has no snapshots")
     walk(engine, seed=4, ticks=30)
-    readers = [engine.pose("dog"), engine.velocity("dog", "FR_toe"), engine.pose("crate"), engine.joint_torques("dog", LEGS)]
-    readers += [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")] + [engine.contact_force(("ground", None))]
+    readers = [
+        engine.pose("dog"),
+        engine.velocity("dog", "FR_toe"),
+        engine.pose("crate"),
+        engine.joint_torques("dog", LEGS),
+    ]
+    readers += [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")] + [
+        engine.contact_force(("ground", None))
+    ]
 
     def follow() -> list[object]:
         seen = [read() for read in readers]
@@ -148,7 +164,8 @@ def roll(engine: Engine, seed: int, ticks: int) -> bytes:
     engine.place("roller", (rng.uniform(-0.2, 0.2), 0.0, rng.uniform(0.3, 0.5)), (0, 0, 0, 1))
     drive = engine.velocity_motor("roller", JOINTS, [12.0] * len(JOINTS))
     readers = [engine.pose("roller"), engine.velocity("roller"), engine.pose("rock")]
-    contact, force = engine.contact(("roller", None), [("ground", None)]), engine.contact_force(("ground", None))
+    contact = engine.contact(("roller", None), [("ground", None)])
+    force = engine.contact_force(("ground", None))
     figures: list[float] = []
     for tick in range(ticks):
         if tick % 16 == 0:
@@ -165,7 +182,9 @@ JOINTS = ["pitch", "yaw"]
 @pytest.mark.parametrize("pasts", PASTS)
 def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(engine_name, roller, pasts, build):
     rock = ObjectBody("rock", Sphere(0.1), Pose((0.6, 0.0, 0.6)), 0.5)
-    world = WorldModel(0.032, 8, robots=(RobotBody("roller", roller),), objects=(rock,), terrain=Terrain(Pit(3.2, 4.0, 0.15)))
+    world = WorldModel(
+        0.032, 8, robots=(RobotBody("roller", roller),), objects=(rock,), terrain=Terrain(Pit(3.2, 4.0, 0.15))
+    )
     fresh = {seed: roll(build(engine_name, world), seed, 60) for seed in (3, 4)}
     engine = build(engine_name, world)
     for ticks in pasts:

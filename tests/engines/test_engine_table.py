@@ -12,7 +12,9 @@ from deepbots_cli.errors import UsageError, install_hint
 
 
 def test_an_unknown_engine_lists_those_there_are_and_the_nearest(worlds):
-    with pytest.raises(UsageError, match=r"no engine 'pybulet'; there are pybullet.*; did you mean 'pybullet'\?"):
+    with pytest.raises(
+        UsageError, match=r"no engine 'pybulet'; there are pybullet.*; did you mean 'pybullet'\?"
+    ):
         create("pybulet", worlds.rail())
 
 
@@ -56,7 +58,9 @@ def without_pybullet(script: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_without_pybullet_worlds_run_on_mujoco_and_one_sentence_says_so():
-    done = without_pybullet("import deepbots_cli\nfor _ in range(2):\n    print(deepbots_cli.make('cartpole').engine.name)")
+    done = without_pybullet(
+        "import deepbots_cli\nfor _ in range(2):\n    print(deepbots_cli.make('cartpole').engine.name)"
+    )
     assert done.stdout == "mujoco\nmujoco\n"
     assert done.stderr.count("this runs on MuJoCo, which gives different returns than PyBullet") == 1
 

@@ -40,7 +40,10 @@ def test_a_cart_pole_keeps_its_energy_for_ten_seconds(angle, worlds):
 
 
 def test_a_tumbling_body_keeps_its_energy_for_ten_seconds():
-    stone = Link("stone", Inertial(0.7, Pose((0.1, -0.2, 0.05), (0.3, 0.2, -0.4)), 0.01, 0.002, 0.001, 0.02, -0.001, 0.025))
+    stone = Link(
+        "stone",
+        Inertial(0.7, Pose((0.1, -0.2, 0.05), (0.3, 0.2, -0.4)), 0.01, 0.002, 0.001, 0.02, -0.001, 0.025),
+    )
     body = RigidBody(joined(RobotModel("stone", (stone,), (), root="stone"), "stone"), DOWN, flies=True)
     body.spin((1.0, 3.0, -2.0))
     before = body.energy
@@ -59,7 +62,9 @@ def test_a_symmetric_top_precesses_about_its_momentum_at_the_rate_of_the_closed_
     axis = frames.rotate(body.turned, (0, 0, 1))
     body.advance(1.3)
     about = frames.scaled(momentum, 1 / sqrt(frames.dot(momentum, momentum)))
-    assert frames.rotate(body.turned, (0, 0, 1)) == pytest.approx(frames.rotate(frames.from_axis_angle(about, rate * 1.3), axis), abs=1e-8)
+    assert frames.rotate(body.turned, (0, 0, 1)) == pytest.approx(
+        frames.rotate(frames.from_axis_angle(about, rate * 1.3), axis), abs=1e-8
+    )
 
 
 def test_free_fall_is_exact_to_the_last_digits(worlds, build):
@@ -78,14 +83,17 @@ def test_a_cart_pole_follows_the_textbook_equations(worlds):
     temp = (3.0 + m * half * rate**2 * sin(angle)) / total
     turning = (9.81 * sin(angle) - cos(angle) * temp) / (half * (4 / 3 - m * cos(angle) ** 2 / total))
     sliding = temp - m * half * turning * cos(angle) / total
-    assert (motion.state[2] / 1e-5, (motion.state[3] - rate) / 1e-5) == pytest.approx((sliding, turning), rel=1e-3)
+    assert (motion.state[2] / 1e-5, (motion.state[3] - rate) / 1e-5) == pytest.approx(
+        (sliding, turning), rel=1e-3
+    )
 
 
 @settings(max_examples=25)
 @given(rpy=st.tuples(*[st.floats(-3, 3)] * 3), angle=st.floats(-3, 3), rate=st.floats(-3, 3))
 def test_a_world_that_is_turned_as_a_whole_moves_alike(worlds, rpy, angle, rate):
     turned = quaternion(*rpy)
-    level, tilted = cart_pole(worlds.rail()), cart_pole(replace(worlds.rail(), gravity=frames.rotate(turned, DOWN)))
+    level = cart_pole(worlds.rail())
+    tilted = cart_pole(replace(worlds.rail(), gravity=frames.rotate(turned, DOWN)))
     tilted.place(((1.0, 2.0, 3.0), turned))
     for motion in (level, tilted):
         motion.set_joint(1, angle, rate)
@@ -93,12 +101,17 @@ def test_a_world_that_is_turned_as_a_whole_moves_alike(worlds, rpy, angle, rate)
         motion.advance(0.2)
     assert tilted.state == pytest.approx(level.state, abs=1e-9)
     position = level.pose("tip")[0]
-    assert tilted.pose("tip")[0] == pytest.approx(frames.add((1, 2, 3), frames.rotate(turned, position)), abs=1e-9)
-    assert tilted.velocity("tip")[0] == pytest.approx(frames.rotate(turned, level.velocity("tip")[0]), abs=1e-8)
+    assert tilted.pose("tip")[0] == pytest.approx(
+        frames.add((1, 2, 3), frames.rotate(turned, position)), abs=1e-9
+    )
+    assert tilted.velocity("tip")[0] == pytest.approx(
+        frames.rotate(turned, level.velocity("tip")[0]), abs=1e-8
+    )
 
 
 def test_pybullet_follows_the_exact_cart_pole_for_a_second(worlds, build):
-    """Within 3 mm and 10 mrad at steps of 1 ms, through a swing from upright past level: the error of a first-order rule."""
+    """Within 3 mm and 10 mrad at steps of 1 ms, through a swing from upright past level: the error of a
+    first-order rule."""
     states = []
     for name in ("exact", "pybullet"):
         engine = build(name, worlds.rail(timestep=0.02, substeps=20))
@@ -119,16 +132,27 @@ def test_what_the_equations_do_not_cover_is_refused_by_name(worlds, build):
     (robot,) = rail.robots
     ball = worlds.ball()
     pair = RobotModel(
-        "pair", (Link("a", Inertial(1.0, ixx=1, iyy=1, izz=1)), Link("b", Inertial(1.0))), (Joint("j", "continuous", "a", "b"),), root="a"
+        "pair",
+        (Link("a", Inertial(1.0, ixx=1, iyy=1, izz=1)), Link("b", Inertial(1.0))),
+        (Joint("j", "continuous", "a", "b"),),
+        root="a",
     )
     cases = (
         (worlds.arena(), "no equations for robot 'robot'"),
         (replace(rail, robots=(replace(robot, fixed_base=False),)), "no equations"),
-        (WorldModel(0.02, 1, ground=None, robots=(RobotBody("pair", pair, fixed_base=True),)), "no equations for robot 'pair'"),
+        (
+            WorldModel(0.02, 1, ground=None, robots=(RobotBody("pair", pair, fixed_base=True),)),
+            "no equations for robot 'pair'",
+        ),
         (replace(ball, ground=worlds.arena().ground), "no contacts: 'ball'"),
         (worlds.rail(friction=1.0), "friction in joints"),
         (
-            WorldModel(0.02, 1, ground=None, robots=(RobotBody("dot", RobotModel("dot", (Link("dot"),), (), root="dot")),)),
+            WorldModel(
+                0.02,
+                1,
+                ground=None,
+                robots=(RobotBody("dot", RobotModel("dot", (Link("dot"),), (), root="dot")),),
+            ),
             "'dot' moves without",
         ),
     )
@@ -165,7 +189,9 @@ def test_links_that_are_fixed_to_each_other_are_one_body(worlds):
     """Two half rods in a row weigh and turn like one whole."""
 
     def half(name):
-        return Link(name, Inertial(0.5, Pose((0, 0, 0.25)), ixx=0.5 * 0.25 / 12, iyy=0.5 * 0.25 / 12, izz=0.0))
+        return Link(
+            name, Inertial(0.5, Pose((0, 0, 0.25)), ixx=0.5 * 0.25 / 12, iyy=0.5 * 0.25 / 12, izz=0.0)
+        )
 
     hold = Joint("hold", "fixed", "low", "high", Pose((0, 0, 0.5), (0.0, 0.0, 1.2)))
     lump = joined(RobotModel("rod", (half("low"), half("high")), (hold,), root="low"), "low")

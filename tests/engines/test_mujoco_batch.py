@@ -17,13 +17,18 @@ def marbles(count: int) -> WorldModel:
     """A tray on the ground with marbles on it."""
     tray = ObjectBody("tray", Box((1.0, 1.0, 0.1)), Pose((0, 0, 0.05)), 3.0)
     spots = [(0.12 * (k % 7) - 0.36, 0.12 * (k // 7) - 0.36) for k in range(count)]
-    objects = [ObjectBody(f"marble{k}", Sphere(0.05), Pose((x, y, 0.15)), 0.1) for k, (x, y) in enumerate(spots)]
+    objects = [
+        ObjectBody(f"marble{k}", Sphere(0.05), Pose((x, y, 0.15)), 0.1) for k, (x, y) in enumerate(spots)
+    ]
     return WorldModel(0.02, 4, ground=Ground(), objects=(tray, *objects))
 
 
 def test_forces_are_those_of_single_worlds():
     batch, single = create_batch("mujoco", marbles(5), 2), create("mujoco", marbles(5))
-    of_batch, of_single = ([engine.contact_force((name, None)) for name in ("tray", "marble2", "ground")] for engine in (batch, single))
+    of_batch, of_single = (
+        [engine.contact_force((name, None)) for name in ("tray", "marble2", "ground")]
+        for engine in (batch, single)
+    )
     for engine in (single, *batch.members):
         engine.reset()
     for engine in (single, batch.members[1]):
@@ -43,7 +48,9 @@ def test_more_contacts_than_a_batch_adds_up_are_an_error():
         member.reset()
     batch.begin_episodes([0, 1])
     batch.step(4)
-    with pytest.raises(EngineError, match=r"^world 0: a link of 'tray' has 44 contacts, but a batch supports at most 32"):
+    with pytest.raises(
+        EngineError, match=r"^world 0: a link of 'tray' has 44 contacts, but a batch supports at most 32"
+    ):
         read()
 
 
@@ -57,4 +64,8 @@ def test_members_change_and_read_their_own_worlds():
     assert [read()[0] for read in poses] == [(-0.36, -0.36, 0.15), (0.1, 0.2, 0.9), (-0.36, -0.36, 0.15)]
     batch.begin_episodes(range(3))
     batch.step(4, np.array([False, True, False]))
-    assert [read()[0][2] < start for read, start in zip(poses, (0.15, 0.9, 0.15), strict=True)] == [False, True, False]
+    assert [read()[0][2] < start for read, start in zip(poses, (0.15, 0.9, 0.15), strict=True)] == [
+        False,
+        True,
+        False,
+    ]

@@ -14,7 +14,20 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import quaternion
 from deepbots_cli.port import View
 from deepbots_cli.program.world import Formula, Ground, ObjectBody, RobotBody, Terrain, WorldModel
-from deepbots_cli.robots.model import Box, Cylinder, Friction, Geometry, Inertial, Joint, Limit, Link, Mesh, Pose, RobotModel, Sphere
+from deepbots_cli.robots.model import (
+    Box,
+    Cylinder,
+    Friction,
+    Geometry,
+    Inertial,
+    Joint,
+    Limit,
+    Link,
+    Mesh,
+    Pose,
+    RobotModel,
+    Sphere,
+)
 from tests.named import constant
 
 HILLS = Terrain(Formula(constant(0.0).scalar, (4.0, 4.0)))
@@ -28,20 +41,28 @@ def test_a_mesh_is_no_ground_and_the_message_says_what_to_do():
 def post(inertial: Inertial, *shapes: Mesh) -> WorldModel:
     pieces = tuple(Geometry(shape) for shape in shapes)
     model = RobotModel(
-        "post", (Link("foot"), Link("pole", inertial, pieces, pieces)), (Joint("hinge", "continuous", "foot", "pole"),), root="foot"
+        "post",
+        (Link("foot"), Link("pole", inertial, pieces, pieces)),
+        (Joint("hinge", "continuous", "foot", "pole"),),
+        root="foot",
     )
     return WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=True),))
 
 
 def test_an_impossible_inertia_names_robot_and_link_and_says_what_to_do():
-    message = r"^link 'pole' of 'robot' has an inertia that no rigid body can have, which MuJoCo refuses; .*the engine `pybullet`$"
+    message = (
+        r"^link 'pole' of 'robot' has an inertia that no rigid body can have, which MuJoCo refuses;"
+        r" .*the engine `pybullet`$"
+    )
     for moments in ({"ixx": 1.0, "iyy": 1.0, "izz": 3.0}, {"ixx": 1.0, "iyy": 1.0, "izz": 1.0, "ixy": 2.0}):
         with pytest.raises(EngineError, match=message):
             create("mujoco", post(Inertial(1.0, **moments)))
 
 
 def test_the_rounded_inertia_of_a_thin_disc_is_possible(build):
-    build("mujoco", post(Inertial(0.2, Pose(rpy=(0.4, 0.3, 0.2)), ixx=0.0017, iyy=0.0017, izz=0.003401))).step(1)
+    build(
+        "mujoco", post(Inertial(0.2, Pose(rpy=(0.4, 0.3, 0.2)), ixx=0.0017, iyy=0.0017, izz=0.003401))
+    ).step(1)
 
 
 def test_what_the_compiler_refuses_is_an_error_that_names_robot_and_link(tmp_path):
@@ -49,13 +70,18 @@ def test_what_the_compiler_refuses_is_an_error_that_names_robot_and_link(tmp_pat
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
     digest = sha256(path.read_bytes()).hexdigest()
     with pytest.raises(
-        EngineError, match=r"^MuJoCo cannot build link 'pole' of 'robot': mesh has coplanar vertices, [a-z ]*; correct its "
+        EngineError,
+        match=r"^MuJoCo cannot build link 'pole' of 'robot': mesh has coplanar vertices, [a-z ]*; correct"
+        r" its ",
     ):
         create("mujoco", post(Inertial(1.0, ixx=1.0, iyy=1.0, izz=1.0), Mesh(str(path), digest)))
 
 
 def test_distances_to_terrain_are_refused(build):
-    engine = build("mujoco", WorldModel(0.02, 1, terrain=HILLS, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 1)), 1.0),)))
+    engine = build(
+        "mujoco",
+        WorldModel(0.02, 1, terrain=HILLS, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 1)), 1.0),)),
+    )
     with pytest.raises(EngineError, match="distances to terrain; measure them with a ray sensor"):
         engine.clearance(("ball", None), ("ground", None))
 
@@ -64,7 +90,10 @@ def test_distances_to_terrain_are_refused(build):
 def test_the_friction_of_a_pair_is_the_product(one, other, build):
     """On a slope of 30 degrees what slides gains g (sin a - mu cos a)."""
     crate = ObjectBody("crate", Box((0.2, 0.2, 0.1)), Pose((0, 0, 0.05)), 1.0, friction=one)
-    engine = build("mujoco", WorldModel(0.01, 10, (9.81 * sin(pi / 6), 0, -9.81 * cos(pi / 6)), Ground(1.0), objects=(crate,)))
+    engine = build(
+        "mujoco",
+        WorldModel(0.01, 10, (9.81 * sin(pi / 6), 0, -9.81 * cos(pi / 6)), Ground(1.0), objects=(crate,)),
+    )
     for drawn in (other, None):
         engine.reset()
         if drawn is not None:
@@ -72,19 +101,27 @@ def test_the_friction_of_a_pair_is_the_product(one, other, build):
         for _ in range(50):
             engine.step(10)
         expected = 9.81 * (sin(pi / 6) - one * (drawn or 1.0) * cos(pi / 6)) * 0.5
-        assert engine.velocity("crate")()[0][0] == pytest.approx(max(expected, 0.0), rel=0.05, abs=5e-3)  # it hops a little
+        assert engine.velocity("crate")()[0][0] == pytest.approx(
+            max(expected, 0.0), rel=0.05, abs=5e-3
+        )  # it hops a little
 
 
 def spinner() -> RobotModel:
     """A wheel of 80 g in the air, on a heavy stand, with a range of half a turn."""
     tire = (Geometry(Cylinder(0.03, 0.02), Pose(rpy=(pi / 2, 0, 0))),)
     wheel = Link("wheel", Inertial(0.08, ixx=2e-5, iyy=3.6e-5, izz=2e-5), tire, tire, Friction(1.0))
-    joints = (Joint("axle", "revolute", "stand", "wheel", Pose((0, 0, 1)), (0, 1, 0), Limit(-pi / 2, pi / 2)),)
-    return RobotModel("spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), joints, root="stand")
+    joints = (
+        Joint("axle", "revolute", "stand", "wheel", Pose((0, 0, 1)), (0, 1, 0), Limit(-pi / 2, pi / 2)),
+    )
+    return RobotModel(
+        "spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), joints, root="stand"
+    )
 
 
 def test_a_strong_motor_on_a_light_wheel_is_stable_and_its_range_is_in_radians(build):
-    engine = build("mujoco", WorldModel(0.016, 1, ground=None, robots=(RobotBody("robot", spinner(), fixed_base=True),)))
+    engine = build(
+        "mujoco", WorldModel(0.016, 1, ground=None, robots=(RobotBody("robot", spinner(), fixed_base=True),))
+    )
     drive, read = engine.velocity_motor("robot", ["axle"], [10.0]), engine.joint_states("robot", ["axle"])
     for target, speed in ((5.0, 5.0), (-5.0, -5.0), (5.0, 5.0)):
         for _ in range(10):
@@ -102,12 +139,18 @@ def test_a_wheel_is_a_cylinder_to_everything_but_flat_ground(build):
     tire = (Geometry(Cylinder(0.1, 0.06), Pose(rpy=(pi / 2, 0, 0))),)
     wheel = Link("wheel", Inertial(1.0, ixx=0.003, iyy=0.005, izz=0.003), tire, tire, Friction(1.0))
     axle = Joint("axle", "continuous", "stand", "wheel", Pose((0, 0, 0.099)), (0, 1, 0))
-    stand = RobotModel("spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), (axle,), root="stand")
+    stand = RobotModel(
+        "spinner", (Link("stand", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1)), wheel), (axle,), root="stand"
+    )
     eye = RobotModel("eye", (Link("eye", Inertial(1.0, ixx=0.1, iyy=0.1, izz=0.1)),), (), root="eye")
     ball = ObjectBody("ball", Sphere(0.05), Pose((0.08, 0.1, 0.099)), fixed=True)
-    robots = (RobotBody("robot", stand, fixed_base=True), RobotBody("eye", eye, fixed_base=True, pose=Pose((-0.08, 0.5, 0.099))))
+    robots = (
+        RobotBody("robot", stand, fixed_base=True),
+        RobotBody("eye", eye, fixed_base=True, pose=Pose((-0.08, 0.5, 0.099))),
+    )
     engine = build("mujoco", WorldModel(0.01, 1, ground=Ground(1.0), objects=(ball,), robots=robots))
-    touches, force = engine.contact(("robot", "wheel"), [("ground", None)]), engine.contact_force(("robot", "wheel"))
+    touches = engine.contact(("robot", "wheel"), [("ground", None)])
+    force = engine.contact_force(("robot", "wheel"))
     see = engine.rays(("eye", None), [((0.0, 0.0, 0.0), quaternion(0.0, 0.0, -pi / 2))], 2.0)
     drive, speed = engine.velocity_motor("robot", ["axle"], [0.01]), engine.joint_states("robot", ["axle"])
     for _ in range(10):
@@ -147,8 +190,15 @@ except EngineError as error:
     print(sorted(engine.capabilities), error)
 """
     without = {"MUJOCO_GL": "disable", "PATH": ""}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=without | {"PYTHONPATH": ":".join(sys.path)})
-    assert "['contacts', 'mimic', 'snapshot'] MuJoCo cannot render on this machine" in done.stdout, done.stderr
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        env=without | {"PYTHONPATH": ":".join(sys.path)},
+    )
+    assert "['contacts', 'mimic', 'snapshot'] MuJoCo cannot render on this machine" in done.stdout, (
+        done.stderr
+    )
 
 
 def test_drawing_changes_nothing_that_follows(worlds, build):

@@ -21,15 +21,31 @@ from deepbots_cli.engines import create
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import View
 from deepbots_cli.program.world import Arena, Ground, ObjectBody, RobotBody, WorldModel
-from deepbots_cli.robots.model import Box, Cylinder, Inertial, Joint, Limit, Link, Mesh, Pose, RobotModel, Sphere
+from deepbots_cli.robots.model import (
+    Box,
+    Cylinder,
+    Inertial,
+    Joint,
+    Limit,
+    Link,
+    Mesh,
+    Pose,
+    RobotModel,
+    Sphere,
+)
 
 EPISODE = Path(__file__).with_name("arena_episode.py")
 trajectory = runpy.run_path(str(EPISODE))["trajectory"]
 
 
 def test_a_library_prints_nothing_and_leaves_stdout_to_the_program(worlds):
-    script = "import pickle, sys; from deepbots_cli.engines import create; create('pybullet', pickle.load(sys.stdin.buffer)); print('done')"
-    done = subprocess.run([sys.executable, "-c", script], input=pickle.dumps(worlds.arena()), capture_output=True, check=True)
+    script = (
+        "import pickle, sys; from deepbots_cli.engines import create; create('pybullet',"
+        " pickle.load(sys.stdin.buffer)); print('done')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], input=pickle.dumps(worlds.arena()), capture_output=True, check=True
+    )
     assert (done.stdout, done.stderr) == (b"done\n", b"")
 
 
@@ -70,13 +86,20 @@ def test_bodies_rest_where_they_stand(worlds, build):
     engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([0.0] * 4)
     for _ in range(60):
         engine.step(4)
-    for body, at in (("robot", (0, 0, 0.04)), ("ball", (0.3, 0.02, 0.05)), ("crate", (-0.3, 0.03, 0.05)), ("drum", (0.2, -0.3, 0.05))):
+    for body, at in (
+        ("robot", (0, 0, 0.04)),
+        ("ball", (0.3, 0.02, 0.05)),
+        ("crate", (-0.3, 0.03, 0.05)),
+        ("drum", (0.2, -0.3, 0.05)),
+    ):
         assert engine.pose(body)()[0] == pytest.approx(at, abs=1e-3)
     assert engine.pose("mark")()[0] == (0.0, 0.3, 0.05)
 
 
 @pytest.mark.parametrize("friction", [0.3, 0.7])
-def test_a_crate_slides_on_a_slope_steeper_than_its_friction_and_not_on_a_flatter_one(friction, worlds, build):
+def test_a_crate_slides_on_a_slope_steeper_than_its_friction_and_not_on_a_flatter_one(
+    friction, worlds, build
+):
     shifts = []
     for factor in (0.9, 1.1):
         engine = build("pybullet", worlds.slope(atan(friction * factor), friction))
@@ -88,7 +111,11 @@ def test_a_crate_slides_on_a_slope_steeper_than_its_friction_and_not_on_a_flatte
 
 def test_an_object_stays_within_the_walls(worlds, build):
     world = WorldModel(
-        0.02, 4, (6.0, 2.0, -9.81), arena=Arena((0.6, 0.4), 0.1), objects=(ObjectBody("ball", Sphere(0.05), Pose((0, 0, 0.05)), 0.2),)
+        0.02,
+        4,
+        (6.0, 2.0, -9.81),
+        arena=Arena((0.6, 0.4), 0.1),
+        objects=(ObjectBody("ball", Sphere(0.05), Pose((0, 0, 0.05)), 0.2),),
     )
     engine = build("pybullet", world)
     for _ in range(200):
@@ -101,7 +128,9 @@ def test_a_fixed_object_stands_and_one_that_is_not_solid_stops_nothing(worlds, b
         return ObjectBody(name, Box((0.1, 0.1, 0.1)), Pose((0.5, y, 0.05)), **kind)
 
     balls = tuple(ObjectBody(f"ball_{y}", Sphere(0.05), Pose((0, y, 0.05)), 0.2) for y in (0, 1))
-    world = WorldModel(0.02, 4, (3, 0, -9.81), objects=(crate("wall", 0, fixed=True), crate("ghost", 1, solid=False), *balls))
+    world = WorldModel(
+        0.02, 4, (3, 0, -9.81), objects=(crate("wall", 0, fixed=True), crate("ghost", 1, solid=False), *balls)
+    )
     engine = build("pybullet", world)
     for _ in range(100):
         engine.step(4)
@@ -177,28 +206,42 @@ def test_a_joint_may_turn_faster_than_the_library_allows_by_itself(worlds, build
 def test_links_without_inertial_weigh_nothing(worlds, build):
     frames = [Link(f"frame_{i}") for i in range(5)]
     joints = tuple(Joint(f"hold_{i}", "fixed", "body", f"frame_{i}", Pose((0.3, 0, 0))) for i in range(5))
-    model = RobotModel("tray", (Link("body", Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01)), *frames), joints, root="body")
+    model = RobotModel(
+        "tray", (Link("body", Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01)), *frames), joints, root="body"
+    )
     lever = replace(
         model,
         joints=(*joints, Joint("hinge", "continuous", "wall", "body", axis=(0, 1, 0))),
         links=(Link("wall"), *model.links),
         root="wall",
     )
-    engine = build("pybullet", WorldModel(0.02, 4, ground=None, robots=(RobotBody("robot", lever, fixed_base=True),)))
+    engine = build(
+        "pybullet", WorldModel(0.02, 4, ground=None, robots=(RobotBody("robot", lever, fixed_base=True),))
+    )
     engine.step(4)
     assert engine.joint_states("robot", ["hinge"])()[0][1] == 0.0
 
 
 def test_what_moves_without_mass_is_refused_by_name(worlds, build):
-    wheel = RobotModel("r", (Link("base", Inertial(1.0)), Link("wheel")), (Joint("axle", "continuous", "base", "wheel"),), root="base")
-    for model, fixed, name in ((wheel, True, "axle"), (RobotModel("r", (Link("base"),), (), root="base"), False, "base")):
+    wheel = RobotModel(
+        "r",
+        (Link("base", Inertial(1.0)), Link("wheel")),
+        (Joint("axle", "continuous", "base", "wheel"),),
+        root="base",
+    )
+    for model, fixed, name in (
+        (wheel, True, "axle"),
+        (RobotModel("r", (Link("base"),), (), root="base"), False, "base"),
+    ):
         with pytest.raises(EngineError, match=f"'{name}'"):
             build("pybullet", WorldModel(0.02, 1, robots=(RobotBody("robot", model, fixed_base=fixed),)))
 
 
 def robot_of(joints: int, kind: str) -> RobotModel:
     """A chain of links, the last of which turns."""
-    links = tuple(Link(f"link{index}", Inertial(1.0, ixx=0.1, iyy=0.1, izz=0.1)) for index in range(joints + 1))
+    links = tuple(
+        Link(f"link{index}", Inertial(1.0, ixx=0.1, iyy=0.1, izz=0.1)) for index in range(joints + 1)
+    )
     chain = (Joint(f"joint{index}", kind, f"link{index - 1}", f"link{index}") for index in range(1, joints))
     last = Joint("last", "continuous", f"link{joints - 1}", f"link{joints}")
     return RobotModel("r", links, (*chain, last), root="link0")
@@ -219,7 +262,10 @@ def test_a_pipe_in_place_of_a_mesh_is_not_waited_for(tmp_path, build):
     os.mkfifo(tmp_path / "stone.obj")
     for path in (str(tmp_path / "stone.obj"), "/dev/zero", "a\0b"):
         with pytest.raises(EngineError, match="cannot be read"):
-            build("pybullet", WorldModel(0.02, 4, objects=(ObjectBody("stone", Mesh(path, "0" * 64), mass=1.0),)))
+            build(
+                "pybullet",
+                WorldModel(0.02, 4, objects=(ObjectBody("stone", Mesh(path, "0" * 64), mass=1.0),)),
+            )
 
 
 def test_a_mesh_is_loaded_only_while_it_is_the_one_that_was_checked(tmp_path, build):

@@ -10,7 +10,15 @@ from typing import NamedTuple
 import pytest
 
 from deepbots_cli.expressions.check import check
-from deepbots_cli.expressions.dimensions import ACCELERATION, ANGLE, ANGULAR_VELOCITY, LENGTH, NUMBER, SPEED, TIME
+from deepbots_cli.expressions.dimensions import (
+    ACCELERATION,
+    ANGLE,
+    ANGULAR_VELOCITY,
+    LENGTH,
+    NUMBER,
+    SPEED,
+    TIME,
+)
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
 from deepbots_cli.expressions.lower import lower, to_python
 from deepbots_cli.expressions.parser import parse
@@ -19,7 +27,16 @@ from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Subject,
 from deepbots_cli.runtime import formulas
 
 
-def symbol(name, dimension=NUMBER, components=None, boolean=False, interval=EVERYTHING, known=Known.STEP, value=None, refused=None):
+def symbol(
+    name,
+    dimension=NUMBER,
+    components=None,
+    boolean=False,
+    interval=EVERYTHING,
+    known=Known.STEP,
+    value=None,
+    refused=None,
+):
     return Symbol(name, Type(dimension, components, boolean, interval, known), value, refused)
 
 

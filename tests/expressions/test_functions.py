@@ -1,4 +1,5 @@
-"""The table of functions: both forms of a function agree, and functions of other packages are as good as ours."""
+"""The table of functions: both forms of a function agree, and functions of other packages are as good as
+ours."""
 
 import json
 import math
@@ -25,8 +26,18 @@ ROOT = Path(__file__).parents[2]
 @given(st.data())
 def test_floats_and_arrays_agree_to_the_last_place(function, data):
     arguments = [name.removeprefix("*") for name in function.arguments]
-    names = [*arguments, *([f"{arguments[-1]}{n}" for n in range(data.draw(st.integers(1, 2)))] if function.params[-1].variadic else [])]
-    kinds = {name: st.booleans() if function.name in LOGIC or name == "condition" else st.floats(-50, 50) for name in names}
+    names = [
+        *arguments,
+        *(
+            [f"{arguments[-1]}{n}" for n in range(data.draw(st.integers(1, 2)))]
+            if function.params[-1].variadic
+            else []
+        ),
+    ]
+    kinds = {
+        name: st.booleans() if function.name in LOGIC or name == "condition" else st.floats(-50, 50)
+        for name in names
+    }
     rows = [{name: data.draw(kind, label=name) for name, kind in kinds.items()} for _ in range(3)]
     tree = Op(function.name, tuple(map(Name, names)))
     found = arrays.evaluate(tree, {Name(name): np.array([row[name] for row in rows]) for name in names})
@@ -39,7 +50,9 @@ def test_floats_and_arrays_agree_to_the_last_place(function, data):
         assert value == expected or abs(value - expected) <= math.ulp(expected)
 
 
-@pytest.mark.parametrize(("base", "exponent"), [(-3.7, 2.0), (1.1, 3.0), (2.3, -2.0), (0.7, 0.5), (-2.0, 0.0)])
+@pytest.mark.parametrize(
+    ("base", "exponent"), [(-3.7, 2.0), (1.1, 3.0), (2.3, -2.0), (0.7, 0.5), (-2.0, 0.0)]
+)
 def test_a_folded_power_is_the_power_that_generated_code_computes(bench, base, exponent):
     (code,) = bench.code_of(f"(x / m)^{exponent}")
     assert bench.code_of(f"({base})^{exponent}") == [repr(eval(code, {**vars(math), "x": base}))]
@@ -47,7 +60,10 @@ def test_a_folded_power_is_the_power_that_generated_code_computes(bench, base, e
 
 # Functions of other packages
 
-DOUBLE = 'FUNCTIONS = [Function("double", Family.PURE, (Param("x"),), "Twice x.", "double(gas)", python="2*x", interval=twice)]'
+DOUBLE = (
+    'FUNCTIONS = [Function("double", Family.PURE, (Param("x"),), "Twice x.", "double(gas)",'
+    ' python="2*x", interval=twice)]'
+)
 MODULE = f"""
 from deepbots_cli.expressions.functions import Family, Function, Param
 from deepbots_cli.expressions.intervals import Interval
@@ -75,7 +91,8 @@ def deepbots(folder, script, *arguments):
 
 
 def install(folder, module, target="more_functions:FUNCTIONS"):
-    """Installs a module of functions, under the name that `target` begins with unless there shall be no such module."""
+    """Installs a module of functions, under the name that `target` begins with unless there shall be no such
+    module."""
     name = target.partition(":")[0]
     if name != "no_such_module":
         (folder / f"{name}.py").write_text(module)
@@ -85,7 +102,8 @@ def install(folder, module, target="more_functions:FUNCTIONS"):
     (info / "entry_points.txt").write_text(f"[deepbots.functions]\nmore = {target}\n")
     (folder / "twice.yaml").write_text(
         f"deepbots: 1\nextends: {ROOT}/scenarios/cartpole.yaml\n"
-        "parameters: {near: double(0.25 m)}\nreward: {centered: 1 when double(abs(cart.pole_angle)) < double(near) * rad / m}\n"
+        "parameters: {near: double(0.25 m)}\nreward: {centered: 1 when double(abs(cart.pole_angle)) <"
+        " double(near) * rad / m}\n"
     )
 
 
@@ -108,7 +126,8 @@ print(json.dumps([*found, [choice[0] for choice in functions(frozenset(Family))]
 
 
 def test_a_function_of_another_package_is_known_everywhere(tmp_path):
-    """To the linter, the compiler, `explain`, completion and the reference; one process, since a start takes 0.7 s of CPU."""
+    """To the linter, the compiler, `explain`, completion and the reference; one process, since a start takes
+    0.7 s of CPU."""
     install(tmp_path, MODULE)
     linted, compiled, explained, completed, page = json.loads(deepbots(tmp_path, EVERYWHERE).stdout)
     assert linted == [0, "twice.yaml: no findings\n", ""]
@@ -125,9 +144,17 @@ BROKEN = [
     ("text:FUNCTIONS", "FUNCTIONS = ['double']", "'double' is not a Function"),
     ("twice:FUNCTIONS", MODULE.replace('"2*x"', '"x + x"'), "must hold each of x once"),
     ("opening:FUNCTIONS", MODULE.replace('"2*x"', '"open(x)"'), "holds open"),
-    ("power:FUNCTIONS", MODULE.replace('"2*x"', '"x ** 2"'), "'x ** 2' is not part of the Python of functions"),
+    (
+        "power:FUNCTIONS",
+        MODULE.replace('"2*x"', '"x ** 2"'),
+        "'x ** 2' is not part of the Python of functions",
+    ),
     ("whole:FUNCTIONS", MODULE.replace('"2*x"', '"factorial(x)"'), "TypeError"),
-    ("typo:FUNCTIONS", MODULE.replace("return Interval", "return Intervall"), "name 'Intervall' is not defined"),
+    (
+        "typo:FUNCTIONS",
+        MODULE.replace("return Interval", "return Intervall"),
+        "name 'Intervall' is not defined",
+    ),
     ("taken:FUNCTIONS", MODULE.replace('"double", ', '"sin", '), "the name 'sin' is taken"),
 ]
 

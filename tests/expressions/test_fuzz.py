@@ -15,7 +15,9 @@ NAMES = "x speed gas flag home stride cart cart.tip cart.legs cart.pole_angle ba
 OTHERS = "0 1 2.5 1e308 1e-308 100_000 and or not when every each step true if else where"
 SIGNS = "+ - * / ^ ( ) ( ) , .. +- | . < <= == != > ** && = [ ] ? : %"
 WORDS = [*FUNCTIONS, *UNITS, *NAMES.split(), *OTHERS.split(), *SIGNS.split()]
-soup = st.lists(st.sampled_from(WORDS), max_size=25).map(" ".join) | st.lists(st.sampled_from(WORDS), max_size=25).map("".join)
+soup = st.lists(st.sampled_from(WORDS), max_size=25).map(" ".join) | st.lists(
+    st.sampled_from(WORDS), max_size=25
+).map("".join)
 
 
 def take(bench, text):
@@ -50,9 +52,27 @@ def test_any_soup_of_known_words_is_answered(bench_of, text):
 
 @settings(deadline=2000)
 @given(
-    st.sampled_from(["abs(", "(", "-", "clamp(1 - ", "x if flag else ", "delta(", "2^", "wrap(", "not ", "norm(home * ", "1 - (1 - "]),
+    st.sampled_from(
+        [
+            "abs(",
+            "(",
+            "-",
+            "clamp(1 - ",
+            "x if flag else ",
+            "delta(",
+            "2^",
+            "wrap(",
+            "not ",
+            "norm(home * ",
+            "1 - (1 - ",
+        ]
+    ),
     st.integers(1, 70),
 )
 def test_any_depth_is_answered_and_what_passes_is_python(bench_of, opening, count):
-    text = opening * count + "x" + (", 0 .. 1)" if opening.startswith("clamp") else ")") * (count * opening.count("("))
+    text = (
+        opening * count
+        + "x"
+        + (", 0 .. 1)" if opening.startswith("clamp") else ")") * (count * opening.count("("))
+    )
     take(bench_of(), text)

@@ -29,8 +29,14 @@ from deepbots_cli.expressions.types import Context
         ("clamp(gas, -1 .. 1)", ["clamp(gas, -1.0, 1.0)"]),
         ("clamp(gas + turn, -1 .. 1) * 6.28 rad/s", ["clamp(gas + turn, -1.0, 1.0) * 6.28"]),
         ("wrap(angle + 1 rad)", ["wrap_angle(angle + 1.0)"]),
-        ("home - position(cart)", ["0.0 - position_cart_body_x", "0.0 - position_cart_body_y", "1.0 - position_cart_body_z"]),
-        ("norm(velocity(cart.tip))", ["hypot(velocity_cart_tip_x, velocity_cart_tip_y, velocity_cart_tip_z)"]),
+        (
+            "home - position(cart)",
+            ["0.0 - position_cart_body_x", "0.0 - position_cart_body_y", "1.0 - position_cart_body_z"],
+        ),
+        (
+            "norm(velocity(cart.tip))",
+            ["hypot(velocity_cart_tip_x, velocity_cart_tip_y, velocity_cart_tip_z)"],
+        ),
         ("sum(joint_velocity(cart.legs) / (rad/s))", ["joint_velocity_cart_hip + joint_velocity_cart_knee"]),
         ("any(bumps)", ["bumps_hip or bumps_knee"]),
         ("delta(x) / m", ["item_0"]),
@@ -71,7 +77,9 @@ def test_a_single_draw_is_drawn_anew_for_each_target(bench):
 
 def test_a_robot_is_read_at_its_base_link_and_a_joint_by_its_name(bench):
     assert lower(bench.clean("position(cart).x"), "item") == (EngineRead("position", ("cart.body",), "x"),)
-    assert lower(bench.clean("joint_position(cart.pole_hinge)"), "item") == (EngineRead("joint_position", ("cart.pole_hinge",)),)
+    assert lower(bench.clean("joint_position(cart.pole_hinge)"), "item") == (
+        EngineRead("joint_position", ("cart.pole_hinge",)),
+    )
 
 
 def test_states_of_one_text_have_slots_of_their_own(bench):
@@ -84,7 +92,12 @@ def test_states_of_one_text_have_slots_of_their_own(bench):
 def quaternion(roll, pitch, yaw):
     """From turns about the world's x, then y, then z."""
     sr, cr, sp, cp, sy, cy = (f(half / 2) for half in (roll, pitch, yaw) for f in (math.sin, math.cos))
-    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
 
 
 def pose(q, xyz=(0.0, 0.0, 0.0), body="cart_body"):
@@ -101,7 +114,9 @@ def test_roll_pitch_and_yaw_are_those_that_made_the_quaternion(roll, pitch, yaw)
     assert compute(FUNCTIONS["roll"].tree("b"), q) == pytest.approx(roll, abs=1e-9)
     assert compute(FUNCTIONS["pitch"].tree("b"), q) == pytest.approx(pitch, abs=1e-9)
     assert compute(FUNCTIONS["yaw"].tree("b"), q) == pytest.approx(yaw, abs=1e-9)
-    assert compute(FUNCTIONS["tilt"].tree("b"), q) == pytest.approx(math.acos(max(-1, min(1, math.cos(roll) * math.cos(pitch)))), abs=1e-7)
+    assert compute(FUNCTIONS["tilt"].tree("b"), q) == pytest.approx(
+        math.acos(max(-1, min(1, math.cos(roll) * math.cos(pitch)))), abs=1e-7
+    )
 
 
 def compute(scalar, q):
@@ -119,17 +134,31 @@ def compute(scalar, q):
 def test_a_body_sees_a_vector_of_the_world_in_its_own_axes(bench):
     left = quaternion(0, 0, math.pi / 2)
     moving = {"velocity_cart_body_x": 0.0, "velocity_cart_body_y": 2.0, "velocity_cart_body_z": -1.0}
-    assert bench.values("to_body_frame(cart, velocity(cart))", **pose(left), **moving) == pytest.approx([2.0, 0.0, -1.0])
+    assert bench.values("to_body_frame(cart, velocity(cart))", **pose(left), **moving) == pytest.approx(
+        [2.0, 0.0, -1.0]
+    )
     nose_down = quaternion(0, math.pi / 2, 0)
-    assert bench.values("to_body_frame(cart, velocity(cart))", **pose(nose_down), **moving) == pytest.approx([1.0, 2.0, 0.0])
+    assert bench.values("to_body_frame(cart, velocity(cart))", **pose(nose_down), **moving) == pytest.approx(
+        [1.0, 2.0, 0.0]
+    )
 
 
 @pytest.mark.parametrize(
     ("yaw", "ball", "degrees"),
-    [(0, (1, 0), 0), (0, (0, 1), 90), (0, (0, -1), -90), (0, (-1, 0), 180), (90, (0, 1), 0), (90, (1, 0), -90), (170, (-1, -1), 55)],
+    [
+        (0, (1, 0), 0),
+        (0, (0, 1), 90),
+        (0, (0, -1), -90),
+        (0, (-1, 0), 180),
+        (90, (0, 1), 0),
+        (90, (1, 0), -90),
+        (170, (-1, -1), 55),
+    ],
 )
 def test_a_bearing_is_positive_to_the_left(bench, yaw, ball, degrees):
-    poses = pose(quaternion(0, 0, math.radians(yaw)), (1.0, 1.0, 0.0)) | pose((0, 0, 0, 1), (1 + ball[0], 1 + ball[1], 5.0), "ball")
+    poses = pose(quaternion(0, 0, math.radians(yaw)), (1.0, 1.0, 0.0)) | pose(
+        (0, 0, 0, 1), (1 + ball[0], 1 + ball[1], 5.0), "ball"
+    )
     assert bench.values("bearing(cart, ball) / deg", **poses) == pytest.approx([degrees])
 
 

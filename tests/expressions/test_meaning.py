@@ -1,4 +1,5 @@
-"""Random expressions: the printed Python computes what a direct evaluation gives, inside the known interval."""
+"""Random expressions: the printed Python computes what a direct evaluation gives, inside the known
+interval."""
 
 import math
 
@@ -6,7 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-READ = {"gas": st.floats(-1, 1), "turn": st.floats(-1, 1), "x": st.floats(-50, 50), "y": st.floats(-2, 3), "flag": st.booleans()}
+READ = {
+    "gas": st.floats(-1, 1),
+    "turn": st.floats(-1, 1),
+    "x": st.floats(-50, 50),
+    "y": st.floats(-2, 3),
+    "flag": st.booleans(),
+}
 
 
 class Drawn:
@@ -30,12 +37,18 @@ numbers = st.sampled_from(
         leaf("25 %", scale=0.25),
     ]
 )
-lengths = st.sampled_from([leaf("x", "x"), leaf("y", "y"), leaf("30 cm", scale=0.3), leaf("-2 m", scale=-2.0)])
+lengths = st.sampled_from(
+    [leaf("x", "x"), leaf("y", "y"), leaf("30 cm", scale=0.3), leaf("-2 m", scale=-2.0)]
+)
 truths = st.sampled_from([leaf("flag", "flag"), leaf("true", scale=True)])
 
 
 def pair(form, function, a, b):
-    return st.builds(lambda p, q: Drawn(form.format(p.text, q.text), lambda read: function(p.value(read), q.value(read))), a, b)
+    return st.builds(
+        lambda p, q: Drawn(form.format(p.text, q.text), lambda read: function(p.value(read), q.value(read))),
+        a,
+        b,
+    )
 
 
 def one(form, function, a):
@@ -44,7 +57,10 @@ def one(form, function, a):
 
 def choose(condition, a, b):
     return st.builds(
-        lambda c, p, q: Drawn(f"({p.text} if {c.text} else {q.text})", lambda read: p.value(read) if c.value(read) else q.value(read)),
+        lambda c, p, q: Drawn(
+            f"({p.text} if {c.text} else {q.text})",
+            lambda read: p.value(read) if c.value(read) else q.value(read),
+        ),
         condition,
         a,
         b,

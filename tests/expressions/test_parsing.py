@@ -194,7 +194,10 @@ def test_a_draw_may_be_repeated_and_nothing_else(bench):
         ("2 * where(flag, x, y)", "2 * (x if flag else y)"),
         ("abs(where(flag, x, y) + 1 m)", "abs((x if flag else y) + 1 m)"),
         ("clamp(x, 0 m .. where(flag, x, y))", "clamp(x, 0 m .. x if flag else y)"),
-        ("where(x > 0, where(flag, x, 2 * y), where(flag, 0, y))", "(x if flag else 2 * y) if x > 0 else 0 if flag else y"),
+        (
+            "where(x > 0, where(flag, x, 2 * y), where(flag, 0, y))",
+            "(x if flag else 2 * y) if x > 0 else 0 if flag else y",
+        ),
         ("where(where(flag, flag, not flag), (x + y), y)", "(x + y) if (flag if flag else not flag) else y"),
         ("where(flag, 1, 0) when flag", "(1 if flag else 0) when flag"),
         ("where(flag, 1 1 m,  # outside\n 0 0 m)", "1 1 m if flag else 0 0 m"),

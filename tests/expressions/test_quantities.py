@@ -100,12 +100,16 @@ def test_every_unit_is_understood_behind_a_number(bench, name):
 
 
 @pytest.mark.parametrize(
-    ("typed", "meant"), [("meters", "m"), ("degrees", "deg"), ("Nm", "N*m"), ("hz", "Hz"), ("sec", "s"), ("kgg", "kg")]
+    ("typed", "meant"),
+    [("meters", "m"), ("degrees", "deg"), ("Nm", "N*m"), ("hz", "Hz"), ("sec", "s"), ("kgg", "kg")],
 )
 def test_a_misspelled_unit_is_recognized(bench, typed, meant):
     suggested = suggest_unit(typed)
     assert suggested is not None
-    assert (suggested.text, suggested.safe) == (meant, typed != "kgg")  # a unit written out is certain, a slip of the finger a guess
+    assert (suggested.text, suggested.safe) == (
+        meant,
+        typed != "kgg",
+    )  # a unit written out is certain, a slip of the finger a guess
     said = bench.only(f"5 {typed}")
     assert (said.code, said.piece) == ("DB501", typed)
     assert f"`{meant}`" in said.help

@@ -5,7 +5,18 @@ from hypothesis import strategies as st
 
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.parser import parse
-from deepbots_cli.expressions.syntax import Binary, Call, Conditional, Member, Name, Number, Range, Truth, Unary, Vector
+from deepbots_cli.expressions.syntax import (
+    Binary,
+    Call,
+    Conditional,
+    Member,
+    Name,
+    Number,
+    Range,
+    Truth,
+    Unary,
+    Vector,
+)
 
 LEVELS = {"or": 1, "and": 2, "not": 3, "<": 4, "==": 4, "+": 5, "-": 5, "*": 6, "/": 6, "neg": 7, "^": 8}
 ATOM = 9
@@ -37,8 +48,17 @@ def _printed(node):
             level = LEVELS["neg" if operator == "-" else operator]
             return f"{operator} {printed(operand, level)}", level
         case Binary(operator=operator, left=left, right=right):
-            levels = {"when": (0, 0.5, 0.5), "^": (LEVELS["^"], ATOM, LEVELS["neg"]), "<": (4, 5, 5), "==": (4, 5, 5)}
-            level, on_left, on_right = levels.get(operator) or (LEVELS[operator], LEVELS[operator], LEVELS[operator] + 1)
+            levels = {
+                "when": (0, 0.5, 0.5),
+                "^": (LEVELS["^"], ATOM, LEVELS["neg"]),
+                "<": (4, 5, 5),
+                "==": (4, 5, 5),
+            }
+            level, on_left, on_right = levels.get(operator) or (
+                LEVELS[operator],
+                LEVELS[operator],
+                LEVELS[operator] + 1,
+            )
             return f"{printed(left, on_left)} {operator} {printed(right, on_right)}", level
     first = printed(node.value, 0 if isinstance(node.value, Vector) else 0.5)
     return f"{first} if {printed(node.condition, 0.5)} else {printed(node.otherwise)}", 0
@@ -60,7 +80,9 @@ def tree(kind, *parts):
 
 names = st.sampled_from(["x", "flag", "cart.pole_angle"]).map(lambda name: tree(Name, tuple(name.split("."))))
 numbers = st.builds(
-    lambda value, unit: tree(Number, float(value), UNITS.get(unit)), st.integers(0, 99), st.sampled_from(["", "m", "deg", "%"])
+    lambda value, unit: tree(Number, float(value), UNITS.get(unit)),
+    st.integers(0, 99),
+    st.sampled_from(["", "m", "deg", "%"]),
 )
 atoms = names | numbers | st.booleans().map(lambda value: tree(Truth, value))
 vectors = st.builds(
@@ -88,7 +110,9 @@ def grown(below):
 
 values = st.recursive(atoms, grown, max_leaves=8)
 texts = (
-    values | st.builds(lambda a, c: tree(Binary, "when", a, c), values, values) | st.builds(lambda a, b: tree(Range, a, b), names, values)
+    values
+    | st.builds(lambda a, c: tree(Binary, "when", a, c), values, values)
+    | st.builds(lambda a, b: tree(Range, a, b), names, values)
 )
 
 

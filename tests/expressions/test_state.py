@@ -19,7 +19,10 @@ def run(bench, text, rows):
     def leaf(read):
         return f"now_{states.index(read)}" if isinstance(read, State) else read.name
 
-    calls = [(f"now_{index}", memories[state], [to_python(arg, leaf) for arg in state.args]) for index, state in enumerate(states)]
+    calls = [
+        (f"now_{index}", memories[state], [to_python(arg, leaf) for arg in state.args])
+        for index, state in enumerate(states)
+    ]
     result = to_python(scalar, leaf)
     seen = []
     for row in rows:
@@ -73,7 +76,9 @@ def test_a_complementary_filter_follows_a_constant_rate_exactly(bench):
 
 
 def test_every_stateful_function_of_the_table_has_a_rule():
-    assert all(bool(function.memory) == (function.family is Family.STATEFUL) for function in FUNCTIONS.values())
+    assert all(
+        bool(function.memory) == (function.family is Family.STATEFUL) for function in FUNCTIONS.values()
+    )
 
 
 ROWS = {

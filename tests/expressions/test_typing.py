@@ -1,9 +1,20 @@
-"""Dimensions, shapes and names, and when values are known, of whole expressions, and what is found wrong with them."""
+"""Dimensions, shapes and names, and when values are known, of whole expressions, and what is found wrong with
+them."""
 
 import pytest
 
 from deepbots_cli.expressions.check import check, check_drawn, check_range
-from deepbots_cli.expressions.dimensions import ANGLE, ANGULAR_VELOCITY, FORCE, LENGTH, MASS, NUMBER, SPEED, TIME, TORQUE
+from deepbots_cli.expressions.dimensions import (
+    ANGLE,
+    ANGULAR_VELOCITY,
+    FORCE,
+    LENGTH,
+    MASS,
+    NUMBER,
+    SPEED,
+    TIME,
+    TORQUE,
+)
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant_values
@@ -115,7 +126,14 @@ def test_an_unknown_name_suggests_the_nearest_or_else_lists_what_is_known(bench)
 
 
 def test_a_bare_zero_fits_every_dimension(bench):
-    for text in ("x > 0", "x if flag else 0", "max(speed, 0)", "clamp(x, 0 .. 1 m)", "delta(angle, 0)", "vector(x, 0, -0)"):
+    for text in (
+        "x > 0",
+        "x if flag else 0",
+        "max(speed, 0)",
+        "clamp(x, 0 .. 1 m)",
+        "delta(angle, 0)",
+        "vector(x, 0, -0)",
+    ):
         bench.clean(text)
 
 
@@ -147,7 +165,14 @@ def test_the_interval_of_a_component_is_not_that_of_the_whole_vector(bench, text
 
 def test_the_position_of_one_joint_of_a_group_keeps_its_own_limits(bench):
     limits = (Interval(-0.1, 0.1), Interval(0.0, 2.0))
-    legs = Subject("cart.legs", Kind.JOINTS, ("cart.hip", "cart.knee"), dimension=ANGLE, interval=Interval(-0.1, 2.0), intervals=limits)
+    legs = Subject(
+        "cart.legs",
+        Kind.JOINTS,
+        ("cart.hip", "cart.knee"),
+        dimension=ANGLE,
+        interval=Interval(-0.1, 2.0),
+        intervals=limits,
+    )
     bench.scope.things["cart.legs"] = legs
     assert bench.clean("joint_position(cart.legs).knee").type.interval == Interval(0.0, 2.0)
     assert bench.clean("joint_position(cart.legs)").type.interval == Interval(-0.1, 2.0)
@@ -187,10 +212,14 @@ def test_an_expression_is_as_late_as_its_latest_part(bench, text, known):
 
 def test_a_draw_is_settled_once_per_episode_unless_it_is_repeated(bench):
     assert bench.clean("uniform(0 .. 1)", Context.PARAMETER).type.known == Known.EPISODE
-    drawn = check_drawn(bench.read("uniform(0 .. 1 m/s) every 5 s"), bench.scope.__class__(Context.PARAMETER), bench.report)
+    drawn = check_drawn(
+        bench.read("uniform(0 .. 1 m/s) every 5 s"), bench.scope.__class__(Context.PARAMETER), bench.report
+    )
     assert drawn.value.type.known == Known.STEP
     assert constant_values(drawn.redraw.period) == (5.0,)
-    stepped = check_drawn(bench.read("normal(0 +- 0.1 m) each step"), bench.scope.__class__(Context.PARAMETER), bench.report)
+    stepped = check_drawn(
+        bench.read("normal(0 +- 0.1 m) each step"), bench.scope.__class__(Context.PARAMETER), bench.report
+    )
     assert stepped.redraw.period is None
     assert bench.said == []
 
@@ -255,7 +284,9 @@ def test_a_field_takes_the_shape_that_it_declares_and_is_known_when_it_says(benc
     expect_value(bench.clean("1 2 3 m"), bench.report, "the size", dimension=LENGTH, components=("x", "y"))
     assert [said.code for said in bench.said] == ["DB106"]
     assert expect_value(bench.clean("1 2 3 m"), bench.report, "the field", components=ANY_SHAPE) is not None
-    assert expect_value(bench.clean("gas"), bench.report, "the motors", components=("hip", "knee")) is not None
+    assert (
+        expect_value(bench.clean("gas"), bench.report, "the motors", components=("hip", "knee")) is not None
+    )
     assert expect_value(bench.clean("wind"), bench.report, "the gravity", known=Known.FIXED) is None
     assert [said.code for said in bench.said] == ["DB407"]
 

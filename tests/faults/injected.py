@@ -1,7 +1,9 @@
-"""Scenarios with one known mistake each: what `lint` has to say of them is known beforehand, to the character.
+"""Scenarios with one known mistake each: what `lint` has to say of them is known beforehand, to the
+character.
 
-Every mistake of `places` in every way of writing of `styles`, and moreover in files laid out on a single line behind text of other
-scripts, in files that others extend, and in parts that others include. Cases are drawn evenly, and always the same.
+Every mistake of `places` in every way of writing of `styles`, and moreover in files laid out on a single line
+behind text of other scripts, in files that others extend, and in parts that others include. Cases are drawn
+evenly, and always the same.
 """
 
 from __future__ import annotations
@@ -29,10 +31,12 @@ PER_GROUP = 2
 
 @dataclass(frozen=True)
 class Injected:
-    """Texts by their names, the first of which is linted, and the only finding at error level that there shall be.
+    """Texts by their names, the first of which is linted, and the only finding at error level that there
+    shall be.
 
-    It begins at character `at` of the file `culprit` and ends at `until`. Of a whole value in quotes the quotes may be named or not, which
-    `slack` allows. `chain` holds the places, as file, line and column, of what brought the culprit in.
+    It begins at character `at` of the file `culprit` and ends at `until`. Of a whole value in quotes the
+    quotes may be named or not, which `slack` allows. `chain` holds the places, as file, line and column, of
+    what brought the culprit in.
     """
 
     source: str
@@ -68,7 +72,11 @@ def of_file(path: Path) -> Iterator[Injected]:
         for style in (*ANYWHERE, *IN_BLOCKS, "one line"):
             fit = [fault for fault in group if _fits(fault, style)]
             for fault in chance.sample(fit, min(PER_GROUP, len(fit))):
-                yield _on_one_line(name, text, fault) if style == "one line" else _in_style(name, text, fault, style)
+                yield (
+                    _on_one_line(name, text, fault)
+                    if style == "one line"
+                    else _in_style(name, text, fault, style)
+                )
         inherited = [fault for fault in group if fault.section != "tests"]
         for fault in chance.sample(inherited, min(PER_GROUP, len(inherited))):
             style = chance.choice([style for style in (*ANYWHERE, *IN_BLOCKS) if _fits(fault, style)])
@@ -113,7 +121,9 @@ def _in_style(name: str, text: str, fault: Fault, style: str) -> Injected:
         before, after = text[: fault.start], text[fault.end :]
     at, until = (len(before) + written.places[place] for place in (fault.at, fault.until))
     slack = int(fault.is_whole and written.text[:1] in ("'", '"'))
-    return Injected(name, fault.kind, style, fault.codes, {name: before + written.text + after}, name, at, until, slack)
+    return Injected(
+        name, fault.kind, style, fault.codes, {name: before + written.text + after}, name, at, until, slack
+    )
 
 
 def _extended(made: Injected) -> Injected:
@@ -133,7 +143,9 @@ _SECTION = re.compile(r"^(\w+):[ ]*(?:#[^\n]*)?\n((?:[ ]+[^\n]*\n|\n)+)", re.MUL
 
 def _included(name: str, text: str, fault: Fault) -> Iterator[Injected]:
     """The section that holds the fault, moved to the left in a file of its own."""
-    section = next((found for found in _SECTION.finditer(text) if found.start(2) <= fault.start < found.end(2)), None)
+    section = next(
+        (found for found in _SECTION.finditer(text) if found.start(2) <= fault.start < found.end(2)), None
+    )
     if section is None:
         return
     lines = section[2].splitlines(keepends=True)
@@ -162,7 +174,16 @@ def _on_one_line(name: str, text: str, fault: Fault) -> Injected:
             line.put(", ")
             line.entry(key, value)
     line.put("}\n")
-    return Injected(name, fault.kind, "one line", fault.codes, {name: line.text}, name, *line.place, slack=int(fault.is_whole))
+    return Injected(
+        name,
+        fault.kind,
+        "one line",
+        fault.codes,
+        {name: line.text},
+        name,
+        *line.place,
+        slack=int(fault.is_whole),
+    )
 
 
 class _Line:

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Written:
-    """`text` as it stands in the file; `places[i]` is the offset in it of character i of the value, and one more for the end.
+    """`text` as it stands in the file; `places[i]` is the offset in it of character i of the value, and one
+    more for the end.
 
-    `head` goes to the end of the line of the key and `text` below it, where the value is a block; otherwise `head` is empty.
+    `head` goes to the end of the line of the key and `text` below it, where the value is a block; otherwise
+    `head` is empty.
     """
 
     text: str
@@ -64,7 +66,11 @@ def escaped(wish: Wish) -> Written:
     """Every other character before the fault as an escape, in the three lengths in turn."""
     forms = ("\\x{:02x}", "\\u{:04x}", "\\U{:08x}")
     pieces = [
-        forms[index // 2 % 3].format(ord(letter)) if index < wish.fault and index % 2 == 0 else "\\" + letter if letter in '\\"' else letter
+        forms[index // 2 % 3].format(ord(letter))
+        if index < wish.fault and index % 2 == 0
+        else "\\" + letter
+        if letter in '\\"'
+        else letter
         for index, letter in enumerate(wish.value)
     ]
     return _joined(['"', *pieces, '"'])
@@ -72,7 +78,10 @@ def escaped(wish: Wish) -> Written:
 
 def breaks_escaped(wish: Wish) -> Written:
     """Blanks before the fault written as line feeds and tabs, which are escapes of one letter."""
-    pieces = [("\\n", "\\t")[index % 2] if index < wish.fault and letter == " " else letter for index, letter in enumerate(wish.value)]
+    pieces = [
+        ("\\n", "\\t")[index % 2] if index < wish.fault and letter == " " else letter
+        for index, letter in enumerate(wish.value)
+    ]
     return _joined(['"', *pieces, '"'])
 
 

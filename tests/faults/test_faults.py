@@ -1,4 +1,5 @@
-"""Mistakes put into scenarios, each of which lint finds where it was put, calls by its name, and takes no other for."""
+"""Mistakes put into scenarios, each of which lint finds where it was put, calls by its name, and takes no
+other for."""
 
 from __future__ import annotations
 
@@ -23,8 +24,12 @@ def cases() -> list[Injected]:
     return everything()
 
 
-@pytest.mark.parametrize("sampled", [pytest.param(SAMPLED, id="few"), pytest.param(None, id="all", marks=pytest.mark.slow)])
-def test_a_mistake_is_found_where_it_is_and_called_by_its_name(project: Project, cases: list[Injected], sampled: int | None) -> None:
+@pytest.mark.parametrize(
+    "sampled", [pytest.param(SAMPLED, id="few"), pytest.param(None, id="all", marks=pytest.mark.slow)]
+)
+def test_a_mistake_is_found_where_it_is_and_called_by_its_name(
+    project: Project, cases: list[Injected], sampled: int | None
+) -> None:
     tried = cases[:: len(cases) // sampled] if sampled else cases
     assert {case.kind for case in tried} == {case.kind for case in cases}
     mistakes = {f"{case.source}: {case.kind}, {case.style}": project.mistake(case) for case in tried}
@@ -33,24 +38,72 @@ def test_a_mistake_is_found_where_it_is_and_called_by_its_name(project: Project,
 
 def test_there_are_a_thousand_of_them_in_every_way_of_writing(cases: list[Injected]) -> None:
     assert len(cases) > 1000
-    assert all(sum(style in case.style for case in cases) > 50 for style in ("plain", "quoted", "escape", "folded", "literal", "one line"))
+    assert all(
+        sum(style in case.style for case in cases) > 50
+        for style in ("plain", "quoted", "escape", "folded", "literal", "one line")
+    )
     assert all(sum(bool(case.chain) == brought for case in cases) > 300 for brought in (True, False))
 
 
 FOLLOWED = {
-    "a misspelled arena leaves a region without spots": ("find_ball_random", "size: 1 1 m", "sizze: 1 1 m", "DB101"),
-    "a misspelled goal makes a success rate meaningless": ("panda_reach", "  range:   ", "  rangge:   ", "DB101"),
-    "a misspelled group makes an action a single number": ("quadrotor", "each: drone", "eacch: drone", "DB101"),
+    "a misspelled arena leaves a region without spots": (
+        "find_ball_random",
+        "size: 1 1 m",
+        "sizze: 1 1 m",
+        "DB101",
+    ),
+    "a misspelled goal makes a success rate meaningless": (
+        "panda_reach",
+        "  range:   ",
+        "  rangge:   ",
+        "DB101",
+    ),
+    "a misspelled group makes an action a single number": (
+        "quadrotor",
+        "each: drone",
+        "eacch: drone",
+        "DB101",
+    ),
     "a misspelled range leaves no action": ("quadrotor", "push: {range:", "push: {rangge:", "DB101"),
-    "a misspelled policy leaves copies without one": ("multi_cartpole", "agent: {each:", "agent: {eacch:", "DB101"),
+    "a misspelled policy leaves copies without one": (
+        "multi_cartpole",
+        "agent: {each:",
+        "agent: {eacch:",
+        "DB101",
+    ),
     "a misspelled spacing leaves copies at one place": ("multi_cartpole", "spacing:", "spacinng:", "DB101"),
     "a misspelled place leaves copies of an object without one": ("tag", "  place:", "  placce:", "DB101"),
-    "a misspelled limit leaves an ending that a test expects without one": ("balancer", "{max_time: 10", "{max_timme: 10", "DB101"),
-    "a misspelled name of a stage leaves a test without its stage": ("find_ball_random", "- {name: open", "- {nname: open", "DB101"),
-    "a misspelled range leaves rays without an end": ("find_and_avoid", "rays: 13, range:", "rays: 13, rangge:", "DB101"),
-    "a misspelled action of a test leaves another one undecided": ("find_ball", "[{gas: 1, wheel: -1}", "[{gas: 1, wheeel: -1}", "DB201"),
-    "a parenthesis left out puts two comparisons in a row": ("line_follower", "2 * width) > 1 s", "2 * width > 1 s", "DB401"),
-}  # fmt: skip
+    "a misspelled limit leaves an ending that a test expects without one": (
+        "balancer",
+        "{max_time: 10",
+        "{max_timme: 10",
+        "DB101",
+    ),
+    "a misspelled name of a stage leaves a test without its stage": (
+        "find_ball_random",
+        "- {name: open",
+        "- {nname: open",
+        "DB101",
+    ),
+    "a misspelled range leaves rays without an end": (
+        "find_and_avoid",
+        "rays: 13, range:",
+        "rays: 13, rangge:",
+        "DB101",
+    ),
+    "a misspelled action of a test leaves another one undecided": (
+        "find_ball",
+        "[{gas: 1, wheel: -1}",
+        "[{gas: 1, wheeel: -1}",
+        "DB201",
+    ),
+    "a parenthesis left out puts two comparisons in a row": (
+        "line_follower",
+        "2 * width) > 1 s",
+        "2 * width > 1 s",
+        "DB401",
+    ),
+}
 
 
 @pytest.mark.parametrize("symptom", FOLLOWED)
@@ -59,7 +112,9 @@ def test_what_follows_from_a_mistake_is_not_told(project: Project, symptom: str)
     text = (project.scenarios / f"{name}.yaml").read_text(encoding="utf-8")
     assert right in text
     faulty = text.replace(right, wrong, 1)
-    (found,) = project.errors(Injected(f"{name}.yaml", symptom, "plain", (code,), {f"{name}.yaml": faulty}, f"{name}.yaml", 0, 0))
+    (found,) = project.errors(
+        Injected(f"{name}.yaml", symptom, "plain", (code,), {f"{name}.yaml": faulty}, f"{name}.yaml", 0, 0)
+    )
     assert found.code == code
     assert found.span.start_position.line == text.count("\n", 0, text.index(right)) + 1
 
@@ -67,7 +122,9 @@ def test_what_follows_from_a_mistake_is_not_told(project: Project, symptom: str)
 def test_a_value_in_a_block_of_text_begins_below_the_sign_of_the_block(project: Project) -> None:
     text = (project.scenarios / "quick.yaml").read_text(encoding="utf-8")
     faulty = text.replace("type: velocity_motor\n", "type: >-\n          velocity_moter\n")
-    (found,) = project.errors(Injected("quick.yaml", "", "folded", (), {"quick.yaml": faulty}, "quick.yaml", 0, 0))
+    (found,) = project.errors(
+        Injected("quick.yaml", "", "folded", (), {"quick.yaml": faulty}, "quick.yaml", 0, 0)
+    )
     assert found.span.text == "velocity_moter"
 
 
@@ -75,5 +132,16 @@ def test_the_last_kind_of_a_group_that_has_a_finding_leaves_a_group_of_nothing(p
     text = (project.scenarios / "find_and_avoid.yaml").read_text(encoding="utf-8")
     start, end = text.index("    one_of:"), text.index("\nrobots:")
     faulty = f"{text[:start]}    one_of:\n      cube: {{shape: box, sze: 1 1 1 cm}}\n{text[end:]}"
-    found = project.errors(Injected("find_and_avoid.yaml", "", "plain", (), {"find_and_avoid.yaml": faulty}, "find_and_avoid.yaml", 0, 0))
+    found = project.errors(
+        Injected(
+            "find_and_avoid.yaml",
+            "",
+            "plain",
+            (),
+            {"find_and_avoid.yaml": faulty},
+            "find_and_avoid.yaml",
+            0,
+            0,
+        )
+    )
     assert "DB101" in {finding.code for finding in found}

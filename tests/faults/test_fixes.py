@@ -1,4 +1,5 @@
-"""What fixes leave behind: the text that was meant, every comment, no new mistake, and nothing more to fix."""
+"""What fixes leave behind: the text that was meant, every comment, no new mistake, and nothing more to
+fix."""
 
 from __future__ import annotations
 
@@ -33,13 +34,16 @@ def folder(project: Project) -> Path:
         text = path.read_bytes().decode()
         if "deepbots: ignore" not in text:
             numbers = iter(range(1000))
-            path.write_bytes(TOP_LEVEL.sub(lambda _, count=numbers: f"# remark {next(count)}\n", text).encode())
+            path.write_bytes(
+                TOP_LEVEL.sub(lambda _, count=numbers: f"# remark {next(count)}\n", text).encode()
+            )
     return copy
 
 
 @pytest.fixture(scope="module")
 def offers(folder: Path) -> dict[Path, list[Finding]]:
-    """What lint says, in preview too, of a third of the scenarios with a fix; a new scenario does not change the choice of others."""
+    """What lint says, in preview too, of a third of the scenarios with a fix; a new scenario does not change
+    the choice of others."""
     chosen = [path for path in sorted(folder.glob("err/*.yaml")) if crc32(path.name.encode()) % 3 == 0]
     linted = {path: api.lint(path, preview=True) for path in chosen}
     return {path: found for path, found in linted.items() if any(finding.fix for finding in found)}
@@ -59,7 +63,11 @@ def test_the_fix_of_a_typo_gives_back_what_was_there(project: Project) -> None:
 
 
 def test_a_misspelled_name_in_quotes_is_put_right_between_them(project: Project) -> None:
-    typos = [case for case in everything() if case.kind == "typo in a joint or link" and case.style in ("single-quoted", "double-quoted")]
+    typos = [
+        case
+        for case in everything()
+        if case.kind == "typo in a joint or link" and case.style in ("single-quoted", "double-quoted")
+    ]
     for case in typos[::3]:
         (found,) = project.errors(case)
         assert found.fix is not None
@@ -96,7 +104,13 @@ def test_a_fix_that_is_offered_is_made_alone_and_with_the_others(offers: dict[Pa
         assert found <= set(map(said, together.fixed)), path.name
         assert not [finding for finding in together.remaining_findings if finding.fix], path.name
         for one in found if len(found) > 1 else ():
-            alone = Fixer([str(path)], api.load, unsafe=True, preview=True, wanted=lambda finding, one=one: said(finding) == one)
+            alone = Fixer(
+                [str(path)],
+                api.load,
+                unsafe=True,
+                preview=True,
+                wanted=lambda finding, one=one: said(finding) == one,
+            )
             alone.fix()
             assert set(map(said, alone.fixed)) == {one}, path.name
         offered += len(found)

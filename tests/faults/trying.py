@@ -36,7 +36,9 @@ class Project:
     def mistake(self, case: Injected) -> str | None:
         """What lint gets wrong about a case; None where it says just what it should."""
         errors = self.errors(case)
-        told = "; ".join(f"{Path(found.span.location).name} {found.code} {found.headline}" for found in errors)
+        told = "; ".join(
+            f"{Path(found.span.location).name} {found.code} {found.headline}" for found in errors
+        )
         if len(errors) != 1:
             return f"{len(errors)} errors: {told}"
         (found,) = errors
@@ -44,11 +46,17 @@ class Project:
         starts, ends = [start, (start[0], start[1] - case.slack)], [end, (end[0], end[1] + case.slack)]
         if found.code not in case.codes:
             return f"not {' or '.join(case.codes)}: {told}"
-        if Path(found.span.source.name).name != case.culprit or tuple(found.span.start_position) not in starts:
+        if (
+            Path(found.span.source.name).name != case.culprit
+            or tuple(found.span.start_position) not in starts
+        ):
             return f"not at {case.culprit}:{start[0]}:{start[1]}: {told}"
         if tuple(found.span.end_position) not in ends:
             return f"not up to {end}: {told} up to {tuple(found.span.end_position)}"
-        chain = tuple((Path(above.source.name).name, *above.start_position) for above in found.span.source.inclusion_chain)
+        chain = tuple(
+            (Path(above.source.name).name, *above.start_position)
+            for above in found.span.source.inclusion_chain
+        )
         return None if chain == case.chain else f"not brought in by {case.chain}: {chain}"
 
 

@@ -2,8 +2,9 @@
 
     python -m tests.fuzz [--count 20000] [--start 0] [--keep FOLDER]
 
-Each number is one damaged file, always the same, so a run that was stopped goes on from the number that it said last. What fails is
-told with its number and written to FOLDER, with the file and what happened; the exit code is then 1.
+Each number is one damaged file, always the same, so a run that was stopped goes on from the number that it
+said last. What fails is told with its number and written to FOLDER, with the file and what happened; the exit
+code is then 1.
 """
 
 from __future__ import annotations
@@ -26,10 +27,17 @@ SAMPLED = 10
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.fuzz", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("--count", type=int, default=20_000, help="files, by default 20000")
     parser.add_argument("--start", type=int, default=0, help="the number of the first, by default 0")
-    parser.add_argument("--keep", type=Path, default=Path("build/fuzz"), help="where files that fail are written, by default build/fuzz")
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        default=Path("build/fuzz"),
+        help="where files that fail are written, by default build/fuzz",
+    )
     given = parser.parse_args()
     keep = given.keep.resolve()
     failed, stop = 0, given.start + given.count
@@ -41,7 +49,8 @@ def main() -> int:
             end = min(start + BLOCK, stop)
             failed += block(bench, start, end, keep)
             print(
-                f"{end - given.start} files, {failed} failed, {time.process_time():.0f} s of CPU, {peak_memory() / 1e6:.0f} MB at most, "
+                f"{end - given.start} files, {failed} failed, {time.process_time():.0f} s of CPU,"
+                f" {peak_memory() / 1e6:.0f} MB at most, "
                 f"the slowest {bench.slowest[0]:.3f} s ({bench.slowest[1]}); go on with --start {end}",
                 flush=True,
             )
@@ -63,10 +72,14 @@ def block(bench: Workbench, start: int, end: int, keep: Path) -> int:
             continue
         if number % (BLOCK // SAMPLED) == 0:
             sampled[number] = digest(findings)
-    for number, here, there in zip(sampled, sampled.values(), digests_elsewhere(list(sampled), start + 1), strict=True):
+    for number, here, there in zip(
+        sampled, sampled.values(), digests_elsewhere(list(sampled), start + 1), strict=True
+    ):
         if here != there:
             failed += 1
-            tell(number, f"{FailedError.__name__}: the findings differ under PYTHONHASHSEED={start + 1}", keep)
+            tell(
+                number, f"{FailedError.__name__}: the findings differ under PYTHONHASHSEED={start + 1}", keep
+            )
     return failed
 
 
@@ -74,8 +87,14 @@ def tell(number: int, what: str, keep: Path) -> None:
     damaged = case(number)
     keep.mkdir(parents=True, exist_ok=True)
     (keep / f"{number}-{damaged.file.name}").write_bytes(damaged.data)
-    (keep / f"{number}.txt").write_text(f"lint of {damaged.main}, in which {damaged.file} is damaged\n\n{what}", encoding="utf-8")
-    print(f"{number}: {what.strip().splitlines()[-1]}\n  the damaged {damaged.file.name} and the traceback are in {keep}", flush=True)
+    (keep / f"{number}.txt").write_text(
+        f"lint of {damaged.main}, in which {damaged.file} is damaged\n\n{what}", encoding="utf-8"
+    )
+    print(
+        f"{number}: {what.strip().splitlines()[-1]}\n  the damaged {damaged.file.name} and the traceback are"
+        f" in {keep}",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""What is not lint, upon damaged files: `fmt`, `diff`, and sessions of the language server. `make fuzz` runs this as well.
+"""What is not lint, upon damaged files: `fmt`, `diff`, and sessions of the language server. `make fuzz` runs
+this as well.
 
     python -m tests.fuzz.beside [--count 1000] [--start 0]
 
@@ -64,10 +65,16 @@ def unkempt(text: str, chance: random.Random) -> str:
             case 1:
                 lines[at] += chance.choice((" ", "   ", "\t", " # a word", "\r"))
             case 2:
-                indented = next((index for index in range(at, len(lines)) if not lines[index].startswith(" ")), len(lines))
+                indented = next(
+                    (index for index in range(at, len(lines)) if not lines[index].startswith(" ")), len(lines)
+                )
                 lines[at:indented] = [f"   {line}" for line in lines[at:indented]]
             case _:
-                lines[at] = lines[at][:where] + chance.choice((" ", "  ", "        ", "\n  ", "\t")) + lines[at][where:]
+                lines[at] = (
+                    lines[at][:where]
+                    + chance.choice((" ", "  ", "        ", "\n  ", "\t"))
+                    + lines[at][where:]
+                )
     return "\n".join(lines)
 
 
@@ -79,23 +86,31 @@ def _meaning(text: str) -> tuple[object, bool]:
 
 
 def check_verbs(damaged: Case) -> int:
-    """The exit code of `diff` of a file with itself, which has no difference; `fmt` and `schema` end as they should as well.
+    """The exit code of `diff` of a file with itself, which has no difference; `fmt` and `schema` end as they
+    should as well.
 
     Raises:
         FailedError: A verb says otherwise, or ends in a fault.
     """
     name = str(damaged.main)
-    for words, allowed in ((("fmt", "--diff", name), (0, 1)), (("schema", "--for", name), (0, 1, 2)), (("diff", name, name), (0, 2))):
+    for words, allowed in (
+        (("fmt", "--diff", name), (0, 1)),
+        (("schema", "--for", name), (0, 1, 2)),
+        (("diff", name, name), (0, 2)),
+    ):
         out, err = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = command_line(list(words))
         if code not in allowed or "Traceback" in err.getvalue():
-            raise FailedError(f"{' '.join(words)} ends with {code}: {out.getvalue()[-300:]} {err.getvalue()[-300:]}")
+            raise FailedError(
+                f"{' '.join(words)} ends with {code}: {out.getvalue()[-300:]} {err.getvalue()[-300:]}"
+            )
     return code
 
 
 def session(client: Client, folder: Path, chance: random.Random) -> int:
-    """Edit documents at random, ask about places at random, some of them nowhere, and see that all answers fit; how many there were.
+    """Edit documents at random, ask about places at random, some of them nowhere, and see that all answers
+    fit; how many there were.
 
     Raises:
         FailedError: An answer does not fit the text, or the server has said that it failed.
@@ -133,9 +148,16 @@ def _edit(text: str, chance: random.Random) -> str:
 def _place(text: str, chance: random.Random) -> dict[str, int]:
     """A line and a column, beyond the end now and then."""
     lines = text.split("\n")
-    line = chance.choice((0, chance.randrange(len(lines)), chance.randrange(len(lines)), len(lines) + 3, 2**31 - 1))
+    line = chance.choice(
+        (0, chance.randrange(len(lines)), chance.randrange(len(lines)), len(lines) + 3, 2**31 - 1)
+    )
     longest = len(lines[line]) if line < len(lines) else 5
-    return {"line": line, "character": chance.choice((0, chance.randint(0, longest), chance.randint(0, longest), longest + 7, 2**31 - 1))}
+    return {
+        "line": line,
+        "character": chance.choice(
+            (0, chance.randint(0, longest), chance.randint(0, longest), longest + 7, 2**31 - 1)
+        ),
+    }
 
 
 def _ask(client: Client, uri: str, chance: random.Random) -> bool:
@@ -144,7 +166,10 @@ def _ask(client: Client, uri: str, chance: random.Random) -> bool:
     if method in ("hover", "completion", "definition"):
         params["position"] = _place(text, chance)
     elif method == "codeAction":
-        params |= {"range": {"start": _place(text, chance), "end": _place(text, chance)}, "context": {"diagnostics": []}}
+        params |= {
+            "range": {"start": _place(text, chance), "end": _place(text, chance)},
+            "context": {"diagnostics": []},
+        }
     elif method == "formatting":
         params["options"] = {"tabSize": chance.choice((2, 4, 0)), "insertSpaces": True}
     answer = client.request(f"textDocument/{method}", params)
@@ -179,7 +204,9 @@ def check(bench: Workbench, number: int) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.fuzz.beside", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.fuzz.beside", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("--count", type=int, default=1000, help="files, by default 1000")
     parser.add_argument("--start", type=int, default=0, help="the number of the first, by default 0")
     given = parser.parse_args()

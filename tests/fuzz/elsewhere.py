@@ -1,4 +1,5 @@
-"""The digests of what `lint` says of some cases, one a line; run in a process of its own, with another hash seed."""
+"""The digests of what `lint` says of some cases, one a line; run in a process of its own, with another hash
+seed."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Files that went wrong: a number becomes a scenario with its robot and its parts, one of which was damaged.
 
-The damage is of every size: single bits and bytes, signs of YAML, XML and expressions, words and numbers exchanged, lines moved,
-two files spliced, a file cut off, values nested too deep. The same number always gives the same bytes.
+The damage is of every size: single bits and bytes, signs of YAML, XML and expressions, words and numbers
+exchanged, lines moved, two files spliced, a file cut off, values nested too deep. The same number always
+gives the same bytes.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 SEEDS = Path(__file__).parent / "seeds"
 FULL_SHARE = 0.004
-"""Of shipped scenarios and golden cases without findings, which take ten times as long as the small ones in `seeds`."""
+"""Of shipped scenarios and golden cases without findings, which take ten times as long as the small ones in
+`seeds`."""
 
 READS: dict[str, tuple[str, ...]] = {
     "mini.yaml": ("rail.urdf",),
@@ -32,8 +34,45 @@ OFTEN = {"mini.yaml": 12, "odd.yaml": 6, "maze.yaml": 1, "arena.yaml": 1}
 """How often each is taken; 2 where nothing is said."""
 
 SIGNS = [
-    *(": ", ":", "- ", "? ", ", ", "{", "}", "[", "]", "(", ")", "|\n", ">-\n", "&a ", "*a", "!t ", "!!python/object:os.system ", "<<: "),
-    *("---\n", "...\n", "%YAML 1.1\n", " #", "'", '"', "\\", "\\x4", "\n", "\n  ", "\r", "\r\n", "\t", "\0", "\x85", "\u2028", "\ufeff"),
+    *(
+        ": ",
+        ":",
+        "- ",
+        "? ",
+        ", ",
+        "{",
+        "}",
+        "[",
+        "]",
+        "(",
+        ")",
+        "|\n",
+        ">-\n",
+        "&a ",
+        "*a",
+        "!t ",
+        "!!python/object:os.system ",
+        "<<: ",
+    ),
+    *(
+        "---\n",
+        "...\n",
+        "%YAML 1.1\n",
+        " #",
+        "'",
+        '"',
+        "\\",
+        "\\x4",
+        "\n",
+        "\n  ",
+        "\r",
+        "\r\n",
+        "\t",
+        "\0",
+        "\x85",
+        "\u2028",
+        "\ufeff",
+    ),
     *(
         "\ud7ff",
         "é",
@@ -75,8 +114,38 @@ SIGNS = [
     ),
 ]
 NUMBERS = [
-    *("0", "-0", "-1", "1e308", "-1e308", "1e309", "5e-324", "1e-320", "nan", ".nan", ".inf", "-.inf", "9" * 400, "0." + "0" * 400 + "1"),
-    *("2147483648", "18446744073709551616", "0x7f", "0o17", "1_000", "1_00", "1,5", "12:30", "1e", "1e+", "0 .. 0", "1 2 3", "1e9", "1e-9"),
+    *(
+        "0",
+        "-0",
+        "-1",
+        "1e308",
+        "-1e308",
+        "1e309",
+        "5e-324",
+        "1e-320",
+        "nan",
+        ".nan",
+        ".inf",
+        "-.inf",
+        "9" * 400,
+        "0." + "0" * 400 + "1",
+    ),
+    *(
+        "2147483648",
+        "18446744073709551616",
+        "0x7f",
+        "0o17",
+        "1_000",
+        "1_00",
+        "1,5",
+        "12:30",
+        "1e",
+        "1e+",
+        "0 .. 0",
+        "1 2 3",
+        "1e9",
+        "1e-9",
+    ),
     *("true", "null", "~", "auto", "any", "''", "{}", "[]", "50001", "64", "65", "1000000"),
 ]
 NESTINGS = [
@@ -105,7 +174,8 @@ _VALUE = re.compile(rb"(?<=: )[^\n{\[]+?(?=[,}\n])")
 
 @dataclass(frozen=True)
 class Case:
-    """One damaged scenario: `file` holds `data` in place of what it should, and `main` is linted; both are relative to the repository."""
+    """One damaged scenario: `file` holds `data` in place of what it should, and `main` is linted; both are
+    relative to the repository."""
 
     number: int
     main: Path
@@ -118,7 +188,13 @@ def corpus() -> dict[str, bytes]:
 
 
 def _full_sources() -> list[Path]:
-    return sorted([*ROOT.glob("scenarios/*.yaml"), *ROOT.glob("tests/golden/lint/*/*.yaml"), *ROOT.glob("tests/data/scenarios/*.yaml")])
+    return sorted(
+        [
+            *ROOT.glob("scenarios/*.yaml"),
+            *ROOT.glob("tests/golden/lint/*/*.yaml"),
+            *ROOT.glob("tests/data/scenarios/*.yaml"),
+        ]
+    )
 
 
 CORPUS = corpus()
@@ -134,7 +210,9 @@ def case(number: int) -> Case:
     chance = random.Random(number)
     if chance.random() < FULL_SHARE:
         path = chance.choice(FULL)
-        return Case(number, path.relative_to(ROOT), path.relative_to(ROOT), damaged(path.read_bytes(), chance))
+        return Case(
+            number, path.relative_to(ROOT), path.relative_to(ROOT), damaged(path.read_bytes(), chance)
+        )
     main = chance.choice(SCENARIOS)
     victim = main if chance.random() < 0.7 else chance.choice(READS[main])
     folder = SEEDS.relative_to(ROOT)
@@ -175,7 +253,9 @@ def _delete(data: bytes, chance: random.Random) -> bytes:
 
 def _repeat(data: bytes, chance: random.Random) -> bytes:
     at = _place(data, chance)
-    return data[:at] + data[at : at + chance.choice((1, 3, 10, 60))] * chance.choice((2, 2, 3, 50)) + data[at:]
+    return (
+        data[:at] + data[at : at + chance.choice((1, 3, 10, 60))] * chance.choice((2, 2, 3, 50)) + data[at:]
+    )
 
 
 def _insert(data: bytes, chance: random.Random) -> bytes:
@@ -198,7 +278,11 @@ def _splice(data: bytes, chance: random.Random) -> bytes:
 
 def _nest(data: bytes, chance: random.Random) -> bytes:
     at = _place(data, chance)
-    return data[:at] + chance.choice(NESTINGS).encode() * chance.choice((2, 20, 63, 64, 65, 200, 3000)) + data[at:]
+    return (
+        data[:at]
+        + chance.choice(NESTINGS).encode() * chance.choice((2, 20, 63, 64, 65, 200, 3000))
+        + data[at:]
+    )
 
 
 def _exchanged(pattern: re.Pattern[bytes], replacements: list[bytes]) -> Change:
@@ -247,13 +331,37 @@ def _requote(data: bytes, chance: random.Random) -> bytes:
         return data
     chosen = chance.choice(found)
     wrapped = chance.choice(
-        (b'"%b"', b"'%b'", b"|\n        %b", b">\n        %b\n", b'"\\u0020%b"', b'"\\n%b\\\n   "', b"&a %b", b"!!str %b")
+        (
+            b'"%b"',
+            b"'%b'",
+            b"|\n        %b",
+            b">\n        %b\n",
+            b'"\\u0020%b"',
+            b'"\\n%b\\\n   "',
+            b"&a %b",
+            b"!!str %b",
+        )
     )
     return data[: chosen.start()] + wrapped % chosen.group() + data[chosen.end() :]
 
 
 CHANGES: tuple[Change, ...] = (
-    *(_flip, _other_byte, _delete, _repeat, _insert, _insert, _cut_off, _splice, _nest, _typo, _typo, _move_lines, _move_lines, _requote),
+    *(
+        _flip,
+        _other_byte,
+        _delete,
+        _repeat,
+        _insert,
+        _insert,
+        _cut_off,
+        _splice,
+        _nest,
+        _typo,
+        _typo,
+        _move_lines,
+        _move_lines,
+        _requote,
+    ),
     *(
         _exchanged(_WORD, WORDS),
         _exchanged(_WORD, PIECES),

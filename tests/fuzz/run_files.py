@@ -1,8 +1,10 @@
-"""Damaged files of a run: a number becomes a change of one file, and a process of its own does what a user would do with the run.
+"""Damaged files of a run: a number becomes a change of one file, and a process of its own does what a user
+would do with the run.
 
     echo '{"run": "/tmp/runs/ppo", "file": "run.json", "number": 7}' | python -m tests.fuzz.run_files
 
-The process answers each line with what is wrong, or with nothing. One that is taken down by a file has not answered its line.
+The process answers each line with what is wrong, or with nothing. One that is taken down by a file has not
+answered its line.
 """
 
 from __future__ import annotations
@@ -32,7 +34,23 @@ ROOT = Path(__file__).parents[2]
 MOST_MEMORY = 1 << 30
 MOST_SECONDS = 60
 HOSTILE: list[Any] = [
-    *(None, True, -1, 0, 1, 2**31, 2**63, -(10**12), 10**12, 10**25, 0.5, 1e308, -1e308, float("nan"), float("inf")),
+    *(
+        None,
+        True,
+        -1,
+        0,
+        1,
+        2**31,
+        2**63,
+        -(10**12),
+        10**12,
+        10**25,
+        0.5,
+        1e308,
+        -1e308,
+        float("nan"),
+        float("inf"),
+    ),
     *("", "x", "x" * 100_000, [], {}, [[[]]], [0] * 1_000, "../../x", "\u0000\u202e"),
     *({"dtype": "S2000000000", "value": ["x", "y"]}, {"dtype": "O", "value": 1}),
 ]
@@ -71,7 +89,8 @@ def flipped(data: bytes, chance: random.Random) -> bytes:
 
 
 def damaged_zip(data: bytes, chance: random.Random) -> bytes:
-    """One member changed, removed, renamed or packed, with sums that are right; or the archive itself changed."""
+    """One member changed, removed, renamed or packed, with sums that are right; or the archive itself
+    changed."""
     if chance.random() < 0.3:
         return flipped(data, chance)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -89,7 +108,9 @@ def damaged_zip(data: bytes, chance: random.Random) -> bytes:
             members[name] = damaged_json(members[name], chance)
         case _:
             members[name] = flipped(members[name], chance)
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED if way == 4 and chance.random() < 0.2 else zipfile.ZIP_STORED) as archive:
+    with zipfile.ZipFile(
+        stream, "w", zipfile.ZIP_DEFLATED if way == 4 and chance.random() < 0.2 else zipfile.ZIP_STORED
+    ) as archive:
         for member, content in members.items():
             archive.writestr(member, content)
     return stream.getvalue()
@@ -108,7 +129,11 @@ def mutated(file: str, data: bytes, number: int) -> bytes:
 def files_of(run: Path) -> list[str]:
     """The files of a run that are damaged, from its folder on."""
     found = [path.relative_to(run).as_posix() for path in sorted(run.rglob("*")) if path.is_file()]
-    return [name for name in found if not name.endswith((".lock", "environment.py")) and not name.startswith("inputs/")]
+    return [
+        name
+        for name in found
+        if not name.endswith((".lock", "environment.py")) and not name.startswith("inputs/")
+    ]
 
 
 COMMANDS = [
@@ -122,7 +147,12 @@ COMMANDS = [
     ("compare", "run", "other", "--episodes", "2"),
     ("inspect", "run"),
 ]
-READERS = {"evaluations": (0, 1, 3, 4, 5, 6, 8), "monitor.csv": (0, 1, 4, 5, 3), "tensorboard": (1, 4, 5), "models": (2, 6, 7)}
+READERS = {
+    "evaluations": (0, 1, 3, 4, 5, 6, 8),
+    "monitor.csv": (0, 1, 4, 5, 3),
+    "tensorboard": (1, 4, 5),
+    "models": (2, 6, 7),
+}
 """The commands that read a file, where not all do."""
 
 
@@ -152,7 +182,9 @@ def _resumed(run: Path) -> str:
 
 
 def _content(run: Path) -> dict[str, bytes]:
-    return {str(path): path.read_bytes() for path in run.rglob("*") if path.is_file() and path.name != ".lock"}
+    return {
+        str(path): path.read_bytes() for path in run.rglob("*") if path.is_file() and path.name != ".lock"
+    }
 
 
 def _commanded(file: str, number: int, run: Path) -> str:
@@ -197,17 +229,24 @@ def _late(number: int, frame: FrameType | None) -> None:
 
 
 def problems(run: Path, cases: Iterable[tuple[str, int]]) -> Iterator[str]:
-    """What is wrong with changes, each a file and a number, by a process of its own; a further one after one that was taken down."""
+    """What is wrong with changes, each a file and a number, by a process of its own; a further one after one
+    that was taken down."""
     command, waiting = [sys.executable, "-m", __name__], deque(cases)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "learning")))}
     pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
     while waiting:
-        with subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe, stderr=nowhere, text=True) as process:
+        with subprocess.Popen(
+            command, env=environment, stdin=pipe, stdout=pipe, stderr=nowhere, text=True
+        ) as process:
             assert process.stdin is not None
             assert process.stdout is not None
             while waiting:
                 file, number = waiting.popleft()
-                print(json.dumps({"run": str(run), "file": file, "number": number}), file=process.stdin, flush=True)
+                print(
+                    json.dumps({"run": str(run), "file": file, "number": number}),
+                    file=process.stdin,
+                    flush=True,
+                )
                 said = process.stdout.readline()
                 if not said:
                     yield f"{file} {number}: the process ended with {process.wait()}"

@@ -1,4 +1,5 @@
-"""Whatever becomes of a file: findings, in time, the same every time. A short share of `make fuzz`, and files made by hypothesis."""
+"""Whatever becomes of a file: findings, in time, the same every time. A short share of `make fuzz`, and files
+made by hypothesis."""
 
 from __future__ import annotations
 
@@ -65,14 +66,20 @@ def errors(findings: Sequence[Finding]) -> int:
 
 
 DAMAGE = st.lists(
-    st.tuples(st.floats(0, 1), st.integers(0, 30), st.sampled_from(PIECES) | st.binary(max_size=6) | st.text(max_size=6).map(str.encode)),
+    st.tuples(
+        st.floats(0, 1),
+        st.integers(0, 30),
+        st.sampled_from(PIECES) | st.binary(max_size=6) | st.text(max_size=6).map(str.encode),
+    ),
     min_size=1,
     max_size=5,
 )
 
 
 @given(main=st.sampled_from(sorted(READS)), data=st.data(), damage=DAMAGE)
-def test_bytes_put_anywhere_give_findings(bench: Workbench, main: str, data: st.DataObject, damage: list[tuple[float, int, bytes]]) -> None:
+def test_bytes_put_anywhere_give_findings(
+    bench: Workbench, main: str, data: st.DataObject, damage: list[tuple[float, int, bytes]]
+) -> None:
     victim = data.draw(st.sampled_from([main, *READS[main]]))
     text = CORPUS[victim]
     for where, length, piece in damage:

@@ -1,4 +1,5 @@
-"""`fmt`, `diff`, `schema --for` and the language server, upon damaged files: a short share of `python -m tests.fuzz.beside`."""
+"""`fmt`, `diff`, `schema --for` and the language server, upon damaged files: a short share of `python -m
+tests.fuzz.beside`."""
 
 from __future__ import annotations
 
@@ -26,7 +27,10 @@ def test_fmt_changes_no_meaning_of_a_damaged_file_and_is_done_at_once() -> None:
 
 def test_fmt_makes_of_a_file_with_white_space_anywhere_what_it_would_leave_as_it_is() -> None:
     chances = [random.Random(number) for number in range(100)]
-    tidied = [check_layout(unkempt(CORPUS[chance.choice(sorted(READS))].decode("utf-8"), chance)) for chance in chances]
+    tidied = [
+        check_layout(unkempt(CORPUS[chance.choice(sorted(READS))].decode("utf-8"), chance))
+        for chance in chances
+    ]
     assert sum(tidied) > 25
 
 
@@ -35,7 +39,9 @@ def test_a_damaged_file_does_not_differ_from_itself_and_no_verb_fails(bench: Wor
         check(bench, number)
 
 
-def test_random_edits_and_questions_at_places_that_are_not_there_leave_the_language_server_in_order(bench: Workbench) -> None:
+def test_random_edits_and_questions_at_places_that_are_not_there_leave_the_language_server_in_order(
+    bench: Workbench,
+) -> None:
     with Client(bench.folder) as client:
         answered = session(client, bench.folder / SEEDS.relative_to(SEEDS.parents[2]), random.Random(0))
     assert answered > 5

@@ -1,4 +1,5 @@
-"""Damaged files of a run: damaged or correct, never a crash, little memory, and nothing changes where a command is refused."""
+"""Damaged files of a run: damaged or correct, never a crash, little memory, and nothing changes where a
+command is refused."""
 
 from __future__ import annotations
 
@@ -32,7 +33,10 @@ def hyper(**settings: float) -> tuple[Hyperparameter, ...]:
 
 @pytest.fixture(scope="module")
 def run_on_policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return trained(tmp_path_factory.mktemp("trained"), Training("PPO", 2_000, 2, hyper(n_steps=32, batch_size=32, n_epochs=1)))
+    return trained(
+        tmp_path_factory.mktemp("trained"),
+        Training("PPO", 2_000, 2, hyper(n_steps=32, batch_size=32, n_epochs=1)),
+    )
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,18 @@ _allowed: tuple[str, ...] = ()
 
 
 def allow(*folders: str | Path) -> None:
-    """Files below these may be opened, and no others apart from what is installed or shipped, and where the peak of memory stands."""
+    """Files below these may be opened, and no others apart from what is installed or shipped, and where the
+    peak of memory stands."""
     global _allowed
     ours = Path(__file__).parents[2]
-    installed = (sys.prefix, sys.base_prefix, ours / "deepbots_cli", ours / "tests", *shipped.data_roots(), "/proc/self/status")
+    installed = (
+        sys.prefix,
+        sys.base_prefix,
+        ours / "deepbots_cli",
+        ours / "tests",
+        *shipped.data_roots(),
+        "/proc/self/status",
+    )
     _allowed = tuple(os.path.join(os.path.realpath(folder), "") for folder in (*folders, *installed))
 
 
@@ -26,7 +34,9 @@ def watch() -> None:
     searched = {os.path.realpath(folder) for folder in sys.path}  # for packages, by the import system
 
     def hook(event: str, arguments: tuple[object, ...]) -> None:
-        if event in ("open", "os.listdir", "os.scandir") and isinstance(arguments[0], str | bytes | os.PathLike):
+        if event in ("open", "os.listdir", "os.scandir") and isinstance(
+            arguments[0], str | bytes | os.PathLike
+        ):
             path = os.path.realpath(os.fsdecode(arguments[0]))
             if not os.path.join(path, "").startswith(_allowed) and not (event != "open" and path in searched):
                 OUTSIDE.append(path)

@@ -1,8 +1,9 @@
 """What must hold of every file, however damaged, and a folder to try it in.
 
-No exception leaves `lint`, no rule fails (DB903), no file takes more than a second of CPU, and the process never more than 300 MB. Findings
-lie inside of their texts, and are the same when asked for again, also under another hash seed. The exit code is 1 if there is an error and
-0 if not, in every format. What has no error compiles to Python. Nothing outside of the project is opened.
+No exception leaves `lint`, no rule fails (DB903), no file takes more than a second of CPU, and the process
+never more than 300 MB. Findings lie inside of their texts, and are the same when asked for again, also under
+another hash seed. The exit code is 1 if there is an error and 0 if not, in every format. What has no error
+compiles to Python. Nothing outside of the project is opened.
 """
 
 from __future__ import annotations
@@ -50,12 +51,17 @@ def peak_memory() -> int:
     On Linux `ru_maxrss` would begin with the peak of the process that started this one.
     """
     status = Path("/proc/self/status")
-    held = re.search(r"^VmHWM:\s*(\d+) kB", status.read_text(encoding="utf-8"), re.MULTILINE) if status.exists() else None
+    held = (
+        re.search(r"^VmHWM:\s*(\d+) kB", status.read_text(encoding="utf-8"), re.MULTILINE)
+        if status.exists()
+        else None
+    )
     return 1024 * (int(held[1]) if held else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 class Workbench:
-    """A copy of everything that scenarios read, in which one file at a time is damaged, linted and put back."""
+    """A copy of everything that scenarios read, in which one file at a time is damaged, linted and put
+    back."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -64,14 +70,18 @@ class Workbench:
             shutil.copytree(ROOT / name, folder / name)
         (folder / "deepbots.toml").touch()  # the root of the project
         self._before = Path.cwd()
-        self._most_memory = max(MOST_MEMORY, peak_memory() + MOST_MEMORY // 3)  # tests may run in a process that held more before
+        self._most_memory = max(
+            MOST_MEMORY, peak_memory() + MOST_MEMORY // 3
+        )  # tests may run in a process that held more before
 
     def __enter__(self) -> Workbench:
         os.chdir(self.folder)
         self._handler = signal.signal(signal.SIGVTALRM, _stop)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         signal.signal(signal.SIGVTALRM, self._handler)
         os.chdir(self._before)
 
@@ -80,7 +90,8 @@ class Workbench:
         return self.check(case(number))
 
     def check(self, damaged: Case) -> list[Finding]:
-        """The findings of a case, of which everything holds that must; what costs more is looked at in every hundredth.
+        """The findings of a case, of which everything holds that must; what costs more is looked at in every
+        hundredth.
 
         Raises:
             FailedError: Something does not hold.
@@ -136,7 +147,9 @@ class Workbench:
             code = command_line(["lint", str(damaged.main), "--preview", "--format", format])
         expected = int(_has_error(findings))
         if code != expected:
-            raise FailedError(f"the exit code with --format {format} is {code}, not {expected}: {err.getvalue()[-500:]}")
+            raise FailedError(
+                f"the exit code with --format {format} is {code}, not {expected}: {err.getvalue()[-500:]}"
+            )
         if format in ("json", "sarif"):
             json.loads(out.getvalue())
 
@@ -153,11 +166,15 @@ def _check_places(findings: Sequence[Finding]) -> None:
     for finding in findings:
         for span in (finding.span, *(label.span for label in finding.labels)):
             if not 0 <= span.start <= span.end <= len(span.source.text):
-                raise FailedError(f"{finding.code} lies outside of its text: {span.start}..{span.end} of {len(span.source.text)}")
+                raise FailedError(
+                    f"{finding.code} lies outside of its text: {span.start}..{span.end} of"
+                    f" {len(span.source.text)}"
+                )
 
 
 def check_rules(faults: Sequence[str]) -> None:
-    """Raises `FailedError` if there are any: the headlines of findings that report a fault of deepbots (DB903)."""
+    """Raises `FailedError` if there are any: the headlines of findings that report a fault of deepbots
+    (DB903)."""
     if faults:
         raise FailedError(f"deepbots fails: {'; '.join(faults)}")
 
@@ -165,10 +182,20 @@ def check_rules(faults: Sequence[str]) -> None:
 def digest(findings: Sequence[Finding]) -> str:
     """All that findings say, as a SHA-256 in hexadecimal."""
     said = [
-        (f.code, f.span.location, f.span.end, f.headline, f.help, f.notes, [(also.span.location, also.text) for also in f.labels])
+        (
+            f.code,
+            f.span.location,
+            f.span.end,
+            f.headline,
+            f.help,
+            f.notes,
+            [(also.span.location, also.text) for also in f.labels],
+        )
         for f in findings
     ]
-    text = json.dumps(said).replace(os.getcwd(), "<here>")  # a file that is missing is told with where it was looked for
+    text = json.dumps(said).replace(
+        os.getcwd(), "<here>"
+    )  # a file that is missing is told with where it was looked for
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 

@@ -1,7 +1,8 @@
 """The golden cases: scenarios with one mistake, and what lint says of each, in one page of Markdown per code.
 
-A page `err/db101.md` holds sections; a section is a case: its name as a heading, the scenario in a block `yaml` and the findings in a
-block `text`. `UPDATE_GOLDEN=1 pytest tests/golden` writes the blocks of findings.
+A page `err/db101.md` holds sections; a section is a case: its name as a heading, the scenario in a block
+`yaml` and the findings in a block `text`. `UPDATE_GOLDEN=1 pytest tests/golden` writes the blocks of
+findings.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def cases(kind: str) -> list[Case]:
 
 
 def write(folder: Path) -> Path:
-    """Write the scenarios into a new folder as `lint/err/db101-mistake.yaml`, beside what they extend; return the folder."""
+    """Write the scenarios into a new folder as `lint/err/db101-mistake.yaml`, beside what they extend; return
+    the folder."""
     shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns("*.md", "*.py", "__pycache__"))
     for kind in ("lint", "deep"):
         (folder / kind / "err").mkdir(exist_ok=True)

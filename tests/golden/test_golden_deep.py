@@ -1,7 +1,8 @@
 """What a short simulation says of mistakes, word for word.
 
-As `test_golden_lint`, for `lint --deep`: each section of `deep/err/<code>.md` is a CartPole (that of `lint/`) with one mistake that its
-text does not show, and what stands in `deep/ok/` is unusual and right. After a change of wording: UPDATE_GOLDEN=1 pytest tests/golden.
+As `test_golden_lint`, for `lint --deep`: each section of `deep/err/<code>.md` is a CartPole (that of `lint/`)
+with one mistake that its text does not show, and what stands in `deep/ok/` is unusual and right. After a
+change of wording: UPDATE_GOLDEN=1 pytest tests/golden.
 """
 
 import os
@@ -68,4 +69,6 @@ def test_what_lint_has_nothing_to_say_of_can_be_simulated_and_is_silent(case: st
 
 
 def test_everything_that_a_simulation_finds_has_a_case() -> None:
-    assert {case.page.stem.upper() for case in BAD} == {code for code, entry in RULES.items() if entry.deep in ("too", "only")}
+    assert {case.page.stem.upper() for case in BAD} == {
+        code for code, entry in RULES.items() if entry.deep in ("too", "only")
+    }

@@ -1,8 +1,8 @@
 """What lint says about small mistakes, word for word.
 
-Each section of the pages `lint/err/<code>.md` is a scenario, most often a CartPole, with one mistake, and the finding;
-`several.md` and `original.md` hold more than one. What stands in `lint/ok/` has none. Rules in preview run too. After a change of
-wording: UPDATE_GOLDEN=1 pytest tests/golden, and read the difference.
+Each section of the pages `lint/err/<code>.md` is a scenario, most often a CartPole, with one mistake, and the
+finding; `several.md` and `original.md` hold more than one. What stands in `lint/ok/` has none. Rules in
+preview run too. After a change of wording: UPDATE_GOLDEN=1 pytest tests/golden, and read the difference.
 """
 
 import os
@@ -52,15 +52,24 @@ def test_a_scenario_without_mistake_is_silent_and_compiles(case: str) -> None:
 
 
 def test_every_rule_has_a_case() -> None:
-    """DB108 aside: which parts of the language wait for a later version changes. DB410 and DB902 come of options, DB903 of faults of ours.
+    """DB108 aside: which parts of the language wait for a later version changes. DB410 and DB902 come of
+    options, DB903 of faults of ours.
 
-    What a simulation alone can tell has its cases in `test_golden_deep`, and exploits theirs in `tests/lint/test_exploits.py`.
+    What a simulation alone can tell has its cases in `test_golden_deep`, and exploits theirs in
+    `tests/lint/test_exploits.py`.
     """
     found = {case.page.stem.upper() for case in BAD if case.page.stem.startswith("db")}
-    assert found | {"DB108", "DB410", "DB902", "DB903"} == {code for code, entry in RULES.items() if entry.deep not in ("only", "exploits")}
+    assert found | {"DB108", "DB410", "DB902", "DB903"} == {
+        code for code, entry in RULES.items() if entry.deep not in ("only", "exploits")
+    }
 
 
 def test_every_section_of_a_page_is_a_case() -> None:
     pages = sorted(HERE.glob("*/err/*.md"))
-    headings = [line for page in pages for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("## ")]
+    headings = [
+        line
+        for page in pages
+        for line in page.read_text(encoding="utf-8").splitlines()
+        if line.startswith("## ")
+    ]
     assert len(headings) == len(BAD) + len(cases("deep"))

@@ -1,4 +1,5 @@
-"""Files that mean harm end in the findings that are for them, and reach for nothing outside of their project."""
+"""Files that mean harm end in the findings that are for them, and reach for nothing outside of their
+project."""
 
 from __future__ import annotations
 
@@ -9,14 +10,19 @@ from tests.hostile.cases import Hostile
 from tests.hostile.trial import Outcome, outcomes
 
 
-@pytest.fixture(scope="module", params=[pytest.param(False, id="most"), pytest.param(True, id="all", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(False, id="most"), pytest.param(True, id="all", marks=pytest.mark.slow)],
+)
 def tried(request: pytest.FixtureRequest) -> list[tuple[Hostile, Outcome]]:
     return list(outcomes(slow=request.param))
 
 
 def test_each_hostile_file_ends_in_a_finding_that_is_for_it(tried: list[tuple[Hostile, Outcome]]) -> None:
     assert tried[-1][0].name.startswith("picture")  # lint's process has lived to the last of them
-    assert not {case.name: outcome.codes for case, outcome in tried if not set(case.codes).intersection(outcome.codes)}
+    assert not {
+        case.name: outcome.codes for case, outcome in tried if not set(case.codes).intersection(outcome.codes)
+    }
     assert {outcome.exit_code for _, outcome in tried} == {1}
 
 

@@ -1,7 +1,7 @@
 """Lints hostile files, each in a folder of its own, and says what came of it.
 
-The linting is done by a process of its own, since the watch over opened files cannot be taken off again, and since the peak of memory
-is that of a process, which shall not hold what the files were made from.
+The linting is done by a process of its own, since the watch over opened files cannot be taken off again, and
+since the peak of memory is that of a process, which shall not hold what the files were made from.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a hostile file: the codes found at error level, CPU seconds, the exit code, what was opened that is no business of it.
+    """What became of a hostile file: the codes found at error level, CPU seconds, the exit code, what was
+    opened that is no business of it.
 
     `memory` is the peak of the process so far, in bytes.
     """
@@ -43,12 +44,15 @@ class Outcome:
 
 
 def outcomes(*, slow: bool = True) -> Iterator[tuple[Hostile, Outcome]]:
-    """The cases, also those that are `slow`, and what became of each; less than all if lint took its process down."""
+    """The cases, also those that are `slow`, and what became of each; less than all if lint took its process
+    down."""
     command = [sys.executable, "-m", __name__]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with tempfile.TemporaryDirectory() as name:
         home = Path(name).resolve()
-        with subprocess.Popen(command, cwd=home, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as linter:
+        with subprocess.Popen(
+            command, cwd=home, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as linter:
             assert linter.stdin is not None
             assert linter.stdout is not None
             for number, case in enumerate(case for case in cases() if slow or not case.slow):

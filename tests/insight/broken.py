@@ -1,4 +1,5 @@
-"""The trainings of `broken.yaml`: train them, and compare the first cause that `diagnose` names with the planted one.
+"""The trainings of `broken.yaml`: train them, and compare the first cause that `diagnose` names with the
+planted one.
 
 python -m tests.insight.broken 951 952          # all, with these seeds, in a temporary folder
 python -m tests.insight.broken 951 --runs DIR   # and keep the runs
@@ -27,7 +28,8 @@ BROKEN = yaml.safe_load(LIST.read_text("utf-8"))
 
 
 def causes(entry: dict, seed: int, run: Path) -> list[str]:
-    """Train one of the list, if that was not done, and name the causes of its failure, the most likely first."""
+    """Train one of the list, if that was not done, and name the causes of its failure, the most likely
+    first."""
     scenario = LIST.with_name(entry["scenario"]) if entry["scenario"].endswith(".yaml") else entry["scenario"]
     if not run.exists():
         compiled = api.compile(api.load(scenario, overrides=entry["set"]))
@@ -47,7 +49,9 @@ def all_causes(seed: int, folder: Path) -> Iterator[tuple[dict, list[str]]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("seeds", type=int, nargs="+")
     parser.add_argument("--runs", type=Path)
     given = parser.parse_args(arguments)
@@ -59,7 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 right += found[0] == entry["cause"]
                 mark = "" if found[0] == entry["cause"] else f"  planted: {entry['cause']}"
                 print(f"{seed}  {entry['name']:16} {', '.join(found)}{mark}", flush=True)
-            print(f"{seed}  {right} of {len(BROKEN)}, CPU time so far {time.process_time():.0f} s", flush=True)
+            print(
+                f"{seed}  {right} of {len(BROKEN)}, CPU time so far {time.process_time():.0f} s", flush=True
+            )
 
 
 if __name__ == "__main__":

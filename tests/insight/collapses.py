@@ -1,15 +1,16 @@
-"""Trainings that learn and then fall apart by a planted setting: is the fall named, and the setting that was planted?
+"""Trainings that learn and then fall apart by a planted setting: is the fall named, and the setting that was
+planted?
 
 python -m tests.insight.collapses                  # all, in a temporary folder, for about 15 minutes of CPU
 python -m tests.insight.collapses --runs DIR       # and keep the runs
 python -m tests.insight.collapses --only clip rate # these of the table
 
-The cases are what someone planted who had not read the detector. Of 26 settings, 18 did not make a training fall, such as 100
-epochs, an entropy of 0.5 or 1, a clip range of 0.9 in LineFollower, and rewards times 1000.
+The cases are what someone planted who had not read the detector. Of 26 settings, 18 did not make a training
+fall, such as 100 epochs, an entropy of 0.5 or 1, a clip range of 0.9 in LineFollower, and rewards times 1000.
 
-A training has learned if an evaluation reaches 60 % of what `solved` asks for. It has fallen if its last two evaluations have at
-most 80 % of the best one. One that does neither is printed as not applicable, and not counted. Healthy trainings (`planted` is
-empty) must not be named.
+A training has learned if an evaluation reaches 60 % of what `solved` asks for. It has fallen if its last two
+evaluations have at most 80 % of the best one. One that does neither is printed as not applicable, and not
+counted. Healthy trainings (`planted` is empty) must not be named.
 """
 
 from __future__ import annotations
@@ -35,8 +36,10 @@ from deepbots_cli.learning.run import Run
 SHORT = ("truncation.max_steps=100", "solved=mean_return >= 97 over 100 episodes")
 """A CartPole of half the length, which is evaluated twice as often."""
 DQN = (
-    "train={algorithm: DQN, total_timesteps: 60_000, environments: 4, learning_rate: 1e-3, learning_starts: 1000, batch_size: 64, "
-    "gradient_steps: 4, train_freq: 1, target_update_interval: 250, exploration_fraction: 0.2, exploration_final_eps: 0.05, "
+    "train={algorithm: DQN, total_timesteps: 60_000, environments: 4, learning_rate: 1e-3, learning_starts:"
+    " 1000, batch_size: 64, "
+    "gradient_steps: 4, train_freq: 1, target_update_interval: 250, exploration_fraction: 0.2,"
+    " exploration_final_eps: 0.05, "
     "gamma: 0.98, buffer_size: 50000, network: {hidden: [64, 64]}}"
 )
 
@@ -57,7 +60,9 @@ CASES = (
     Case("clip_balancer", "balancer", 600_000, 5, ["train.clip_range=0.9"], ["train.clip_range"]),
     Case("n_steps", "cartpole_continuous", 93_552, 9, [*SHORT, "train.n_steps=2"], ["train.n_steps"]),
     Case("rate_pit", "pit_escape", 84_000, 8, ["train.learning_rate=3e-2"], ["train.learning_rate"]),
-    Case("rate_dqn", "cartpole", 60_000, 1, [*SHORT, DQN, "train.learning_rate=3e-2"], ["train.learning_rate"]),
+    Case(
+        "rate_dqn", "cartpole", 60_000, 1, [*SHORT, DQN, "train.learning_rate=3e-2"], ["train.learning_rate"]
+    ),
     Case("healthy", "cartpole_continuous", 150_000, 1, SHORT),
     Case("healthy_dqn", "cartpole", 60_000, 1, [*SHORT, DQN]),
     Case("healthy_balancer", "balancer", 300_000, 5, []),
@@ -69,7 +74,14 @@ def trained(case: Case, run: Path) -> Run:
     if not run.exists():
         compiled = api.compile(api.load(case.scenario, overrides=case.set))
         try:
-            train(compiled, total_timesteps=case.timesteps, seed=case.seed, run=run, stop_when_solved=False, engine="mujoco")
+            train(
+                compiled,
+                total_timesteps=case.timesteps,
+                seed=case.seed,
+                run=run,
+                stop_when_solved=False,
+                engine="mujoco",
+            )
         except DeepbotsError as error:  # a diverged training has another cause
             print(f"{run.name}: {error}", flush=True)
     return Run.open(run)
@@ -80,7 +92,9 @@ def has_fallen(run: Run) -> bool:
     solved, evaluations = run.program.agent.solved, read_evaluations(run.path)
     if solved is None or len(evaluations) < 3:
         return False
-    name, wanted = ("returns", solved.mean_return) if solved.success_rate is None else ("successes", solved.success_rate)
+    name, wanted = (
+        ("returns", solved.mean_return) if solved.success_rate is None else ("successes", solved.success_rate)
+    )
     means = [fmean(each[name]) for each in evaluations]
     return max(means) >= 0.6 * (wanted or 0.0) and fmean(means[-2:]) <= 0.8 * max(means)
 
@@ -101,7 +115,9 @@ def results(folder: Path, only: Sequence[str] = ()) -> Iterator[tuple[Case, bool
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--runs", type=Path)
     parser.add_argument("--only", nargs="*", default=())
     options = parser.parse_args(arguments)
@@ -115,8 +131,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 applicable, falls = applicable + 1, falls + is_named
                 causes += bool(set(paths[:2]) & set(case.planted))
             state = "fell" if fell else "not applicable" if case.planted else "healthy"
-            print(f"{case.name:18} {state:14} {'named' if is_named else '-':6} {', '.join(paths)}", flush=True)
-    print(f"falls named: {falls} of {applicable}; planted setting among the first two: {causes} of {applicable}")
+            print(
+                f"{case.name:18} {state:14} {'named' if is_named else '-':6} {', '.join(paths)}", flush=True
+            )
+    print(
+        f"falls named: {falls} of {applicable}; planted setting among the first two: {causes} of {applicable}"
+    )
     print(f"false alarms: {alarms} of {healthy} healthy trainings; CPU time {time.process_time():.0f} s")
 
 

@@ -8,7 +8,6 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.learning import evaluate, train
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import Run
 from tests.insight.logs import train_shuttle
 
@@ -17,10 +16,21 @@ from tests.insight.logs import train_shuttle
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of CartPole with short episodes that draw two values; not to be changed."""
     folder = tmp_path_factory.mktemp("insight")
-    overrides = ["truncation.max_steps=12", "world.arena.friction=uniform(0.8 .. 1.2)", "train.environments=2", "train.n_steps=64"]
+    overrides = [
+        "truncation.max_steps=12",
+        "world.arena.friction=uniform(0.8 .. 1.2)",
+        "train.environments=2",
+        "train.n_steps=64",
+    ]
     compiled = api.compile("cartpole", overrides=overrides)
-    trained = train(compiled, run=folder / "cartpole", seed=3, total_timesteps=256, command=("deepbots", "train", "<b>cartpole</b>"))
-    Run.open(trained.run).write_evaluation(to_json(evaluate(trained.run, episodes=12)))
+    trained = train(
+        compiled,
+        run=folder / "cartpole",
+        seed=3,
+        total_timesteps=256,
+        command=("deepbots", "train", "<b>cartpole</b>"),
+    )
+    Run.open(trained.run).write_evaluation(evaluate(trained.run, episodes=12).model_dump(mode="json"))
     return trained.run
 
 

@@ -16,27 +16,54 @@ SHUTTLE = Path(__file__).with_name("shuttle.yaml")
 
 
 def with_logs(
-    run: Path, returns, lengths=None, ending="fallen", success=False, stages="", drawn="", evaluations=(), **scalars
+    run: Path,
+    returns,
+    lengths=None,
+    ending="fallen",
+    success=False,
+    stages="",
+    drawn="",
+    evaluations=(),
+    **scalars,
 ) -> TrainingEvidence:
     """A training with these logs in the place of its own, and without short episodes."""
     returns = np.asarray(returns, float)
     lengths = returns if lengths is None else np.asarray(lengths, float)
     count = len(returns)
-    given = [np.broadcast_to(np.asarray(value, kind), count) for value, kind in ((success, float), (ending, object), (stages, object))]
-    columns = [np.cumsum(lengths), returns, lengths, *given, np.broadcast_to(np.asarray(drawn, object), count)]
+    given = [
+        np.broadcast_to(np.asarray(value, kind), count)
+        for value, kind in ((success, float), (ending, object), (stages, object))
+    ]
+    columns = [
+        np.cumsum(lengths),
+        returns,
+        lengths,
+        *given,
+        np.broadcast_to(np.asarray(drawn, object), count),
+    ]
     episodes = np.rec.fromarrays(columns, names="steps, returns, lengths, successes, endings, stages, drawn")
-    curves = {name.replace("__", "/"): (np.arange(len(values), dtype=float), np.asarray(values, float)) for name, values in scalars.items()}
-    return replace(read_training(Run.open(run)), all_episodes=episodes, scalars=curves, all_evaluations=list(evaluations))
+    curves = {
+        name.replace("__", "/"): (np.arange(len(values), dtype=float), np.asarray(values, float))
+        for name, values in scalars.items()
+    }
+    return replace(
+        read_training(Run.open(run)), all_episodes=episodes, scalars=curves, all_evaluations=list(evaluations)
+    )
 
 
 def evaluations_with(*rates: float, stage: str = "", every: int = 1000, returns: float = 1.0) -> list[dict]:
     """Evaluations of 20 episodes during a training, with these success rates."""
     wins = [[True] * round(20 * rate) + [False] * (20 - round(20 * rate)) for rate in rates]
-    return [{"steps": every * (k + 1), "stage": stage, "returns": [returns] * 20, "successes": won} for k, won in enumerate(wins)]
+    return [
+        {"steps": every * (k + 1), "stage": stage, "returns": [returns] * 20, "successes": won}
+        for k, won in enumerate(wins)
+    ]
 
 
 def train_shuttle(folder: Path, *overrides: str) -> Path:
-    compiled = api.compile(api.load(SHUTTLE, overrides=["train.environments=2", "train.n_steps=32", *overrides]))
+    compiled = api.compile(
+        api.load(SHUTTLE, overrides=["train.environments=2", "train.n_steps=32", *overrides])
+    )
     return train(compiled, total_timesteps=128, seed=2, run=folder / "shuttle").run
 
 

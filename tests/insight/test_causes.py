@@ -26,7 +26,8 @@ from deepbots_cli.insight.trace import Trace, TraceRecorder
 from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.episodes import SolvedAt
-from deepbots_cli.learning.run import BestModel, Run
+from deepbots_cli.learning.records import BestModel
+from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout import Episode
 from tests.insight.logs import SHUTTLE, evaluations_with, outcomes, returns_of, train_shuttle, with_logs
 
@@ -73,7 +74,11 @@ def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(tmp_path):
     logged = with_logs(training.run.path, np.linspace(0, 5 * script, 400), FLAT, success=good, **curves)
     cheating = replace(logged, scripts=training.scripts, policy=training.policy, random=training.random)
     first = diagnose(cheating)[0]
-    assert (first.cause, first.evidence["term"], first.evidence["example"]) == ("reward_exploited", "parked", "the script 'by_hand'")
+    assert (first.cause, first.evidence["term"], first.evidence["example"]) == (
+        "reward_exploited",
+        "parked",
+        "the script 'by_hand'",
+    )
     assert "the script in 100% (68% to 100%) of 8 episodes" in first.text
     assert "Let 'parked' pay once" in first.advice
     poorer = with_logs(training.run.path, np.linspace(0, 0.5 * script, 400), FLAT, success=good, **curves)
@@ -83,17 +88,23 @@ def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(tmp_path):
 
 
 def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_succeeds(tmp_path):
-    """The policy succeeded in all episodes with 295, and those of the training returned 829 without a success."""
+    """The policy succeeded in all episodes with 295, and those of the training returned 829 without a
+    success."""
     path = train_shuttle(tmp_path, *HELD)
     curves = {"reward__parked": np.linspace(50, 800, 20), "reward__closer": [2.0] * 20}
     logged = with_logs(path, np.linspace(0, 829, 400), FLAT, success=0.0, **curves)
     succeeding = [Episode(295.0, 117, True, "found", {"parked": 242.0, "closer": 3.0}) for _ in range(100)]
     solved = replace(logged, final_episodes=succeeding, verdict=replace(logged.verdict, solved=True))
     named = _named(solved, "reward_exploited")
-    assert "more than the 295 of the successful episodes of the evaluation, but the policy succeeds in 0%" in named.text
+    assert (
+        "more than the 295 of the successful episodes of the evaluation, but the policy succeeds in 0%"
+        in named.text
+    )
     assert "'parked' pays most of the difference" in named.text
     fewer = with_logs(path, np.full(400, 250.0), FLAT, success=0.5, **curves)
-    assert "reward_exploited" not in _causes(replace(fewer, final_episodes=succeeding, verdict=solved.verdict))
+    assert "reward_exploited" not in _causes(
+        replace(fewer, final_episodes=succeeding, verdict=solved.verdict)
+    )
 
 
 def test_a_reward_that_disagrees_with_the_success_comes_before_the_noise_on_the_actions(carriage):
@@ -110,7 +121,9 @@ def test_previous_action_is_not_advised_to_a_scenario_that_has_it(carriage, tmp_
     poor = [Episode(0.0, 60, k < 29, "max_steps") for k in range(100)]
 
     def told(run: Path) -> str:
-        training = with_logs(run, returns_of(good, 0), FLAT, success=good, evaluations=evaluations_with(*[0.3] * 20))
+        training = with_logs(
+            run, returns_of(good, 0), FLAT, success=good, evaluations=evaluations_with(*[0.3] * 20)
+        )
         return _named(replace(training, final_episodes=poor), "success_needs_exploration").advice
 
     without = told(carriage)
@@ -133,7 +146,9 @@ def test_a_term_for_progress_is_not_advised_to_a_scenario_that_has_one(carriage,
 
 def test_noise_that_is_large_already_is_raised_and_not_lowered(tmp_path):
     noisy = "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0.5}}"
-    training = with_logs(train_shuttle(tmp_path, noisy), returns_of(np.zeros(400), 0), FLAT, train__std=[0.01] * 20)
+    training = with_logs(
+        train_shuttle(tmp_path, noisy), returns_of(np.zeros(400), 0), FLAT, train__std=[0.01] * 20
+    )
     assert _named(training, "exploration_collapsed").settings == {"train.action_noise.sigma": "1"}
 
 
@@ -145,7 +160,9 @@ def test_the_kept_model_is_told_where_another_one_succeeds_more(carriage):
     training = with_logs(carriage, returns_of(good, 0), FLAT, success=good, evaluations=done)
     record = training.run.record
     best = BestModel(chosen_by="return", measure="mean_return", mean_return=9.0)
-    training.run.record = record.model_copy(update={"result": record.result.model_copy(update={"best": best})})
+    training.run.record = record.model_copy(
+        update={"result": record.result.model_copy(update={"best": best})}
+    )
     found = _named(training, "kept_by_return")
     assert (found.evidence["kept_at"], found.evidence["best_at"]) == (2000, 1000)
     assert "chosen by its return, 9 against 1" in found.text
@@ -159,14 +176,23 @@ def test_the_kept_model_is_told_where_another_one_succeeds_more(carriage):
 def test_a_drone_that_learned_to_flip_at_once_is_told_what_makes_failing_pay(tmp_path):
     """It was told that success is rare, and to add a term for progress, which it has."""
     hit = "termination.failure={hit: abs(shuttle.place) > 0.49 m}"
-    lengths = np.concatenate([np.full(60, 60.0), np.full(340, 20.0)]) + np.random.default_rng(3).normal(0, 1, 400)
+    lengths = np.concatenate([np.full(60, 60.0), np.full(340, 20.0)]) + np.random.default_rng(3).normal(
+        0, 1, 400
+    )
     returns = -0.5 * lengths + np.random.default_rng(4).normal(0, 6, 400)
     run = train_shuttle(tmp_path, hit, "reward.effort=-0.5 * drive^2")
     ending = np.array(["max_steps"] * 60 + ["hit"] * 340, object)
-    curves = {"reward__effort": [-28.0] + [-9.0] * 19, "reward__closer": [1.0] * 20, "reward__time": [-1.2] + [-0.4] * 19}
+    curves = {
+        "reward__effort": [-28.0] + [-9.0] * 19,
+        "reward__closer": [1.0] * 20,
+        "reward__time": [-1.2] + [-0.4] * 19,
+    }
     first = diagnose(with_logs(run, returns, lengths, ending=ending, **curves))[0]
     assert first.cause == "ending_early_pays"
-    assert "'hit' ends 100% of them after 20 steps on average; the first episodes of the training lasted 60" in first.text
+    assert (
+        "'hit' ends 100% of them after 20 steps on average; the first episodes of the training lasted 60"
+        in first.text
+    )
     assert "'effort' went from -28 to -9 per episode and 'time' went from -1.2 to -0.4" in first.text
     paid = {**curves, "reward__effort": [-9.0] * 20, "reward__closer": [-9.0] + [9.0] * 19}
     training = with_logs(run, -returns, lengths, ending=ending, **paid)
@@ -178,7 +204,11 @@ def test_a_drone_that_learned_to_flip_at_once_is_told_what_makes_failing_pay(tmp
 
 def test_a_return_that_every_episode_reaches_is_not_told_to_explore_more(tmp_path):
     """39.2 in all of 100 episodes, where `solved` asks for 60 and the speed of the wheels allows 40."""
-    sets = ["termination={}", "reward={far: 10 * delta(shuttle.place) / m}", "solved=mean_return >= 60 over 100 episodes"]
+    sets = [
+        "termination={}",
+        "reward={far: 10 * delta(shuttle.place) / m}",
+        "solved=mean_return >= 60 over 100 episodes",
+    ]
     run = train_shuttle(tmp_path, *sets)
     grown = 39.2 - 30 * np.exp(-np.arange(400) / 20) + np.random.default_rng(2).normal(0, 0.02, 400)
     ending = {"ending": "max_steps", "train__std": [0.5] + [0.01] * 19}
@@ -205,24 +235,34 @@ def test_a_teacher_that_fails_itself_is_named_when_its_pupil_does_as_well(tmp_pa
     found = _named(pupil, "teacher_fails")
     assert "'by_hand' succeeds in 55% (34% to 74%) of 20 episodes" in found.text
     assert found.command == f"deepbots try {SHUTTLE} --driver by_hand --episodes 20"
-    able = with_logs(run, returns_of(good, 0), FLAT, success=good, evaluations=done, teacher__success_rate=[1.0])
+    able = with_logs(
+        run, returns_of(good, 0), FLAT, success=good, evaluations=done, teacher__success_rate=[1.0]
+    )
     assert "teacher_fails" not in _causes(able)
     poor = [Episode(0.0, 60, k < 10, "max_steps") for k in range(100)]
     assert "teacher_fails" not in _causes(replace(pupil, final_episodes=poor))
 
 
-SLOW = "termination.success={parked: abs(gap) < near and abs(joint_velocity(shuttle.slide)) < 2 mm/s and step > 5}"
+SLOW = (
+    "termination.success={parked: abs(gap) < near and abs(joint_velocity(shuttle.slide)) < 2 mm/s and"
+    " step > 5}"
+)
 
 
 def test_the_condition_that_all_failed_episodes_miss_is_in_the_verdict_over_the_run(tmp_path):
-    """`speed < 0.2 m/s` in 1 of 84 moments was only in `diagnose --episode failed`, and the run was told to train on."""
+    """`speed < 0.2 m/s` in 1 of 84 moments was only in `diagnose --episode failed`, and the run was told to
+    train on."""
     run = Run.open(train_shuttle(tmp_path, SLOW))
     drives = [0.8] * 12 + [1, -1] * 24  # to the mark, and never slow there
     failed = [_played(run, drives, mark) for mark in (0.2, 0.21, 0.22, 0.23)]
     assert {trace.outcome for trace in failed} == {"time limit"}
     missed = common_miss(failed)
     assert missed is not None
-    assert (missed.condition.text, missed.episodes, missed.of) == ("abs(joint_velocity(shuttle.slide)) < 2 mm/s", 4, 4)
+    assert (missed.condition.text, missed.episodes, missed.of) == (
+        "abs(joint_velocity(shuttle.slide)) < 2 mm/s",
+        4,
+        4,
+    )
     good = outcomes(400, 0.5, 0.5)
     training = with_logs(run.path, returns_of(good, 0), FLAT, success=good)
     found = _named(replace(training, failed=failed), "missed_condition")
@@ -236,11 +276,14 @@ def test_the_condition_that_all_failed_episodes_miss_is_in_the_verdict_over_the_
 
 
 def test_lint_as_a_cause_says_that_falling_early_pays_and_names_the_file_of_the_user(tmp_path, monkeypatch):
-    """It read "Lint reports 1 warning", and its command named the copy in the run, which a student then edited."""
+    """It read "Lint reports 1 warning", and its command named the copy in the run, which a student then
+    edited."""
     monkeypatch.chdir(tmp_path)
     text = api.compile("cartpole", overrides=["reward.alive=-1"]).resolved
     own = tmp_path / "mine.yaml"
-    own.write_text(text.replace("inputs/robots", str(Path(api.compile("cartpole").source).parents[1] / "robots")))
+    own.write_text(
+        text.replace("inputs/robots", str(Path(api.compile("cartpole").source).parents[1] / "robots"))
+    )
     monkeypatch.chdir(tmp_path)
     run = train(api.compile("mine.yaml"), total_timesteps=64, seed=2, run=Path("run")).run
     noise = np.random.default_rng(0).normal(0, 3, 200)
@@ -256,14 +299,17 @@ def test_lint_as_a_cause_says_that_falling_early_pays_and_names_the_file_of_the_
 
 
 def test_lint_is_no_likely_cause_where_the_training_shows_the_opposite(tmp_path):
-    """ "Avoiding the success pays more" was the first cause of a training whose successes returned 383, and the others 117."""
+    """ "Avoiding the success pays more" was the first cause of a training whose successes returned 383, and
+    the others 117."""
     run = train_shuttle(tmp_path, "reward.stay=1")
     noise, success = np.random.default_rng(0).normal(0, 3, 200), np.arange(200) % 2
     refuted = with_logs(run, 117 + 266 * success + noise, np.full(200, 30), success=success)
     assert _named(refuted, "lint_warns").text.startswith("Lint warns about ")
     assert _named(refuted, "lint_warns").evidence["likelihood"] < 0.5
     confirmed = with_logs(run, 117 - 66 * success + noise, np.full(200, 30), success=success)
-    assert _named(confirmed, "lint_warns").text.startswith("Avoiding the success pays more than the success: ")
+    assert _named(confirmed, "lint_warns").text.startswith(
+        "Avoiding the success pays more than the success: "
+    )
 
 
 def test_a_folder_is_allowed_only_where_the_copy_reads_beyond_its_own(short, tmp_path):
@@ -272,7 +318,9 @@ def test_a_folder_is_allowed_only_where_the_copy_reads_beyond_its_own(short, tmp
     assert linted_scenario(run).arguments == "cartpole"
     moved = replace(run, record=run.record.model_copy(update={"source": "gone.yaml"}))
     arguments = linted_scenario(moved).arguments
-    assert arguments == f"{short}/inputs/scenarios/cartpole.yaml --allow-path {short}/inputs"  # it names ../robots
+    assert (
+        arguments == f"{short}/inputs/scenarios/cartpole.yaml --allow-path {short}/inputs"
+    )  # it names ../robots
     own = Run.open(train(SHUTTLE, total_timesteps=64, run=tmp_path / "run").run)
     gone = replace(own, record=own.record.model_copy(update={"source": "gone.yaml"}))
     assert linted_scenario(gone).arguments == f"{tmp_path}/run/inputs/shuttle.yaml"
@@ -290,7 +338,9 @@ def test_a_report_has_the_causes_of_an_unsolved_training(carriage, tmp_path):
 
 
 def test_the_line_of_a_finding_in_a_report_is_that_of_the_listing_below(tmp_path):
-    warned = train_shuttle(tmp_path, "reward.time=-2", "termination.failure={hit: abs(shuttle.place) > 0.49 m}")
+    warned = train_shuttle(
+        tmp_path, "reward.time=-2", "termination.failure={hit: abs(shuttle.place) > 0.49 m}"
+    )
     assert main(["eval", str(warned), "--episodes", "9"]) == 0
     page = Report.read(warned).html()
     linted = linted_scenario(Run.open(warned))
@@ -298,7 +348,9 @@ def test_the_line_of_a_finding_in_a_report_is_that_of_the_listing_below(tmp_path
     for finding in linted.findings:
         if finding.span.source is linted.text:
             line = finding.span.start_position.line
-            shown = finding.span.source.line(line).replace("'", "&#39;").replace(">", "&gt;").replace("<", "&lt;")
+            shown = (
+                finding.span.source.line(line).replace("'", "&#39;").replace(">", "&gt;").replace("<", "&lt;")
+            )
             assert f'<span class="marked"><b>{line}</b>{shown}</span>' in page
 
 
@@ -307,14 +359,20 @@ def test_the_line_of_a_finding_in_a_report_is_that_of_the_listing_below(tmp_path
 
 def test_a_parameter_in_the_observation_is_no_sensor_that_detects_nothing(tmp_path):
     """`vx` always 0.5 m/s."""
-    training = read_training(Run.open(train_shuttle(tmp_path, "augment.wish=speed", "observation.wish=0 .. 1 m/s")))
+    training = read_training(
+        Run.open(train_shuttle(tmp_path, "augment.wish=speed", "observation.wish=0 .. 1 m/s"))
+    )
     run_probes(training)
-    assert {float(trace.observations[0, -1]) for trace in training.random} == {0.0}  # 0.5 m/s is the middle of the range
+    assert {float(trace.observations[0, -1]) for trace in training.random} == {
+        0.0
+    }  # 0.5 m/s is the middle of the range
     assert "sensor_without_reading" not in _causes(training)
 
 
 def test_a_value_is_shown_in_the_unit_of_the_file(tmp_path):
-    compiled = api.compile("cartpole", overrides=["observation.x=-40 .. 40 cm", "parameters.fall_angle=0.2 rad"])
+    compiled = api.compile(
+        "cartpole", overrides=["observation.x=-40 .. 40 cm", "parameters.fall_angle=0.2 rad"]
+    )
     facts = ScenarioFacts(compiled.program, compiled.units)
     numbers = {number.full_name: number for number in compiled.program.agent.numbers}
     assert facts.range_text(numbers["x"], 0.25) == "25 cm"

@@ -1,4 +1,5 @@
-"""Why a training fell apart: the setting that explains the fall comes first, and its advice is a value that the scenario does not have."""
+"""Why a training fell apart: the setting that explains the fall comes first, and its advice is a value that
+the scenario does not have."""
 
 from __future__ import annotations
 
@@ -31,12 +32,20 @@ def _lines(means=MEANS, every: int = 6000) -> list[dict]:
     """Evaluations of 20 episodes whose returns have these means."""
     spread = np.linspace(-3, 3, 20)
     return [
-        {"steps": every * (number + 1), "stage": "", "is_best": False, "returns": (mean + spread).tolist(), "successes": [0.0] * 20}
+        {
+            "steps": every * (number + 1),
+            "stage": "",
+            "is_best": False,
+            "returns": (mean + spread).tolist(),
+            "successes": [0.0] * 20,
+        }
         for number, mean in enumerate(means)
     ]
 
 
-def _fallen(run: Path, *settings: str, scenario: str = "cartpole", means=MEANS, **scalars) -> TrainingEvidence:
+def _fallen(
+    run: Path, *settings: str, scenario: str = "cartpole", means=MEANS, **scalars
+) -> TrainingEvidence:
     """A training of another scenario and with other logs, in the folder of a short one."""
     training = read_training(Run.open(run))
     opened = replace(
@@ -44,7 +53,10 @@ def _fallen(run: Path, *settings: str, scenario: str = "cartpole", means=MEANS, 
         record=training.run.record.model_copy(update={"total_timesteps": 60_000}),
         compiled=api.compile(api.load(scenario, overrides=settings)),
     )
-    curves = {name.replace("__", "/"): (np.linspace(0, 60_000, len(values)), np.asarray(values, float)) for name, values in scalars.items()}
+    curves = {
+        name.replace("__", "/"): (np.linspace(0, 60_000, len(values)), np.asarray(values, float))
+        for name, values in scalars.items()
+    }
     return replace(training, run=opened, all_evaluations=_lines(means), scalars=curves)
 
 
@@ -67,13 +79,17 @@ def short(tmp_path_factory) -> Path:
     ],
 )
 def test_the_setting_that_is_far_from_usual_comes_first(short, settings, path, advised):
-    training = _fallen(short, *settings, train__approx_kl=[0.01, 0.2] * 10, train__entropy_loss=[-0.6, -0.4, -0.5, -0.65])
+    training = _fallen(
+        short, *settings, train__approx_kl=[0.01, 0.2] * 10, train__entropy_loss=[-0.6, -0.4, -0.5, -0.65]
+    )
     first = diagnose(training)[0]
     assert first.cause == "fell_apart"
     assert first.evidence["suspects"][0]["path"] == path
     assert first.settings == {path: advised}
     assert f"`{path}: {advised}`" in first.advice
-    assert first.text.startswith("The training got worse: the mean return of its evaluations fell from 200 at 36,000 steps")
+    assert first.text.startswith(
+        "The training got worse: the mean return of its evaluations fell from 200 at 36,000 steps"
+    )
 
 
 def test_large_rewards_are_named(short):
@@ -81,7 +97,9 @@ def test_large_rewards_are_named(short):
     training = _fallen(short, "reward.alive=100", means=means, train__explained_variance=[0.1] * 20)
     first = diagnose(training)[0]
     assert first.settings == {"train.normalize": "reward"}
-    normalized = _fallen(short, "reward.alive=100", "train.normalize=reward", means=means, train__explained_variance=[0.1] * 20)
+    normalized = _fallen(
+        short, "reward.alive=100", "train.normalize=reward", means=means, train__explained_variance=[0.1] * 20
+    )
     assert "train.normalize" not in diagnose(normalized)[0].settings
 
 
@@ -120,7 +138,9 @@ def test_with_usual_settings_the_advice_is_smaller_updates(short):
 
 def test_a_success_that_is_given_up_for_more_reward_is_no_matter_of_settings(short):
     """As where a policy learns to stay beside the mark, which pays more than the mark."""
-    training = _fallen(short, "train.n_epochs=100", scenario="pit_escape", means=(1, 3, 9, 9, 9, 10, 20, 30, 31, 34))
+    training = _fallen(
+        short, "train.n_epochs=100", scenario="pit_escape", means=(1, 3, 9, 9, 9, 10, 20, 30, 31, 34)
+    )
     for number, each in enumerate(training.all_evaluations):
         each["successes"] = [float(2 <= number <= 5)] * 20
     solved = replace(training.run.program.agent, solved=None)
@@ -133,7 +153,9 @@ def test_a_success_that_is_given_up_for_more_reward_is_no_matter_of_settings(sho
 
 def test_a_training_that_gets_worse_after_its_teacher_ended_is_told_so(short):
     """With a teacher a training got much worse after its best evaluation, and nothing said so."""
-    taught = [1.0] * 12 + [0.5] * 2 + [0.0] * 6  # the weight falls from 37,900 steps on, the evaluations from 42,000
+    taught = (
+        [1.0] * 12 + [0.5] * 2 + [0.0] * 6
+    )  # the weight falls from 37,900 steps on, the evaluations from 42,000
     first = diagnose(_fallen(short, teacher__weight=taught))[0]
     assert first.cause == "fell_apart"
     assert "It fell after the teacher had ended, at 37,894 steps" in first.text
@@ -151,7 +173,9 @@ def test_no_setting_of_a_shipped_scenario_is_suspected(short, scenario):
 
 
 def test_a_healthy_training_has_not_fallen_apart(short):
-    assert "fell_apart" not in [cause.cause for cause in diagnose(_fallen(short, means=(20, 60, 150, 190, 200, 195, 200, 198)))]
+    assert "fell_apart" not in [
+        cause.cause for cause in diagnose(_fallen(short, means=(20, 60, 150, 190, 200, 195, 200, 198)))
+    ]
 
 
 @pytest.fixture

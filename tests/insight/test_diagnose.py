@@ -1,4 +1,5 @@
-"""Diagnoses of trainings: planted causes come first, healthy trainings have none, and broken files are told in a sentence."""
+"""Diagnoses of trainings: planted causes come first, healthy trainings have none, and broken files are told
+in a sentence."""
 
 from __future__ import annotations
 
@@ -26,9 +27,11 @@ from deepbots_cli.insight.statements import statements_about
 from deepbots_cli.insight.trace import TraceRecorder, trace_episodes
 from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.learning.group import GroupRecord
-from deepbots_cli.learning.run import EvaluationRecord, Run, run_lock
+from deepbots_cli.learning.records import EvaluationRecord
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes
 from deepbots_cli.rollout import Episode
 from tests.insight.broken import BROKEN, all_causes
@@ -50,14 +53,22 @@ def test_logs_alone_tell_some_causes(short):
     leveled = diagnose(with_logs(short, 100 - 70 * np.exp(-np.arange(200) / 40) + noise))
     assert not any("still learns" in cause.text for cause in leveled)
     # 1 % of the planned timesteps: later episodes may end in other ways, or succeed
-    assert [cause.text.partition(".")[0] for cause in diagnose(with_logs(short, 30 + noise))] == ["The training is short"]
-    assert "exploration_collapsed" in _causes(with_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10))
+    assert [cause.text.partition(".")[0] for cause in diagnose(with_logs(short, 30 + noise))] == [
+        "The training is short"
+    ]
+    assert "exploration_collapsed" in _causes(
+        with_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10)
+    )
 
 
 @pytest.fixture(scope="session")
 def aiming(tmp_path_factory) -> Path:
     """A training of all its timesteps in a task with a success; not to be changed."""
-    sets = ["termination.success={there: x > 0.3 m}", "reward.there=300 when there", "train.total_timesteps=512"]
+    sets = [
+        "termination.success={there: x > 0.3 m}",
+        "reward.there=300 when there",
+        "train.total_timesteps=512",
+    ]
     compiled = api.compile(api.load("cartpole", overrides=sets))
     return train(compiled, total_timesteps=512, seed=2, run=tmp_path_factory.mktemp("runs") / "aiming").run
 
@@ -65,7 +76,11 @@ def aiming(tmp_path_factory) -> Path:
 def test_a_training_that_stays_at_a_local_optimum_is_told_the_term_that_pays_it(aiming):
     returns = 100 - 70 * np.exp(-np.arange(200) / 20) + np.random.default_rng(0).normal(0, 3, 200)
     first = diagnose(with_logs(aiming, returns, np.full(200, 100), reward__alive=returns))[0]
-    assert (first.cause, first.evidence["term"], first.evidence["term_share"]) == ("success_never_seen", "alive", 1.0)
+    assert (first.cause, first.evidence["term"], first.evidence["term_share"]) == (
+        "success_never_seen",
+        "alive",
+        1.0,
+    )
     assert "'alive' gives 100% of the positive reward of late episodes" in first.text
     assert "a reward term for progress" not in first.advice
     assert "path_distance" in first.advice
@@ -99,7 +114,10 @@ def test_steps_beyond_the_plan_read_sensibly(short):
     assert "10,984 steps in 200 episodes; the scenario sets 100,000" in found.text
 
 
-STAGES = "[{name: wide, set: {near: 6 cm}, until: success_rate >= 80 % over 40 episodes}, {name: exact, set: {near: 1 mm}}]"
+STAGES = (
+    "[{name: wide, set: {near: 6 cm}, until: success_rate >= 80 % over 40 episodes}, {name: exact, set:"
+    " {near: 1 mm}}]"
+)
 
 
 @pytest.fixture(scope="session")
@@ -112,7 +130,9 @@ def test_evaluations_of_an_easy_stage_do_not_count_as_solved(staged):
     """They hid every cause."""
     good = outcomes(400, 0.7, 0.95)
     evaluations = evaluations_with(*[0.95] * 20, stage="wide")
-    training = with_logs(staged, returns_of(good, 1), np.full(400, 60), success=good, stages="wide", evaluations=evaluations)
+    training = with_logs(
+        staged, returns_of(good, 1), np.full(400, 60), success=good, stages="wide", evaluations=evaluations
+    )
     assert not training.solved
     first = diagnose(training)[0]
     assert first.cause == "easy_stage_counted"
@@ -120,9 +140,15 @@ def test_evaluations_of_an_easy_stage_do_not_count_as_solved(staged):
     assert "`until: success_rate >= 80 % in evaluation`" in first.advice
     text = statements_about((present_stage,), training)[0].text
     assert "is in stage 'wide' (1 of 2), which began at step 0 of 24,000" in text
-    assert "succeeds in 95% of the episodes in 2 evaluations" in text  # of the same starts, so without an interval
+    assert (
+        "succeeds in 95% of the episodes in 2 evaluations" in text
+    )  # of the same starts, so without an interval
     done = [Episode(1.0, 60, k < 6, "max_steps") for k in range(100)]
-    (final,) = [each for each in diagnose(replace(training, final_episodes=done)) if each.cause == "easy_stage_counted"]
+    (final,) = [
+        each
+        for each in diagnose(replace(training, final_episodes=done))
+        if each.cause == "easy_stage_counted"
+    ]
     assert "in the scenario itself in 6% (3% to 12%) of 100 episodes" in final.text
 
 
@@ -140,7 +166,9 @@ def test_returns_of_different_stages_are_not_compared(staged):
 def test_a_step_to_a_stage_that_is_too_hard_is_named_with_the_settings_that_change(staged):
     good = np.concatenate([outcomes(200, 0.5, 0.9), np.zeros(400)])
     stages = np.repeat(["wide", "exact"], [200, 400]).astype(object)
-    first = diagnose(with_logs(staged, returns_of(good, 0, 1), np.full(600, 60), success=good, stages=stages))[0]
+    first = diagnose(
+        with_logs(staged, returns_of(good, 0, 1), np.full(600, 60), success=good, stages=stages)
+    )[0]
     assert first.cause == "stage_too_hard"
     assert "near: 6 cm -> 1 mm" in first.advice
 
@@ -152,7 +180,9 @@ def test_a_stage_that_its_criterion_never_ends_is_told_with_what_it_reaches(stag
     assert "the stage ends at 80%" in first.text
     assert "`until: success_rate >= 4" in first.advice
     rising = outcomes(400, 0, 0.1, 0.2, 0.75)
-    assert "stuck_in_stage" not in _causes(with_logs(staged, returns_of(rising, 0), np.full(400, 60), success=rising, stages="wide"))
+    assert "stuck_in_stage" not in _causes(
+        with_logs(staged, returns_of(rising, 0), np.full(400, 60), success=rising, stages="wide")
+    )
 
 
 def test_a_success_rate_that_is_flat_is_a_plateau_whatever_the_return_does(carriage):
@@ -162,7 +192,9 @@ def test_a_success_rate_that_is_flat_is_a_plateau_whatever_the_return_does(carri
     assert causes[0] == "success_plateau"
     assert "too_few_steps" not in causes
     rising = outcomes(400, 0, 0.2, 0.4, 0.7)
-    assert _causes(with_logs(carriage, returns_of(rising, 0, 4), np.full(400, 60), success=rising)) == ["too_few_steps"]
+    assert _causes(with_logs(carriage, returns_of(rising, 0, 4), np.full(400, 60), success=rising)) == [
+        "too_few_steps"
+    ]
 
 
 def test_the_starts_that_fail_are_named_with_the_value_that_they_draw(carriage):
@@ -185,7 +217,12 @@ def test_starts_that_fail_are_named_though_the_evaluations_succeed_in_four_of_fi
     good = (places > -0.5).astype(float)
     drawn = [json.dumps({"place": place}) for place in places]
     training = with_logs(
-        carriage, returns_of(good, 0), np.full(400, 60), success=good, drawn=drawn, evaluations=evaluations_with(*[0.8] * 20)
+        carriage,
+        returns_of(good, 0),
+        np.full(400, 60),
+        success=good,
+        drawn=drawn,
+        evaluations=evaluations_with(*[0.8] * 20),
     )
     assert _causes(training) == ["some_starts_fail"]
 
@@ -197,13 +234,20 @@ def test_one_success_among_thousands_is_as_good_as_none(carriage):
     assert first.cause == "success_never_seen"
     assert "Only 1 of 2,706 episodes is a success" in first.text
     late = np.concatenate([np.zeros(380), np.tile([0.0, 1.0], 10)])  # success has just begun
-    assert "success_never_seen" not in _causes(with_logs(carriage, returns_of(late, 0, 2), np.full(400, 60), success=late))
+    assert "success_never_seen" not in _causes(
+        with_logs(carriage, returns_of(late, 0, 2), np.full(400, 60), success=late)
+    )
 
 
 def test_advice_on_exploration_names_options_that_the_algorithm_has(staged, tmp_path):
     """PPO has no action noise, and its `ent_coef` is 0."""
     good = outcomes(400, 0.0, 0.05)
-    logs = {"lengths": np.full(400, 60), "success": good, "stages": "wide", "evaluations": evaluations_with(*[1.0] * 20, stage="wide")}
+    logs = {
+        "lengths": np.full(400, 60),
+        "success": good,
+        "stages": "wide",
+        "evaluations": evaluations_with(*[1.0] * 20, stage="wide"),
+    }
     first = diagnose(with_logs(staged, returns_of(good, 0), **logs))[0]
     assert first.cause == "exploration_hides_success"
     assert "with `in evaluation` in its `until`" in first.advice
@@ -216,7 +260,9 @@ def test_advice_on_exploration_names_options_that_the_algorithm_has(staged, tmp_
 
 
 def test_action_noise_of_zero_is_raised_to_a_number_above_zero(tmp_path):
-    silent = train_shuttle(tmp_path, "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0}}")
+    silent = train_shuttle(
+        tmp_path, "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0}}"
+    )
     collapsed = diagnose(with_logs(silent, returns_of(np.zeros(400), 0)))
     (found,) = [each for each in collapsed if each.cause == "exploration_collapsed"]
     assert "aise `train.action_noise.sigma` from 0 to 0.3" in found.advice
@@ -229,23 +275,39 @@ def test_a_learning_rate_that_is_far_too_low_is_not_told_to_train_on(tmp_path):
     first = diagnose(with_logs(run, flat, np.full(400, 60), train__approx_kl=[1e-7] * 20))[0]
     assert (first.cause, first.settings) == ("learning_rate_too_low", {"train.learning_rate": "0.003"})
     assert "300 times lower than the usual 0.003" in first.text
-    assert "learning_rate_too_low" not in _causes(with_logs(run, flat, np.full(400, 60), train__approx_kl=[0.01] * 20))
+    assert "learning_rate_too_low" not in _causes(
+        with_logs(run, flat, np.full(400, 60), train__approx_kl=[0.01] * 20)
+    )
     rising = with_logs(run, returns_of(np.zeros(400), 0, 9), np.full(400, 60), train__approx_kl=[1e-7] * 20)
     assert "learning_rate_too_low" not in _causes(rising)
 
 
 def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carriage):
-    """Its episodes and an evaluation met `solved`, 100 further episodes did not: it was given no cause at all."""
+    """Its episodes and an evaluation met `solved`, 100 further episodes did not: it was given no cause at
+    all."""
     training = with_logs(carriage, returns_of(np.ones(400), 0), np.full(400, 60), success=1.0)
     record = training.run.record
-    met = SolvedAt(episode=200, steps=12_000, simulated_hours=1.0, cpu_seconds=1.0, mean_return=4.0, success_rate=1.0)
+    met = SolvedAt(
+        episode=200, steps=12_000, simulated_hours=1.0, cpu_seconds=1.0, mean_return=4.0, success_rate=1.0
+    )
     training.run.record = record.model_copy(
-        update={"total_timesteps": 48_000, "result": record.result.model_copy(update={"solved_at": met, "steps": 24_000})}
+        update={
+            "total_timesteps": 48_000,
+            "result": record.result.model_copy(update={"solved_at": met, "steps": 24_000}),
+        }
     )
     evaluation = EvaluationRecord(
-        evaluated="2026-01-01T00:00:00+00:00", model="best", seed=0, episodes=100, mean_return=4.0, return_interval=None,
-        success_defined=True, success_rate=0.87, success_interval=(0.79, 0.92), solved=False,
-    )  # fmt: skip
+        evaluated="2026-01-01T00:00:00+00:00",
+        model="best",
+        seed=0,
+        episodes=100,
+        mean_return=4.0,
+        return_interval=None,
+        success_defined=True,
+        success_rate=0.87,
+        success_interval=(0.79, 0.92),
+        solved=False,
+    )
     (found,) = diagnose(replace(training, verdict=RunVerdict(False, evaluation)))
     assert (found.cause, found.settings) == ("stopped_early", {"train.total_timesteps": "48_000"})
     assert found.command == f"deepbots resume {carriage} --timesteps 48_000"
@@ -258,28 +320,48 @@ def test_rewards_that_the_critic_cannot_follow_are_normalized(short):
     training = with_logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.02] * 20)
     (found,) = [each for each in diagnose(training) if each.cause == "rewards_too_large"]
     assert found.settings == {"train.normalize": "reward"}
-    assert "rewards_too_large" not in _causes(with_logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.9] * 20))
-    assert "rewards_too_large" not in _causes(with_logs(short, 30 + noise, 30 + noise, train__explained_variance=[0.02] * 20))
+    assert "rewards_too_large" not in _causes(
+        with_logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.9] * 20)
+    )
+    assert "rewards_too_large" not in _causes(
+        with_logs(short, 30 + noise, 30 + noise, train__explained_variance=[0.02] * 20)
+    )
 
 
 def test_a_discount_factor_that_hides_the_success_is_raised_by_the_length_of_an_episode(tmp_path):
     flat = {"returns": returns_of(np.zeros(400), 0), "lengths": np.full(400, 60)}
     first = diagnose(with_logs(train_shuttle(tmp_path / "far", "train.gamma=0.4"), **flat))[0]
-    assert (first.cause, first.settings) == ("horizon_too_short", {"train.gamma": "0.95"})  # at most 60 steps: 0.95^60 is 5 %
-    assert "horizon_too_short" not in _causes(with_logs(train_shuttle(tmp_path / "near", "train.gamma=0.95"), **flat))
+    assert (first.cause, first.settings) == (
+        "horizon_too_short",
+        {"train.gamma": "0.95"},
+    )  # at most 60 steps: 0.95^60 is 5 %
+    assert "horizon_too_short" not in _causes(
+        with_logs(train_shuttle(tmp_path / "near", "train.gamma=0.95"), **flat)
+    )
 
 
 def test_a_success_that_needs_exploration_is_named(carriage):
     """Without noise on its actions, the policy stood still."""
     good = outcomes(400, 0.2, 0.9, 1.0, 1.0)
     poor = [Episode(0.0, 60, k < 29, "max_steps") for k in range(100)]
-    training = with_logs(carriage, returns_of(good, 0), np.full(400, 60), success=good, evaluations=evaluations_with(*[0.3] * 20))
+    training = with_logs(
+        carriage,
+        returns_of(good, 0),
+        np.full(400, 60),
+        success=good,
+        evaluations=evaluations_with(*[0.3] * 20),
+    )
     first = diagnose(replace(training, final_episodes=poor))[0]
     assert first.cause == "success_needs_exploration"
-    assert (first.evidence["with"].rate, first.evidence["without"].rate) == (pytest.approx(1.0, abs=0.03), 0.3)
+    assert (first.evidence["with"].rate, first.evidence["without"].rate) == (
+        pytest.approx(1.0, abs=0.03),
+        0.3,
+    )
     assert first.settings == {"train.total_timesteps": "50_000"}
     high = evaluations_with(*[0.9] * 20)
-    assert "success_needs_exploration" not in _causes(replace(training, all_evaluations=high, final_episodes=poor))
+    assert "success_needs_exploration" not in _causes(
+        replace(training, all_evaluations=high, final_episodes=poor)
+    )
 
 
 def test_a_script_that_succeeds_where_the_policy_does_not_is_the_teacher(tmp_path):
@@ -288,7 +370,9 @@ def test_a_script_that_succeeds_where_the_policy_does_not_is_the_teacher(tmp_pat
     run_probes(training)
     assert {name: len(traces) for name, traces in training.scripts.items()} == {"by_hand": 8, "idle": 8}
     poor = [Episode(0.0, 60, k < 6, "max_steps") for k in range(100)]
-    (found,) = [each for each in diagnose(replace(training, final_episodes=poor)) if each.cause == "script_succeeds"]
+    (found,) = [
+        each for each in diagnose(replace(training, final_episodes=poor)) if each.cause == "script_succeeds"
+    ]
     assert found.settings == {"train.teacher": "by_hand"}
     assert "'by_hand' succeeds in 100% (68% to 100%) of 8 episodes, and the policy in 6%" in found.text
     good = [Episode(0.0, 60, k < 70, "parked") for k in range(100)]
@@ -300,7 +384,9 @@ def test_a_stage_that_exploration_prolonged_is_named(staged):
     good = np.concatenate([outcomes(300, 0.0, 0.5), outcomes(300, 0.4, 0.4)])
     stages = np.repeat(["wide", "exact"], [300, 300]).astype(object)
     evaluations = evaluations_with(*[0.0] * 5, *[1.0] * 13, stage="wide")
-    training = with_logs(staged, returns_of(good, 0), np.full(600, 60), success=good, stages=stages, evaluations=evaluations)
+    training = with_logs(
+        staged, returns_of(good, 0), np.full(600, 60), success=good, stages=stages, evaluations=evaluations
+    )
     (found,) = [each for each in diagnose(training) if each.cause == "exploration_delays_stage"]
     assert found.evidence["delay"] == 18_060 - 6_000
 
@@ -311,21 +397,35 @@ def test_a_success_that_earns_less_than_its_absence_is_named(carriage):
     assert first.cause == "reward_apart_from_success"
     assert "the mean return is -1.97 in " in first.text
     falling = outcomes(400, 0.6, 0.1, 0.1)
-    first = diagnose(with_logs(carriage, returns_of(falling, 0, 9), np.full(400, 60), success=falling, reward__closer=np.arange(20.0)))[0]
+    first = diagnose(
+        with_logs(
+            carriage,
+            returns_of(falling, 0, 9),
+            np.full(400, 60),
+            success=falling,
+            reward__closer=np.arange(20.0),
+        )
+    )[0]
     assert (first.cause, first.evidence["term"]) == ("reward_apart_from_success", "closer")
 
 
 def test_dying_early_is_named_with_the_success_rate_from_which_going_on_pays(tmp_path):
     """A step costs 2, a hit 5, and a success earns 10."""
-    run = Run.open(train_shuttle(tmp_path, "termination.failure={hit: abs(shuttle.place) > 0.49 m}", "reward.time=-2"))
+    run = Run.open(
+        train_shuttle(tmp_path, "termination.failure={hit: abs(shuttle.place) > 0.49 m}", "reward.time=-2")
+    )
     generator = np.random.default_rng(5)
     lengths = np.concatenate([np.full(20, 60), np.full(20, 30), generator.integers(8, 20, 360)]).astype(float)
     good, ending = np.zeros(400), np.array(["max_steps"] * 20 + ["parked"] * 20 + ["hit"] * 360, object)
     good[20:40] = 1
-    training = with_logs(run.path, -2 * lengths + 40 * good - 5 * (ending == "hit"), lengths, success=good, ending=ending)
+    training = with_logs(
+        run.path, -2 * lengths + 40 * good - 5 * (ending == "hit"), lengths, success=good, ending=ending
+    )
     first = diagnose(training)[0]
     assert first.cause == "ending_early_pays"
-    assert first.evidence["break_even"] == pytest.approx((-5 - 2 * lengths[40:].mean() + 120) / (-20 + 120), abs=1e-6)
+    assert first.evidence["break_even"] == pytest.approx(
+        (-5 - 2 * lengths[40:].mean() + 120) / (-20 + 120), abs=1e-6
+    )
     assert "continuing pays only if at least 8" in first.text
 
 
@@ -347,7 +447,13 @@ def test_a_run_whose_last_evaluation_misses_the_criterion_is_not_told_to_be_solv
     run = Run.open(train_shuttle(tmp_path, "solved=success_rate >= 95 % over 100 episodes"))
     good = np.ones(400)
     done = [Episode(5.0, 60, k >= 7, "parked") for k in range(100)]
-    training = with_logs(run.path, returns_of(good, 0), np.full(400, 60), success=good, evaluations=evaluations_with(*[1.0] * 20))
+    training = with_logs(
+        run.path,
+        returns_of(good, 0),
+        np.full(400, 60),
+        success=good,
+        evaluations=evaluations_with(*[1.0] * 20),
+    )
     assert training.solved
     assert not replace(training, final_episodes=done, verdict=RunVerdict(False, None)).solved
 
@@ -376,11 +482,15 @@ def test_staying_near_the_success_is_named_where_it_pays_more(carriage, tmp_path
         ended = False
         while not ended:
             gap = 0.9 * observation[1]
-            observation, _, failed, ended, _ = world.step(np.array([np.sign(gap) if abs(gap) > 0.06 else 0.0], np.float32))
+            observation, _, failed, ended, _ = world.step(
+                np.array([np.sign(gap) if abs(gap) > 0.06 else 0.0], np.float32)
+            )
             assert not failed
         staying = world.trace("an episode")
     good = outcomes(400, 0.3, 0.05)
-    training = with_logs(run.path, returns_of(good, 10, 30), np.full(400, 60), success=good, ending="max_steps")
+    training = with_logs(
+        run.path, returns_of(good, 10, 30), np.full(400, 60), success=good, ending="max_steps"
+    )
     first = diagnose(replace(training, policy=[staying]))[0]
     assert (first.cause, first.evidence["term"]) == ("loitering", "warm")
     assert 0.5 < first.evidence["per_step"] < 0.7
@@ -388,7 +498,11 @@ def test_staying_near_the_success_is_named_where_it_pays_more(carriage, tmp_path
 
 def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys):
     with pytest.raises(EvaluationError):
-        train(api.compile(api.load("cartpole", overrides=["fall_angle=0.15 deg"])), total_timesteps=64, run=tmp_path / "run")
+        train(
+            api.compile(api.load("cartpole", overrides=["fall_angle=0.15 deg"])),
+            total_timesteps=64,
+            run=tmp_path / "run",
+        )
     training = read_training(Run.open(tmp_path / "run"))
     run_probes(training)
     assert _causes(training) == ["ending_at_reset"]
@@ -404,10 +518,17 @@ def test_a_training_that_solves_its_task_has_no_causes(short):
 
 
 def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes(short, tmp_path):
-    overrides = ["robots.cart.apply.wheels=0 * drive * wheel_speed", "observation.x=-1e-6 .. 1e-6 m", "reward.alive=-1", "train.ent_coef=5"]
+    overrides = [
+        "robots.cart.apply.wheels=0 * drive * wheel_speed",
+        "observation.x=-1e-6 .. 1e-6 m",
+        "reward.alive=-1",
+        "train.ent_coef=5",
+    ]
     overrides += ["augment.tilt=max(abs(cart.pole_angle) / rad, 0.19)", "observation.tilt=0.2 .. 0.4"]
     compiled = api.compile(api.load("cartpole", overrides=overrides))
-    training = read_training(Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run))
+    training = read_training(
+        Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run)
+    )
     assert "action_without_effect" not in _causes(training)
     run_probes(training)
     assert _causes(training)[0] == "action_without_effect"
@@ -415,12 +536,15 @@ def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes
     (warned,) = [cause for cause in diagnose(training) if cause.cause == "lint_warns"]
     assert warned.evidence["likelihood"] > 0.9  # the required return is out of reach
     assert "the highest possible return is -1 (DB810)" in warned.text
-    # Most values of both are beyond their range. Those of `tilt` hardly differ there, so clipping loses nothing.
+    # Most values of both are beyond their range. Those of `tilt` hardly differ there, so clipping loses
+    # nothing.
     (clipped,) = [cause for cause in diagnose(training) if cause.cause == "saturated_observation"]
     assert min(clipped.evidence["shares"]["x"], clipped.evidence["shares"]["tilt"]) > 0.4
     assert clipped.evidence["names"] == "x"
     # Its evaluations, which do not explore, may solve the task all the same.
-    assert _causes(replace(training, all_evaluations=[{"returns": [200.0], "successes": [False]}])) == ["exploration_too_large"]
+    assert _causes(replace(training, all_evaluations=[{"returns": [200.0], "successes": [False]}])) == [
+        "exploration_too_large"
+    ]
 
 
 def test_a_diagnosis_is_printed_with_numbers_and_what_to_try(short, capsys):
@@ -454,13 +578,19 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
     assert kept.failed(opened.program) == list(range(10))
     for trace, number in zip(trace_episodes(opened, (9, 3), **kept.replay_options), (9, 3), strict=True):
         known = outcomes[number]
-        assert (trace.steps, trace.returns, trace.ended_by) == (known["length"], known["total_return"], known["ended_by"])
+        assert (trace.steps, trace.returns, trace.ended_by) == (
+            known["length"],
+            known["total_return"],
+            known["ended_by"],
+        )
 
 
 def test_failed_episodes_that_a_time_limit_ended_print_no_blank_lines(short, tmp_path, capsys):
     run = shutil.copytree(short, tmp_path / "run")
     resolved, record = run / "resolved.yaml", json.loads((run / "run.json").read_text())
-    resolved.write_text(resolved.read_text().replace("failure:", "success:\n    kept: time > 60 s\n  failure:"))
+    resolved.write_text(
+        resolved.read_text().replace("failure:", "success:\n    kept: time > 60 s\n  failure:")
+    )
     text = resolved.read_text()
     resolved.write_text(re.sub(r"max_steps: \d+", "max_steps: 5", text))
     (run / "run.json").write_text(json.dumps(record | {"digest": Run.open(run).digest}))
@@ -484,9 +614,13 @@ def test_a_critic_that_never_fell_names_no_moment(short):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scenario", "timesteps"), [("cartpole", 2048), ("balancer", 6000), ("quadrotor", 6000), ("line_follower", 6000)])
+@pytest.mark.parametrize(
+    ("scenario", "timesteps"),
+    [("cartpole", 2048), ("balancer", 6000), ("quadrotor", 6000), ("line_follower", 6000)],
+)
 def test_the_named_moment_precedes_the_end_of_fifty_failed_episodes(scenario, timesteps, tmp_path):
-    """It is the largest drop of the critic's value, of a policy at the beginning of its training; 20 s of CPU time each."""
+    """It is the largest drop of the critic's value, of a policy at the beginning of its training; 20 s of CPU
+    time each."""
     run = Run.open(train(scenario, total_timesteps=timesteps, seed=711, run=tmp_path / scenario).run)
     episodes = trace_episodes(run, range(500), seed=712, model="last")
     failed = list(islice((trace for trace in episodes if trace.outcome == "failure"), 50))
@@ -530,8 +664,19 @@ def test_what_cannot_be_diagnosed_is_told_in_a_sentence(short, tmp_path, capsys)
     assert "is damaged" in capsys.readouterr().err
     shutil.copy(short / "monitor.csv", log)
     evaluation = run / "evaluations" / "0001.json"
-    kept = {"evaluated": "9999", "model": "best", "seed": 2, "episodes": 1, "mean_return": 9.0, "return_interval": None, "solved": None,
-            "success_defined": False, "success_rate": 0.0, "success_interval": [0.0, 1.0], "outcomes": None}  # fmt: skip
+    kept = {
+        "evaluated": "9999",
+        "model": "best",
+        "seed": 2,
+        "episodes": 1,
+        "mean_return": 9.0,
+        "return_interval": None,
+        "solved": None,
+        "success_defined": False,
+        "success_rate": 0.0,
+        "success_interval": [0.0, 1.0],
+        "outcomes": None,
+    }
     evaluation.write_text(json.dumps(kept))
     assert main(["diagnose", str(run), "--episode", "failed"]) == 2
     assert "0001.json is damaged: 'outcomes'" in capsys.readouterr().err
@@ -561,7 +706,9 @@ def test_half_a_line_of_a_log_is_left_out_and_any_other_damage_is_told(short, tm
         with pytest.raises(RunError, match="one of its logs cannot be read"):
             read_training(Run.open(run))
     else:
-        assert len(read_training(Run.open(run)).evaluations) == len(read_training(Run.open(short)).evaluations)
+        assert len(read_training(Run.open(run)).evaluations) == len(
+            read_training(Run.open(short)).evaluations
+        )
 
 
 def test_a_damaged_seed_of_a_group_hides_no_other_seed(short, tmp_path, capsys):

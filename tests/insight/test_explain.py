@@ -1,4 +1,5 @@
-"""Explanations of episodes: ending, time and margin are those of the recorded state, computed here without deepbots' expressions."""
+"""Explanations of episodes: ending, time and margin are those of the recorded state, computed here without
+deepbots' expressions."""
 
 from __future__ import annotations
 
@@ -32,7 +33,10 @@ def _up(frame: WorldFrame, body: str, link: str) -> float:
 def _cartpole(frames: Frames) -> dict[str, float]:
     last = frames[-1]
     (angle,) = last.messages["cart/from_robot"].values
-    return {"fallen": abs(angle) - math.radians(15), "off_track": abs(last.links["cart", "body"][0][0]) - 0.39}
+    return {
+        "fallen": abs(angle) - math.radians(15),
+        "off_track": abs(last.links["cart", "body"][0][0]) - 0.39,
+    }
 
 
 def _balancer(frames: Frames) -> dict[str, float]:
@@ -42,7 +46,11 @@ def _balancer(frames: Frames) -> dict[str, float]:
 def _quadrotor(frames: Frames) -> dict[str, float]:
     place = frames[-1].links["drone", "base_link"][0]
     away = math.dist(place, (0, 0, 1)) - 1.5
-    return {"lost": away, "flipped": _up(frames[-1], "drone", "base_link") - math.radians(100), "crashed": math.nan}
+    return {
+        "lost": away,
+        "flipped": _up(frames[-1], "drone", "base_link") - math.radians(100),
+        "crashed": math.nan,
+    }
 
 
 _TRACK = LinearRing([(-0.6, -0.4), (0.6, -0.4), (0.6, 0.4), (0, 0.1), (-0.6, 0.4)])
@@ -57,7 +65,11 @@ def _line_follower(frames: Frames) -> dict[str, float]:
 CASES: dict[str, tuple[str, Callable[[Frames], dict[str, float]], float]] = {
     "cartpole": ("random", _cartpole, 0.0),
     "balancer": ("random", _balancer, 0.0),
-    "quadrotor": ("random", _quadrotor, 0.01),  # an episode may end after the first of the two timesteps of a step
+    "quadrotor": (
+        "random",
+        _quadrotor,
+        0.01,
+    ),  # an episode may end after the first of the two timesteps of a step
     "line_follower": ("random", _line_follower, 0.0),
 }
 
@@ -69,14 +81,18 @@ def _check(scenario: str, path: Path, count: int) -> None:
     opened = Showing(str(path)).open()
     failed = 0
     with closing(ReplayPlayer(opened)) as replayed:
-        for trace, recorded in zip(trace_recorded(opened, opened.recording.episodes), opened.recording.episodes, strict=True):
+        for trace, recorded in zip(
+            trace_recorded(opened, opened.recording.episodes), opened.recording.episodes, strict=True
+        ):
             frames = [replayed.begin(0, recorded.number)] if recorded.number else [replayed.begin(0, 0)]
             frames += [replayed.seek(place) for place in range(1, replayed.length)]
             last = frames[-1]
             data = explanation_json(trace, explain(trace))
             assert (data["ended_by"], data["steps"]) == (last.ended_by, last.step)
             assert last.time - slack - 1e-9 <= data["time"] <= last.time + 1e-9
-            assert data["return"] == pytest.approx(last.agents[next(iter(last.agents))].episode_return, abs=1e-9)
+            assert data["return"] == pytest.approx(
+                last.agents[next(iter(last.agents))].episode_return, abs=1e-9
+            )
             assert data["moment"] is None or data["moment"]["time"] < data["time"]
             if last.truncated:
                 assert data["outcome"] == "time limit"
@@ -85,14 +101,18 @@ def _check(scenario: str, path: Path, count: int) -> None:
             failed += 1
             assert data["outcome"] == "failure"
             expected = independent(frames)[last.ended_by]
-            if math.isnan(expected):  # a fact has no margin; a rotor reaches 6 cm, and may have left the ground again in the same step
+            if math.isnan(
+                expected
+            ):  # a fact has no margin; a rotor reaches 6 cm, and may have left the ground again in the same step
                 assert data["end"]["holds"]
                 assert "margin" not in data["end"]
                 assert last.forces or last.links["drone", "base_link"][0][2] < 0.06
             else:
                 assert data["end"]["margin"] == pytest.approx(expected, abs=1e-6)
                 assert expected > -1e-9
-                assert data["end"]["value"] - data["end"]["bound"] == pytest.approx(data["end"]["margin"], abs=1e-12)
+                assert data["end"]["value"] - data["end"]["bound"] == pytest.approx(
+                    data["end"]["margin"], abs=1e-12
+                )
     assert failed == count
 
 
@@ -127,9 +147,12 @@ def test_every_sentence_has_a_number(recording):
 
 
 def test_endings_with_and_or_and_not(tmp_path):
-    """Of a condition with several comparisons, the one that has just become true is named, with `not` taken into its sign."""
+    """Of a condition with several comparisons, the one that has just become true is named, with `not` taken
+    into its sign."""
     ending = "not (abs(x) <= track) or (abs(cart.pole_angle) > fall_angle and step >= 3)"
-    with closing_player(Showing("cartpole", overrides=[f"termination.failure={{over: {ending}}}"]), "random") as world:
+    with closing_player(
+        Showing("cartpole", overrides=[f"termination.failure={{over: {ending}}}"]), "random"
+    ) as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     end = explanation_json(trace, explain(trace))["end"]
@@ -171,20 +194,30 @@ def test_what_is_no_episode_is_told_in_a_sentence(recording, tmp_path, capsys):
 def test_json_holds_the_same_statements(recording, capsys):
     assert main(["diagnose", str(recording), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert [each["text"] for each in data["statements"]] == [each.text for each in explain(_traced(recording))]
+    assert [each["text"] for each in data["statements"]] == [
+        each.text for each in explain(_traced(recording))
+    ]
     assert data["end"]["margin"] > 0
 
 
 @pytest.mark.parametrize(
     ("success", "needed", "value"),
     [
-        ("time > 0.1 s and abs(cart.pole_angle) < 0.001 deg", "abs(cart.pole_angle) < 0.001 deg", "deg"),  # time held in the end
+        (
+            "time > 0.1 s and abs(cart.pole_angle) < 0.001 deg",
+            "abs(cart.pole_angle) < 0.001 deg",
+            "deg",
+        ),  # time held in the end
         ("abs(x) < 1 m and time > 60 s", "time > 60 s", "s"),
         ("time > 0.1 s and (x > 1 m or tip_speed > 99 m/s)", "x > 1 m", "m"),
     ],
 )
-def test_the_condition_that_a_missed_success_lacks_is_named_and_not_one_that_held(tmp_path, success, needed, value):
-    with closing_player(Showing("cartpole", overrides=[f"termination.success={{kept: {success}}}"]), "random") as world:
+def test_the_condition_that_a_missed_success_lacks_is_named_and_not_one_that_held(
+    tmp_path, success, needed, value
+):
+    with closing_player(
+        Showing("cartpole", overrides=[f"termination.success={{kept: {success}}}"]), "random"
+    ) as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     assert trace.outcome == "failure"
@@ -196,7 +229,10 @@ def test_the_condition_that_a_missed_success_lacks_is_named_and_not_one_that_hel
 
 
 def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
-    sets = ["signals={rest: duration(abs(x) < 1 mm and abs(speed) < 0.001 mm/s)}", "termination.success={rested: rest > 0.3 s}"]
+    sets = [
+        "signals={rest: duration(abs(x) < 1 mm and abs(speed) < 0.001 mm/s)}",
+        "termination.success={rested: rest > 0.3 s}",
+    ]
     with closing_player(Showing("cartpole", overrides=sets), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")

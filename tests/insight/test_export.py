@@ -1,4 +1,5 @@
-"""Exported networks act as Stable-Baselines3 does; `deepbots export` describes what it writes, and refuses what does not fit."""
+"""Exported networks act as Stable-Baselines3 does; `deepbots export` describes what it writes, and refuses
+what does not fit."""
 
 from __future__ import annotations
 
@@ -37,7 +38,9 @@ def _made(scenario: str, algorithm: str, activation: str = "tanh", frame_stack: 
     program = api.compile(scenario).program
     training = Training(algorithm, 1000, network=Network((32, 32), activation))
     program = program.with_agents(training=training, frame_stack=frame_stack)
-    learner = learners.create(learners.Setup(training, observation_space(program.agent), action_space(program.agent)))
+    learner = learners.create(
+        learners.Setup(training, observation_space(program.agent), action_space(program.agent))
+    )
     with torch.no_grad():
         for weight in learner.model.policy.parameters():
             weight.mul_(1.5).add_(0.05 * torch.randn_like(weight))
@@ -70,7 +73,10 @@ def test_actions_are_those_of_stable_baselines3(scenario, algorithm, activation)
     program, learner = _made(scenario, algorithm, activation)
     graph = network.policy_graph(learner, program)
     session = _session(graph)
-    assert network.largest_difference(learner, program, graph, 10_000, lambda feeds: session.run(None, feeds)) <= network.TOLERANCE
+    assert (
+        network.largest_difference(learner, program, graph, 10_000, lambda feeds: session.run(None, feeds))
+        <= network.TOLERANCE
+    )
 
 
 @pytest.mark.slow
@@ -78,7 +84,10 @@ def test_pictures_are_seen_as_stable_baselines3_sees_them():
     program, learner = _made("see_ball", "PPO")
     graph = network.policy_graph(learner, program)
     session = _session(graph)
-    assert network.largest_difference(learner, program, graph, 200, lambda feeds: session.run(None, feeds)) <= network.TOLERANCE
+    assert (
+        network.largest_difference(learner, program, graph, 200, lambda feeds: session.run(None, feeds))
+        <= network.TOLERANCE
+    )
 
 
 def test_older_values_stand_where_the_environment_puts_them():
@@ -106,12 +115,29 @@ def test_the_bundle_tells_what_goes_in_and_out_and_how_good_it_is(bundle):
     known = json.loads((bundle / "bundle.json").read_text())
     inputs = {entry["name"]: entry for entry in known["inputs"]}
     angle, place = inputs["cart.pole_angle"], inputs["position(cart)"]
-    assert (angle["source"], angle["sensor"], angle["joints"], angle["unit"]) == ("sensor", "joint_position", ["pole_hinge"], "rad")
-    assert (place["source"], place["components"], place["unit"], place["frame"]) == ("supervisor", ["x", "y", "z"], "m", "world")
+    assert (angle["source"], angle["sensor"], angle["joints"], angle["unit"]) == (
+        "sensor",
+        "joint_position",
+        ["pole_hinge"],
+        "rad",
+    )
+    assert (place["source"], place["components"], place["unit"], place["frame"]) == (
+        "supervisor",
+        ["x", "y", "z"],
+        "m",
+        "world",
+    )
     (wheels,) = known["outputs"]
-    assert (wheels["name"], wheels["kind"], wheels["unit"], wheels["safe"]) == ("cart.wheels", "velocity", "rad/s", [0.0] * 4)
+    assert (wheels["name"], wheels["kind"], wheels["unit"], wheels["safe"]) == (
+        "cart.wheels",
+        "velocity",
+        "rad/s",
+        [0.0] * 4,
+    )
     assert wheels["range"] == [[-10.0] * 4, [10.0] * 4]  # of the URDF
-    assert known["action"] == [{"name": "drive", "unit": "", "low": None, "high": None, "options": known["action"][0]["options"]}]
+    assert known["action"] == [
+        {"name": "drive", "unit": "", "low": None, "high": None, "options": known["action"][0]["options"]}
+    ]
     assert known["action"][0]["options"] == {"forward": {"drive": 1.0}, "backward": {"drive": -1.0}}
     assert known["rate_hz"] == 31.25
     assert known["evaluation"]["episodes"] == 12
@@ -119,7 +145,10 @@ def test_the_bundle_tells_what_goes_in_and_out_and_how_good_it_is(bundle):
     assert known["scenario"]["robots"]["cart"]["digest"] == hashlib.sha256(urdf).hexdigest()
     text = (bundle / "README.md").read_text()
     assert "| cart.pole_angle | 0 | pole_hinge | rad | no limit | yes | sensor (joint_position) |" in text
-    assert "The policy acts on 4 numbers: `position(cart)` (x), `velocity(cart)` (x), `cart.pole_angle`, `velocity(cart.tip)` (x)." in text
+    assert (
+        "The policy acts on 4 numbers: `position(cart)` (x), `velocity(cart)` (x), `cart.pole_angle`,"
+        " `velocity(cart.tip)` (x)." in text
+    )
     assert f"mean return {known['evaluation']['mean_return']:.4g} (95 % interval " in text
 
 
@@ -141,7 +170,12 @@ def test_the_bundle_drives_the_environment_as_the_policy_does(bundle, run):
             pose, velocity = env.engine.pose("cart")()[0], env.engine.velocity("cart")()[0]
             tip = env.engine.velocity("cart", "tip")()[0]
             (hinge,) = env.engine.joint_states("cart", ["pole_hinge"])()
-            values = {"position(cart)": pose, "velocity(cart)": velocity, "velocity(cart.tip)": tip, "cart.pole_angle": hinge[0]}
+            values = {
+                "position(cart)": pose,
+                "velocity(cart)": velocity,
+                "velocity(cart.tip)": tip,
+                "cart.pole_angle": hinge[0],
+            }
             found = acting.step(values)
             action = policy(seen)
             assert found["action"] == action
@@ -163,7 +197,10 @@ def test_a_bundle_that_does_not_fit_is_refused_item_by_item(bundle, capsys):
     command = shlex.split(told.strip().rpartition("deepbots ")[2])  # its robot file is in the bundle
     assert main(command) == 1
     assert "world.timestep" in capsys.readouterr().out
-    assert main(["export", "--check", str(bundle / "scenario.yaml"), str(bundle), "--set", "train.gamma=0.9"]) == 0
+    assert (
+        main(["export", "--check", str(bundle / "scenario.yaml"), str(bundle), "--set", "train.gamma=0.9"])
+        == 0
+    )
     assert capsys.readouterr().err == ""
 
 
@@ -175,10 +212,15 @@ def _edit(folder: Path, **changes: object) -> None:
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda folder: (folder / "policy.onnx").write_bytes(b"other"), "policy.onnx is not the file that was exported"),
+        (
+            lambda folder: (folder / "policy.onnx").write_bytes(b"other"),
+            "policy.onnx is not the file that was exported",
+        ),
         (lambda folder: (folder / "parity.npz").unlink(), "parity.npz is missing"),
         (
-            lambda folder: (folder / "policy.onnx").rename(folder / "x") and (folder / "policy.onnx").symlink_to("x"),
+            lambda folder: (
+                (folder / "policy.onnx").rename(folder / "x") and (folder / "policy.onnx").symlink_to("x")
+            ),
             "reached through a symbolic link",
         ),
         (lambda folder: _edit(folder, files={}), "bundle.json has no digest of policy.onnx"),
@@ -201,7 +243,10 @@ def test_a_spoiled_bundle_is_told_in_a_sentence(bundle, tmp_path, capsys, spoil,
 
 def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, capsys):
     assert main(["export", str(run), "-o", str(bundle)]) == 2
-    assert "is not empty; choose another folder, or replace files of the same name with --force" in capsys.readouterr().err
+    assert (
+        "is not empty; choose another folder, or replace files of the same name with --force"
+        in capsys.readouterr().err
+    )
     (tmp_path / "file").write_text("")
     assert main(["export", str(run), "-o", str(tmp_path / "file" / "new")]) == 2
     assert "is not a directory" in capsys.readouterr().err
@@ -214,7 +259,10 @@ def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, ca
 
 def test_export_to_isaac_lab_refuses_before_it_imports_torch_and_reads_the_model(run, tmp_path):
     """With both, the refusal of a scenario that does not fit took seven seconds."""
-    code = "import sys; from deepbots_cli.cli import main; print(main(sys.argv[1:]), [m for m in ('torch', 'onnx') if m in sys.modules])"
+    code = (
+        "import sys; from deepbots_cli.cli import main; print(main(sys.argv[1:]), [m for m in ('torch',"
+        " 'onnx') if m in sys.modules])"
+    )
     words = ["export", str(run), "--to", "isaac-lab", "-o", str(tmp_path / "new")]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
     assert "choices, goals, images, copies" in done.stderr

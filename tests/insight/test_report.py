@@ -53,9 +53,17 @@ def group(run, tmp_path) -> Path:
     (folder / "seed-1" / "run.json").write_text("{")
     shutil.rmtree(folder / "seed-2" / "evaluations")
     record = {name: None for name, field in GroupRecord.model_fields.items() if field.is_required()} | {
-        "format": 1, "deepbots": "0", "scenario": "CartPole", "source": "cartpole", "engine": "pybullet", "seeds": [0, 1, 2],
-        "stop_when_solved": True, "keep_checkpoints": 0, "command": [], "started": "",
-    }  # fmt: skip
+        "format": 1,
+        "deepbots": "0",
+        "scenario": "CartPole",
+        "source": "cartpole",
+        "engine": "pybullet",
+        "seeds": [0, 1, 2],
+        "stop_when_solved": True,
+        "keep_checkpoints": 0,
+        "command": [],
+        "started": "",
+    }
     (folder / "group.json").write_text(json.dumps(record))
     return folder
 
@@ -64,7 +72,10 @@ def test_the_page_shows_the_result_of_the_run_and_loads_nothing(run, written):
     text = written[0].read_text(encoding="utf-8")
     kept = json.loads((run / "evaluations" / "0001.json").read_text())
     low, high = kept["return_interval"]
-    shown = f"mean return {kept['mean_return']:.4g} (95 % interval {low:.4g} .. {high:.4g}; all returns are equal)"
+    shown = (
+        f"mean return {kept['mean_return']:.4g} (95 % interval {low:.4g} .. {high:.4g}; all returns are"
+        " equal)"
+    )
     assert shown in text
     assert set(re.findall(r'(?:src|srcset|href)="([a-z]+:)', text)) == {"data:"}
     assert not re.search(r"<script|https?://", text.lower())
@@ -73,7 +84,12 @@ def test_the_page_shows_the_result_of_the_run_and_loads_nothing(run, written):
 
 
 def test_every_figure_is_a_file_too(written):
-    assert {path.name for path in written[1].iterdir()} == {"returns.png", "endings.png", "starts.png", "trajectories.png"}
+    assert {path.name for path in written[1].iterdir()} == {
+        "returns.png",
+        "endings.png",
+        "starts.png",
+        "trajectories.png",
+    }
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written[1].iterdir())
 
 
@@ -81,19 +97,29 @@ def test_best_median_and_worst_are_those_of_the_evaluation_and_happen_again(run)
     report = Report.read(run)
     shown = report.choose_episodes(6)
     assert len(shown) == 6
-    returns = sorted(episode["total_return"] for episode in json.loads((run / "evaluations" / "0001.json").read_text())["outcomes"])
-    assert [each.outcome.total_return for each in shown if each.label] == [returns[-1], returns[len(returns) // 2 - 1], returns[0]]
+    returns = sorted(
+        episode["total_return"]
+        for episode in json.loads((run / "evaluations" / "0001.json").read_text())["outcomes"]
+    )
+    assert [each.outcome.total_return for each in shown if each.label] == [
+        returns[-1],
+        returns[len(returns) // 2 - 1],
+        returns[0],
+    ]
     report.repeat_episodes(shown, lambda done, of: None, clips=False)
     assert report.notes == []  # a return that differs now would be noted
     assert report.moving.parts == (("cart", "body"),)
-    assert [len(each.positions["cart", "body"]) - 1 for each in report.episodes] == [each.outcome.length for each in shown]
+    assert [len(each.positions["cart", "body"]) - 1 for each in report.episodes] == [
+        each.outcome.length for each in shown
+    ]
 
 
 def test_the_stages_of_a_curriculum_are_listed_with_their_last_evaluation(run):
     report = Report.read(run)
     assert report.stages == []
     (log,) = (member.log for member in report.runs)
-    log.stages, log.evaluation_stages = [StageStart("wide", 0.0), StageStart("usual", 4096.0)], ["wide", "wide"]
+    log.stages = [StageStart("wide", 0.0), StageStart("usual", 4096.0)]
+    log.evaluation_stages = ["wide", "wide"]
     log.evaluations = np.array([2000.0, 4000.0]), np.array([20.0, 35.5])
     assert [row[1:] for row in report.stages] == [("wide", "0", "", "35.5"), ("usual", "4,096", "", "")]
 
@@ -105,8 +131,14 @@ def test_the_script_that_taught_the_policy_is_named_with_its_score_and_drawn(run
     log.teacher = "by_hand"
     assert report.teacher == "The script by_hand taught the policy."  # before its score was logged
     at = np.array([100.0, 200.0])
-    log.lessons = {"success_rate": (at, np.array([0.9, 0.95])), "mean_return": (at, np.array([7.0, 7.25])), "agreement": (at, at / 400.0)}
-    assert report.teacher.endswith("the evaluations during the training: success rate 95.0%, mean return 7.25.")
+    log.lessons = {
+        "success_rate": (at, np.array([0.9, 0.95])),
+        "mean_return": (at, np.array([7.0, 7.25])),
+        "agreement": (at, at / 400.0),
+    }
+    assert report.teacher.endswith(
+        "the evaluations during the training: success rate 95.0%, mean return 7.25."
+    )
     drawn = {name: figure for name, _, figure in report.figures("light")}
     assert [line.get_label() for line in drawn["returns"].axes[0].lines][-1] == "teacher by_hand"
     assert [line.get_label() for line in drawn["teacher"].axes[0].lines] == ["agreement"]
@@ -144,7 +176,9 @@ def test_an_object_that_reaches_into_the_picture_is_whole(run):
     (episode,) = report.episodes
     episode.positions = {("cart", "body"): np.array([[0.0, 0.0, 0.1], [0.1, 0.1, 0.1]])}
     bay = [(0.09, 0.05, 0.0), (0.18, 0.05, 0.0), (0.18, 0.1, 0.0), (0.09, 0.1, 0.0)]
-    (panel,) = trajectories(report.episodes, report.moving, episode.run.run.program.world, [bay], "light").axes
+    (panel,) = trajectories(
+        report.episodes, report.moving, episode.run.run.program.world, [bay], "light"
+    ).axes
     assert panel.get_xlim()[0] < 0.0
     assert panel.get_xlim()[1] > 0.18
 
@@ -155,7 +189,9 @@ def test_a_trajectory_that_climbs_is_drawn_from_the_side_too(run):
     (episode,) = report.episodes
     at = np.linspace(0.0, 1.0, 5)
     episode.positions = {("cart", "body"): np.stack([0.1 * at, 0.2 * at, 0.3 * at], axis=1)}
-    above, side = trajectories(report.episodes, report.moving, episode.run.run.program.world, (), "light").axes
+    above, side = trajectories(
+        report.episodes, report.moving, episode.run.run.program.world, (), "light"
+    ).axes
     assert (side.get_xlabel(), side.get_ylabel()) == ("y, m", "z, m")
     assert above.get_xlabel() == "x, m"
     assert [0.2, 0.3] in side.lines[0].get_xydata().tolist()
@@ -164,10 +200,17 @@ def test_a_trajectory_that_climbs_is_drawn_from_the_side_too(run):
 def test_a_return_that_is_another_one_now_is_noted(run):
     report = Report.read(run)
     (episode,) = report.choose_episodes(3)[:1]
-    changed = Episode(**{field.name: getattr(episode.outcome, field.name) for field in fields(Episode)} | {"total_return": 99.0})
+    changed = Episode(
+        **{field.name: getattr(episode.outcome, field.name) for field in fields(Episode)}
+        | {"total_return": 99.0}
+    )
     outcomes = [*episode.run.evaluation.outcomes]
     outcomes[episode.number] = changed
-    member = type(episode.run)(episode.run.run, episode.run.log, episode.run.evaluation.model_copy(update={"outcomes": tuple(outcomes)}))
+    member = type(episode.run)(
+        episode.run.run,
+        episode.run.log,
+        episode.run.evaluation.model_copy(update={"outcomes": tuple(outcomes)}),
+    )
     report.runs = [member]
     report.repeat_episodes(report.choose_episodes(3)[:1], lambda done, of: None, clips=False)
     assert "99 in the evaluation" in report.notes[0]
@@ -189,7 +232,10 @@ def test_the_interval_of_a_group_is_over_its_seeds(group, run):
     kept = json.loads(path.read_text())
     path.write_text(json.dumps(kept | {"mean_return": kept["mean_return"] + 3.0}))
     low, high = mean_interval([kept["mean_return"] + more for more in (0.0, 3.0, 0.0)])
-    assert f"{kept['mean_return'] + 1:.4g} (95 % interval over seeds {low:.4g} .. {high:.4g})" in Report.read(group).result
+    assert (
+        f"{kept['mean_return'] + 1:.4g} (95 % interval over seeds {low:.4g} .. {high:.4g})"
+        in Report.read(group).result
+    )
 
 
 def test_what_cannot_be_reported_is_told_in_a_sentence(run, tmp_path, capsys, group):
@@ -198,7 +244,11 @@ def test_what_cannot_be_reported_is_told_in_a_sentence(run, tmp_path, capsys, gr
     (tmp_path / "empty").mkdir()
     shutil.rmtree(group / "seed-0")
     for folder, told in (
-        (copy, f"contains no evaluation of its best model after the training; create one with: deepbots eval {copy}"),
+        (
+            copy,
+            "contains no evaluation of its best model after the training; create one with: deepbots eval"
+            f" {copy}",
+        ),
         (tmp_path / "empty", "is not a run"),
         (group, "contains no run that can be reported; seed 0 is left out"),
     ):
@@ -237,7 +287,10 @@ def test_a_place_that_cannot_be_written_to_is_told_before_anything_runs(run, tmp
     assert main(["report", str(run), "-o", str(tmp_path / "x.html")]) == 2
     assert "it is a directory" in capsys.readouterr().err
     (tmp_path / "figures").write_text("")
-    assert main(["report", str(run), "-o", str(tmp_path / "y.html"), "--figures", str(tmp_path / "figures")]) == 2
+    assert (
+        main(["report", str(run), "-o", str(tmp_path / "y.html"), "--figures", str(tmp_path / "figures")])
+        == 2
+    )
     assert "is not a directory" in capsys.readouterr().err
 
 
@@ -245,14 +298,20 @@ def test_a_quick_evaluation_does_not_replace_the_result_of_a_report(run, tmp_pat
     copy = shutil.copytree(run, tmp_path / "run")
     before = Report.read(copy).result
     kept = json.loads((copy / "evaluations" / "0001.json").read_text())
-    quick = kept | {"episodes": 3, "planned": 3, "mean_return": 99.0, "solved": True, "outcomes": kept["outcomes"][:3]}
+    quick = kept | {
+        "episodes": 3,
+        "planned": 3,
+        "mean_return": 99.0,
+        "solved": True,
+        "outcomes": kept["outcomes"][:3],
+    }
     (copy / "evaluations" / "0002.json").write_text(json.dumps(quick))
     assert Report.read(copy).result == before
     (copy / "evaluations" / "0001.json").unlink()
     (copy / "evaluations" / "0002.json").write_text(json.dumps(quick | {"planned": 12}))
     assert (
-        "over 3 held-out episodes of the model after 256 steps, from seed 3 (stopped by a requirement after 3 of 12 episodes)"
-        in Report.read(copy).result
+        "over 3 held-out episodes of the model after 256 steps, from seed 3 (stopped by a requirement after"
+        " 3 of 12 episodes)" in Report.read(copy).result
     )
 
 
@@ -271,9 +330,14 @@ def test_the_outline_of_an_object_is_as_it_stands():
     turned = (0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8))  # 45 degrees about z
     corners = outline(Box((0.2, 0.6, 0.3)), ((1.0, 2.0, 0.15), turned))
     assert sorted((round(x, 6), round(y, 6)) for x, y, _ in corners) == sorted(
-        (round(1.0 + half * (a - b), 6), round(2.0 + half * (a + b), 6)) for a in (-0.1, 0.1) for b in (-0.3, 0.3)
+        (round(1.0 + half * (a - b), 6), round(2.0 + half * (a + b), 6))
+        for a in (-0.1, 0.1)
+        for b in (-0.3, 0.3)
     )
-    assert all(math.dist(point[:2], (1.0, 2.0)) == pytest.approx(0.3) for point in outline(Sphere(0.3), ((1.0, 2.0, 0.0), turned)))
+    assert all(
+        math.dist(point[:2], (1.0, 2.0)) == pytest.approx(0.3)
+        for point in outline(Sphere(0.3), ((1.0, 2.0, 0.0), turned))
+    )
 
 
 @pytest.mark.browser
@@ -283,13 +347,16 @@ def test_a_browser_shows_everything_and_asks_for_nothing(filmed, scheme):
     with browser() as new_tab:
         tab = new_tab()
         tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-        tab.call("Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=1, mobile=False)
+        tab.call(
+            "Emulation.setDeviceMetricsOverride", width=390, height=800, deviceScaleFactor=1, mobile=False
+        )
         tab.call("Page.navigate", url=filmed.as_uri())
         tab.wait("document.readyState == 'complete' && document.images.length == 4")
         assert tab.run("[...document.images].every(image => image.naturalWidth > 0)")
         assert tab.run("document.documentElement.scrollWidth") <= 390  # wide parts scroll by themselves
         tab.wait(
-            "[...document.querySelectorAll('video')].length == 3 && [...document.querySelectorAll('video')].every(v => v.duration > 0.1)"
+            "[...document.querySelectorAll('video')].length == 3 &&"
+            " [...document.querySelectorAll('video')].every(v => v.duration > 0.1)"
         )
         ground = tab.run("getComputedStyle(document.body).backgroundColor")
         assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(22, 24, 28)"}[scheme]

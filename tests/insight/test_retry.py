@@ -20,7 +20,7 @@ from deepbots_cli.insight.statements import Statement
 from deepbots_cli.learning.comparison import evaluate_group
 from deepbots_cli.learning.group import Group, RetryAttempt, resume_group
 from deepbots_cli.learning.listing import list_runs
-from deepbots_cli.learning.run import EvaluationRecord, RunRecord
+from deepbots_cli.learning.records import EvaluationRecord, RunRecord
 from deepbots_cli.learning.verdict import RunVerdict
 
 SCENARIO = """\
@@ -49,7 +49,11 @@ def retried(tmp_path_factory) -> Path:
 def test_the_next_attempt_has_the_advised_value_and_the_reason(retried):
     first, second, *_ = Group.open(retried).record.attempts
     assert (first.settings, first.base) == ({}, 0)
-    assert (second.settings, second.base, second.cause) == ({"train.learning_rate": "0.003"}, 1, "learning_rate_too_high")
+    assert (second.settings, second.base, second.cause) == (
+        {"train.learning_rate": "0.003"},
+        1,
+        "learning_rate_too_high",
+    )
     assert "The learning rate is 0.5, 167 times the usual 0.003" in second.text
     runs = [RunRecord.read(retried / name) for name in ("try-1", "try-2")]
     assert [run.seed for run in runs] == [3, 3]
@@ -68,13 +72,18 @@ def test_a_group_that_was_killed_before_an_attempt_continues_with_it_to_the_bit(
     continued = resume_retries(tmp_path / "group")
     whole = Group.open(retried)
     assert Group.open(continued.group).record.attempts == whole.record.attempts
-    results = [[RunRecord.read(run).result.weights_digest for run in Group.open(group).runs] for group in (retried, continued.group)]
+    results = [
+        [RunRecord.read(run).result.weights_digest for run in Group.open(group).runs]
+        for group in (retried, continued.group)
+    ]
     assert results[0] == results[1]
 
 
 def test_an_attempt_that_only_trains_longer_continues_a_copy(tmp_path):
     settings = ["evaluation={episodes: 4}", "train.environments=2", "train.total_timesteps=1024"]
-    found = train_with_retries(api.compile("cartpole", overrides=settings), 1, group=tmp_path / "group", total_timesteps=256)
+    found = train_with_retries(
+        api.compile("cartpole", overrides=settings), 1, group=tmp_path / "group", total_timesteps=256
+    )
     assert [each.attempt.cause for each in found.attempts] == ["", "too_few_steps"]
     first, longer = (RunRecord.read(each.path) for each in found.attempts)
     assert (first.resumed_at, longer.resumed_at) == ((), (256,))
@@ -98,9 +107,17 @@ def test_advice_that_was_tried_is_not_tried_again():
 def test_an_attempt_that_is_clearly_worse_is_left_for_the_best_one():
     def verdict(*interval: float) -> RunVerdict:
         evaluation = EvaluationRecord(
-            evaluated="", model="best", seed=0, episodes=100, mean_return=0.0, return_interval=None, success_defined=True,
-            success_rate=sum(interval) / 2, success_interval=interval, solved=False,
-        )  # fmt: skip
+            evaluated="",
+            model="best",
+            seed=0,
+            episodes=100,
+            mean_return=0.0,
+            return_interval=None,
+            success_defined=True,
+            success_rate=sum(interval) / 2,
+            success_interval=interval,
+            solved=False,
+        )
         return RunVerdict(False, evaluation)
 
     assert _is_worse(verdict(0.1, 0.2), verdict(0.3, 0.5))
@@ -138,7 +155,9 @@ def test_the_values_of_the_best_attempt_are_written_only_on_request(retried, tmp
     assert main(["apply", "group", "mine.yaml", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["values"] == values
     written = Path("mine.yaml").read_text()
-    assert f"learning_rate: 0.003  # a guess  # set by group, try-{Group.open('group').best_attempt}" in written
+    assert (
+        f"learning_rate: 0.003  # a guess  # set by group, try-{Group.open('group').best_attempt}" in written
+    )
     assert (retried.parent / "mine.yaml").read_text() == SCENARIO
 
 
@@ -148,15 +167,25 @@ def test_the_values_of_the_best_attempt_are_written_only_on_request(retried, tmp
         (["train", "cartpole", "--retry", "2", "--seeds", "0..2"], "leave out --seeds"),
         (["train", "cartpole", "--retry", "2", "--view"], "leave out --view"),
         (["train", "open.yaml", "--retry", "2"], "does not say when it is solved"),
-        (["resume", "GROUP", "--timesteps", "9k"], "--timesteps does not go with a group of `train --retry`; it takes: --retry"),
+        (
+            ["resume", "GROUP", "--timesteps", "9k"],
+            "--timesteps does not go with a group of `train --retry`; it takes: --retry",
+        ),
         (["resume", "GROUP/try-1", "--retry", "2"], "--retry does not go with a run; it takes: --timesteps"),
         (["apply", "GROUP/try-1"], "is a run, and not a group of runs or a study"),
     ],
 )
-def test_options_that_do_not_fit_are_refused_in_one_sentence(retried, tmp_path, monkeypatch, capsys, words, message):
+def test_options_that_do_not_fit_are_refused_in_one_sentence(
+    retried, tmp_path, monkeypatch, capsys, words, message
+):
     monkeypatch.chdir(tmp_path)
-    (retried.parent / "open.yaml").write_text("deepbots: 1\nextends: cartpole\nname: Open\nremove: [solved]\n")
-    words = [word.replace("GROUP", str(retried)).replace("open.yaml", str(retried.parent / "open.yaml")) for word in words]
+    (retried.parent / "open.yaml").write_text(
+        "deepbots: 1\nextends: cartpole\nname: Open\nremove: [solved]\n"
+    )
+    words = [
+        word.replace("GROUP", str(retried)).replace("open.yaml", str(retried.parent / "open.yaml"))
+        for word in words
+    ]
     monkeypatch.setattr(sys, "argv", ["deepbots", *words])
     assert main(words) == 2
     assert message in capsys.readouterr().err.splitlines()[-1]

@@ -21,7 +21,10 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.view.episodes import Showing
 
 pytest.importorskip("onnxruntime")
-BRIEF = "train={algorithm: PPO, total_timesteps: 128, environments: 2, n_steps: 64, batch_size: 64, network: {hidden: [16]}}"
+BRIEF = (
+    "train={algorithm: PPO, total_timesteps: 128, environments: 2, n_steps: 64, batch_size: 64, network:"
+    " {hidden: [16]}}"
+)
 PERIOD = 0.032
 
 
@@ -33,7 +36,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def logged(run: Run, path: Path, measured: Callable[[float, float], float], steps: int = 300) -> Path:
-    """A log of a robot that moves as the simulation does; `measured` turns time and angle of the pole into what its sensor gives."""
+    """A log of a robot that moves as the simulation does; `measured` turns time and angle of the pole into
+    what its sensor gives."""
     from deepbots_cli.insight.export.control import ControlStep
     from deepbots_cli.insight.export.recording import recorded_steps
     from deepbots_cli.rollout.policies import PolicyDriver
@@ -65,7 +69,10 @@ def test_a_bias_is_named_first_with_its_time_and_a_line_for_the_scenario(
     assert first.since == pytest.approx(3.2, abs=2 * PERIOD)
     assert first.robot[0] - first.simulated[0] == pytest.approx(0.5 * 199 / 300, abs=0.02)
     assert main(["transfer", str(run.path), "--log", str(log)]) == 0
-    assert re.search(r"robots\.cart\.sensors\.pole_angle: \{bias: uniform\(0 \.\. 0\.3[1-5] rad\)\}", capsys.readouterr().out)
+    assert re.search(
+        r"robots\.cart\.sensors\.pole_angle: \{bias: uniform\(0 \.\. 0\.3[1-5] rad\)\}",
+        capsys.readouterr().out,
+    )
 
 
 def test_noise_is_measured(run: Run, tmp_path: Path) -> None:
@@ -93,7 +100,9 @@ def test_what_is_no_log_of_this_policy_is_refused(run: Run, tmp_path: Path) -> N
         compare_log(run, tmp_path / "missing.mcap")
 
 
-def test_the_episodes_of_a_log_are_listed_and_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_episodes_of_a_log_are_listed_and_explained(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from deepbots_robot.log import LogWriter
 
     path = tmp_path / "log.mcap"
@@ -108,7 +117,10 @@ def test_the_episodes_of_a_log_are_listed_and_explained(tmp_path: Path, capsys: 
     writer.close()
     assert main(["replay", str(path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["episodes"]
-    assert [(each["number"], each["begun"], each["steps"], each["safe_steps"]) for each in found] == [(0, 0.0, 2, 0), (1, 10.0, 2, 1)]
+    assert [(each["number"], each["begun"], each["steps"], each["safe_steps"]) for each in found] == [
+        (0, 0.0, 2, 0),
+        (1, 10.0, 2, 1),
+    ]
     assert [each["seconds"] for each in found] == [0.5, 0.5]  # without the time in which no policy acted
     assert main(["diagnose", str(path), "--episode", "1"]) == 0
     shown = capsys.readouterr().out
@@ -120,7 +132,9 @@ def test_the_episodes_of_a_log_are_listed_and_explained(tmp_path: Path, capsys: 
     assert "is the log of a robot without the scenario" in capsys.readouterr().err
 
 
-def test_a_log_of_a_robot_that_sent_nothing_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_of_a_robot_that_sent_nothing_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from deepbots_robot.log import LogWriter
 
     path = tmp_path / "log.mcap"
@@ -143,18 +157,32 @@ def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: P
         writer.step(begun + 1.0, {}, {"cart.wheels": np.zeros(4)}, 0.002, "policy")
     writer.close()
     found = logged_episodes(path)
-    assert [(each.number, each.steps, len(each.events)) for each in found] == [(0, 1, 1), (1, 1, 0), (2, 1, 0)]
+    assert [(each.number, each.steps, len(each.events)) for each in found] == [
+        (0, 1, 1),
+        (1, 1, 0),
+        (2, 1, 0),
+    ]
 
 
-def test_a_log_that_a_kill_cut_is_used_with_a_note(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_that_a_kill_cut_is_used_with_a_note(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole = logged(run, tmp_path / "whole.mcap", lambda time, angle: angle)
     cut = tmp_path / "cut.mcap"
     content = whole.read_bytes()
     cut.write_bytes(content[: len(content) // 2])
-    for command in (["replay", str(cut)], ["diagnose", str(cut)], ["transfer", str(run.path), "--log", str(cut)]):
+    for command in (
+        ["replay", str(cut)],
+        ["diagnose", str(cut)],
+        ["transfer", str(run.path), "--log", str(cut)],
+    ):
         assert main(command) == 0
         told = capsys.readouterr()
-        found = re.findall(r"cut.mcap has no end: its process was killed, or it is damaged; its first (\d+) messages are used", told.err)
+        found = re.findall(
+            r"cut.mcap has no end: its process was killed, or it is damaged; its first (\d+) messages are"
+            r" used",
+            told.err,
+        )
         assert [100 < int(number) < 300 for number in found] == [True]
         assert main([*command[:-1], str(whole)]) == 0
         assert "has no end" not in capsys.readouterr().err
@@ -176,7 +204,11 @@ def shown(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).write_bytes(content)
     path = tmp_path_factory.mktemp("logs") / "killed.mcap"
     writer = LogWriter(path, {}, clock=lambda: 0.0, files=load(folder).description())
-    values = {"position(cart)": np.array([0.3, 0.1, 0.04]), "cart.pole_angle": np.array([0.2]), "velocity(cart)": np.zeros(3)}
+    values = {
+        "position(cart)": np.array([0.3, 0.1, 0.04]),
+        "cart.pole_angle": np.array([0.2]),
+        "velocity(cart)": np.zeros(3),
+    }
     for number, begun in enumerate((10.0, 20.0)):
         writer.event(begun, "episode", str(number))
         for step in range(3):
@@ -195,7 +227,13 @@ def shown(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_joints_and_poses_of_a_log_move_the_model_and_all_else_stands(shown: Path) -> None:
     with closing(Showing(str(shown)).open().player()) as player:
         frame = player.begin(0, 1)
-        joints = dict(zip((joint.name for joint in player.env.world.robots[0].model.moving_joints), frame.joints["cart"], strict=True))
+        joints = dict(
+            zip(
+                (joint.name for joint in player.env.world.robots[0].model.moving_joints),
+                frame.joints["cart"],
+                strict=True,
+            )
+        )
         assert joints == pytest.approx({**dict.fromkeys(joints, 0.0), "pole_hinge": 0.2})
         root = player.env.world.robots[0].model.root
         assert frame.links["cart", root][0] == pytest.approx((0.3, 0.1, 0.04), abs=1e-6)
@@ -211,9 +249,19 @@ def test_what_the_robot_reported_and_got_is_in_the_frames(shown: Path) -> None:
             (agent,) = frame.agents.values()
             names = [field.name for field in player.reader.layout.observation]
             values = dict(zip(names, agent.observation, strict=True))
-            seen.append((frame.time, values["cart.pole_angle"], values["answer time"], values["age of cart.pole_angle"], values["posture"]))
+            seen.append(
+                (
+                    frame.time,
+                    values["cart.pole_angle"],
+                    values["answer time"],
+                    values["age of cart.pole_angle"],
+                    values["posture"],
+                )
+            )
             assert agent.action == (frame.step,) * 4
-        assert seen == [pytest.approx(row) for row in ((PERIOD, 0.2, 2.0, 50.0, 0.0), (2 * PERIOD, 0.2, 2.0, 50.0, 0.0))]
+        assert seen == [
+            pytest.approx(row) for row in ((PERIOD, 0.2, 2.0, 50.0, 0.0), (2 * PERIOD, 0.2, 2.0, 50.0, 0.0))
+        ]
 
 
 def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(shown: Path) -> None:
@@ -229,7 +277,9 @@ def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(shown: Path
         assert "reported by the robot" in page._values.content
 
 
-def test_a_log_with_damaged_content_is_refused_in_one_sentence(shown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_with_damaged_content_is_refused_in_one_sentence(
+    shown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from deepbots_robot.log import LogWriter, read_attached
 
     files = read_attached(shown)

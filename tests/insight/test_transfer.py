@@ -13,7 +13,16 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.transfer import Gate, Transfer, World, WorldComparison, _names, _works, compare_worlds, transfer
+from deepbots_cli.insight.transfer import (
+    Gate,
+    Transfer,
+    World,
+    WorldComparison,
+    _names,
+    _works,
+    compare_worlds,
+    transfer,
+)
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.run import Run
@@ -21,7 +30,10 @@ from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
 from tests.few import few
 
-BRIEF = "train={algorithm: PPO, total_timesteps: 128, environments: 2, n_steps: 64, batch_size: 64, network: {hidden: [16]}}"
+BRIEF = (
+    "train={algorithm: PPO, total_timesteps: 128, environments: 2, n_steps: 64, batch_size: 64, network:"
+    " {hidden: [16]}}"
+)
 
 
 @pytest.fixture(scope="module")
@@ -69,23 +81,43 @@ ERRORS = {
         cart("sensors: {pole_angle: {latency: 64 ms}}"),
         r"pole_angle is 2 steps late|latency of the sensor cart.pole_angle \+64 ms",
     ),
-    "bias of a sensor": ("cartpole", cart("emit: {pole_angle: pole_angle + 2 deg}"), "cart.pole_angle is larger by 0.0349 rad"),
+    "bias of a sensor": (
+        "cartpole",
+        cart("emit: {pole_angle: pole_angle + 2 deg}"),
+        "cart.pole_angle is larger by 0.0349 rad",
+    ),
     "lag of a motor": (
         "cartpole",
         cart("actuators: {wheels: {time_constant: 64 ms}}"),
         r"time constant of cart.wheels \+64 ms",
     ),
     "heavy pole": ("cartpole", cart("links: {pole: {mass: 2 * urdf}}"), "mass of cart.pole x 2"),
-    "halved gain of a choice": ("cartpole", cart("apply: {wheels: 0.5 * drive * wheel_speed}"), r"command of cart.wheels x 0.5"),
-    "bias of a gyro": ("balancer", bot("emit: {rate: gyro.y + 0.3 rad/s}"), "bot.rate is larger by 0.3 rad/s"),
-    "lag of motors": ("balancer", bot("actuators: {wheels: {time_constant: 20 ms}}"), r"time constant of bot.wheels \+20 ms"),
+    "halved gain of a choice": (
+        "cartpole",
+        cart("apply: {wheels: 0.5 * drive * wheel_speed}"),
+        r"command of cart.wheels x 0.5",
+    ),
+    "bias of a gyro": (
+        "balancer",
+        bot("emit: {rate: gyro.y + 0.3 rad/s}"),
+        "bot.rate is larger by 0.3 rad/s",
+    ),
+    "lag of motors": (
+        "balancer",
+        bot("actuators: {wheels: {time_constant: 20 ms}}"),
+        r"time constant of bot.wheels \+20 ms",
+    ),
     "halved gain of an action": ("balancer", bot("apply: {wheels: 0.5 * push * top_torque}"), HALF_TORQUE),
     "late ground sensor": (
         "line_follower",
         rover("sensors: {ground: {latency: 64 ms}}"),
         r"are 2 steps late|latency of the sensor rover.ground \+64 ms",
     ),
-    "bias of a ground sensor": ("line_follower", rover("emit: {ground: ground - 0.1}"), "rover.ground.left is larger by -0.1; "),
+    "bias of a ground sensor": (
+        "line_follower",
+        rover("emit: {ground: ground - 0.1}"),
+        "rover.ground.left is larger by -0.1; ",
+    ),
     "sign of a side": (
         "line_follower",
         rover("emit: {side: 'hold(ground.left - ground.right, abs(ground.right - ground.left) > 0.3)'}"),
@@ -96,7 +128,11 @@ ERRORS = {
         rover("actuators: {left_wheel: {time_constant: 64 ms}, right_wheel: {time_constant: 64 ms}}"),
         r"time constant of all actuators \+64 ms",
     ),
-    "heavy rover": ("line_follower", rover("links: {base_link: {mass: 2 * urdf}}"), "mass of rover.base_link x 2"),
+    "heavy rover": (
+        "line_follower",
+        rover("links: {base_link: {mass: 2 * urdf}}"),
+        "mass of rover.base_link x 2",
+    ),
     "halved gain of turns": (
         "line_follower",
         rover(
@@ -105,21 +141,53 @@ ERRORS = {
         ),
         "the action turn x 0.5",
     ),
-    "sign of a sensor": ("cartpole", cart("emit: {pole_angle: -1 * pole_angle}"), "cart.pole_angle has the other sign"),
-    "unit of a sensor": ("cartpole", cart("emit: {pole_angle: 57.29578 * pole_angle}"), "cart.pole_angle is in degrees"),
-    "late messages from the robot": ("cartpole", "messages: {from_robot: {latency: 64 ms}}", "pole_angle is 2 steps late"),
-    "late messages to the robot": ("cartpole", "messages: {to_robot: {latency: 64 ms}}", r"latency to the robot \+64 ms"),
+    "sign of a sensor": (
+        "cartpole",
+        cart("emit: {pole_angle: -1 * pole_angle}"),
+        "cart.pole_angle has the other sign",
+    ),
+    "unit of a sensor": (
+        "cartpole",
+        cart("emit: {pole_angle: 57.29578 * pole_angle}"),
+        "cart.pole_angle is in degrees",
+    ),
+    "late messages from the robot": (
+        "cartpole",
+        "messages: {from_robot: {latency: 64 ms}}",
+        "pole_angle is 2 steps late",
+    ),
+    "late messages to the robot": (
+        "cartpole",
+        "messages: {to_robot: {latency: 64 ms}}",
+        r"latency to the robot \+64 ms",
+    ),
     "friction": ("cartpole", "world: {ground: {friction: 0.5}}", "friction of the ground x 0.5"),
     "mass": ("cartpole", cart("links: {body: {mass: 2 * urdf}}"), "mass of cart.body x 2"),
-    "sign of a motor": ("cartpole", cart("apply: {wheels: -1 * drive * wheel_speed}"), "forward and backward are swapped"),
-    "sign of a gyro": ("balancer", "robots: {bot: {emit: {rate: -1 * gyro.y}}}", "bot.rate has the other sign"),
+    "sign of a motor": (
+        "cartpole",
+        cart("apply: {wheels: -1 * drive * wheel_speed}"),
+        "forward and backward are swapped",
+    ),
+    "sign of a gyro": (
+        "balancer",
+        "robots: {bot: {emit: {rate: -1 * gyro.y}}}",
+        "bot.rate has the other sign",
+    ),
     "weak motors": (
         "balancer",
         "robots: {bot: {actuators: {wheels: {strength: 0.5 * uniform(0.9 .. 1.1)}}}}",
         HALF_TORQUE,
     ),
-    "mass of a body": ("balancer", "robots: {bot: {links: {body: {mass: 1.5 * urdf}}}}", "mass of bot.body x 1.5"),
-    "late sensor": ("balancer", "robots: {bot: {sensors: {gyro: {latency: 20 ms}}}}", "late|latency of the sensor bot.gyro 20 ms"),
+    "mass of a body": (
+        "balancer",
+        "robots: {bot: {links: {body: {mass: 1.5 * urdf}}}}",
+        "mass of bot.body x 1.5",
+    ),
+    "late sensor": (
+        "balancer",
+        "robots: {bot: {sensors: {gyro: {latency: 20 ms}}}}",
+        "late|latency of the sensor bot.gyro 20 ms",
+    ),
     "order of rotors": (
         "quadrotor",
         "robots: {drone: {actuators: {rotors: {links: [prop_fr, prop_fl, prop_rl, prop_rr]}}}}",
@@ -130,7 +198,11 @@ ERRORS = {
         'robots: {drone: {emit: {gyro: "vector(gyro.y, gyro.x, gyro.z)", down: down}}}',
         "drone.gyro.x has the value of drone.gyro.y; drone.gyro.y has the value of drone.gyro.x",
     ),
-    "payload": ("quadrotor", "robots: {drone: {links: {base_link: {mass: 1.25 * urdf}}}}", "mass of drone.base_link x 1.25"),
+    "payload": (
+        "quadrotor",
+        "robots: {drone: {links: {base_link: {mass: 1.25 * urdf}}}}",
+        "mass of drone.base_link x 1.25",
+    ),
     "slippery ground": ("quadruped", "world: {ground: {friction: 0.5}}", "friction of the ground x 0.5"),
     "mass of a trunk": (
         "quadruped",
@@ -142,7 +214,11 @@ ERRORS = {
         "robots: {dog: {sensors: {q: {latency: 40 ms}}}}",
         "are 2 steps late|latency of the sensor dog.q 40 ms",
     ),
-    "sign of three axes": ("quadruped", "robots: {dog: {emit: {gyro: -1 * gyro}}}", "dog.gyro.x has the other sign; dog.gyro.y"),
+    "sign of three axes": (
+        "quadruped",
+        "robots: {dog: {emit: {gyro: -1 * gyro}}}",
+        "dog.gyro.x has the other sign; dog.gyro.y",
+    ),
     "sides of a sensor": (
         "line_follower",
         "robots: {rover: {sensors: {ground: {rays: {left: {y: -12 mm}, right: {y: 12 mm}}}}}}",
@@ -154,19 +230,47 @@ ERRORS = {
         "right_wheel: 'clamp(gas - turn, -1 .. 1) * top_speed'}}}",
         "the action turn has the other sign",
     ),
-    "amount between levels: mass": ("balancer", bot("links: {body: {mass: 1.7 * urdf}}"), "mass of bot.body x 1.7"),
-    "amount beyond doubling: mass": ("balancer", bot("links: {body: {mass: 4 * urdf}}"), "mass of bot.body x 4"),
+    "amount between levels: mass": (
+        "balancer",
+        bot("links: {body: {mass: 1.7 * urdf}}"),
+        "mass of bot.body x 1.7",
+    ),
+    "amount beyond doubling: mass": (
+        "balancer",
+        bot("links: {body: {mass: 4 * urdf}}"),
+        "mass of bot.body x 4",
+    ),
     "amount between levels: lag": (
         "balancer",
         bot("actuators: {wheels: {time_constant: 55 ms}}"),
         r"time constant of bot.wheels \+55 ms",
     ),
-    "long lag": ("balancer", bot("actuators: {wheels: {time_constant: 80 ms}}"), r"time constant of bot.wheels \+80 ms"),
-    "delay of motors": ("balancer", bot("actuators: {wheels: {delay: 90 ms}}"), r"delay of bot.wheels \+90 ms"),
-    "delay of a vector of motors": ("panda_reach", arm("actuators: {motors: {delay: 160 ms}}"), r"delay of panda.motors \+160 ms"),
-    "gain of 0.4": ("cartpole", cart("apply: {wheels: 0.4 * drive * wheel_speed}"), "command of cart.wheels x 0.4"),
+    "long lag": (
+        "balancer",
+        bot("actuators: {wheels: {time_constant: 80 ms}}"),
+        r"time constant of bot.wheels \+80 ms",
+    ),
+    "delay of motors": (
+        "balancer",
+        bot("actuators: {wheels: {delay: 90 ms}}"),
+        r"delay of bot.wheels \+90 ms",
+    ),
+    "delay of a vector of motors": (
+        "panda_reach",
+        arm("actuators: {motors: {delay: 160 ms}}"),
+        r"delay of panda.motors \+160 ms",
+    ),
+    "gain of 0.4": (
+        "cartpole",
+        cart("apply: {wheels: 0.4 * drive * wheel_speed}"),
+        "command of cart.wheels x 0.4",
+    ),
     "gain of 0.7": ("balancer", bot("apply: {wheels: 0.7 * push * top_torque}"), "the action push x 0.7"),
-    "gain of a vector": ("panda_reach", arm("apply: {motors: joints + 0.3 * stride * turn}"), "the action turn x 0.3"),
+    "gain of a vector": (
+        "panda_reach",
+        arm("apply: {motors: joints + 0.3 * stride * turn}"),
+        "the action turn x 0.3",
+    ),
     "sign of a vector action": (
         "panda_reach",
         arm("apply: {motors: joints - stride * turn}"),
@@ -179,18 +283,27 @@ ERRORS = {
         cart("actuators: {wheels: {max_torque: 0.02 N*m}}"),
         r"motor strength x 0.002 or torque limit of cart.wheels 0.02 N\*m",
     ),
-    "torque limit": ("balancer", bot("actuators: {wheels: {max_torque: 0.0015 N*m}}"), r"torque limit of bot.wheels 0.0015 N\*m"),
+    "torque limit": (
+        "balancer",
+        bot("actuators: {wheels: {max_torque: 0.0015 N*m}}"),
+        r"torque limit of bot.wheels 0.0015 N\*m",
+    ),
     "sensor late by a part of a timestep": (
         "cartpole",
         cart("sensors: {pole_angle: {latency: 70 ms}}"),
-        r"pole_angle is 3 steps late or latency from the robot \+96 ms or latency of the sensor cart.pole_angle \+96 ms",
+        r"pole_angle is 3 steps late or latency from the robot \+96 ms or latency of the sensor"
+        r" cart.pole_angle \+96 ms",
     ),
     "late sensor between levels": (
         "balancer",
         bot("sensors: {gyro: {latency: 60 ms}}"),
         r"latency of the sensor bot.gyro \+60 ms",
     ),
-    "offset of a sensor": ("cartpole", cart("emit: {pole_angle: pole_angle + 0.7 deg}"), "cart.pole_angle is larger by 0.0122 rad"),
+    "offset of a sensor": (
+        "cartpole",
+        cart("emit: {pole_angle: pole_angle + 0.7 deg}"),
+        "cart.pole_angle is larger by 0.0122 rad",
+    ),
 }
 """Errors of a world: the scenario, its change, and what must be named first."""
 FEW = ["sign of a sensor", "amount between levels: mass"]
@@ -211,7 +324,11 @@ def test_the_same_world_differs_in_nothing(run_of: Any) -> None:
 
 
 def test_a_difference_begins_where_the_values_part(run_of: Any) -> None:
-    found = compared(run_of("cartpole"), {"robots": {"cart": {"emit": {"pole_angle": "clamp(pole_angle, -0.05 .. 0.05 rad)"}}}}, episodes=3)
+    found = compared(
+        run_of("cartpole"),
+        {"robots": {"cart": {"emit": {"pole_angle": "clamp(pole_angle, -0.05 .. 0.05 rad)"}}}},
+        episodes=3,
+    )
     (only,) = found.differences
     assert only.name == "cart.pole_angle"
     assert only.step > 1
@@ -223,7 +340,10 @@ def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.
     assert main(["transfer", path, "--quick", "--episodes", "2", "--min-return", "200"]) == 1
     shown = capsys.readouterr().out
     score = r"\S+ \(95 %: \S+ \.\. \S+\)"
-    assert re.match(rf"works neither in pybullet nor in mujoco: mean return {score} and {score}, judged by 2 episodes\n", shown)
+    assert re.match(
+        rf"works neither in pybullet nor in mujoco: mean return {score} and {score}, judged by 2 episodes\n",
+        shown,
+    )
     assert "CartPole in pybullet and in mujoco, 2 held-out starts" in shown
     assert "failed: pybullet: mean return" in shown
     assert "the changes are alternatives" in shown
@@ -235,7 +355,16 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_holds_no_progr
     run_of: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = str(run_of("cartpole").path)
-    words = ["--set", "world.ground.friction=0.5", "--quick", "--episodes", "2", "--min-return", "1", "--json"]
+    words = [
+        "--set",
+        "world.ground.friction=0.5",
+        "--quick",
+        "--episodes",
+        "2",
+        "--min-return",
+        "1",
+        "--json",
+    ]
     assert main(["transfer", path, *words]) == 0
     shown = capsys.readouterr()
     (found,) = json.loads(shown.out)
@@ -249,7 +378,9 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_holds_no_progr
 def test_a_quick_transfer_ends_long_evaluations_after_eight_episodes(run_of: Any) -> None:
     found = transfer(run_of("cartpole"), engine="pybullet", max_steps=1, with_conditions=False)
     assert (found.here.episodes, found.there.episodes) == (8, 8)
-    assert [episode.seed for episode in found.here.outcomes] == [episode.seed for episode in found.there.outcomes]
+    assert [episode.seed for episode in found.here.outcomes] == [
+        episode.seed for episode in found.there.outcomes
+    ]
 
 
 def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -> None:
@@ -257,7 +388,11 @@ def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -
 
     names: Any = ("here", "there")
     results: Any = (Result(mean_return=200.0, success_rate=0.9), Result(mean_return=80.0, success_rate=0.9))
-    gates = [Gate("here: success rate", True), Gate("there: success rate", False), Gate("there: mean return", True)]
+    gates = [
+        Gate("here: success rate", True),
+        Gate("there: success rate", False),
+        Gate("there: mean return", True),
+    ]
     assert _works(names, results, gates, None)[0] == (True, False)
     assert _works(names, results, [], Solved(100, 195.0, None)) == (
         (True, False),
@@ -267,7 +402,10 @@ def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -
 
 
 def test_two_worlds_in_one_engine_do_not_read_as_a_change_of_the_engine() -> None:
-    assert _names(("CartPole", "CartPoleReal"), ("mujoco", "mujoco"), True)[1] == "CartPole and CartPoleReal, both in mujoco"
+    assert (
+        _names(("CartPole", "CartPoleReal"), ("mujoco", "mujoco"), True)[1]
+        == "CartPole and CartPoleReal, both in mujoco"
+    )
     assert _names(("CartPole", "CartPole"), ("mujoco", "mujoco"), True) == (
         ("training", "other"),
         "training and other, both CartPole in mujoco",

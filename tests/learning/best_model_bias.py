@@ -1,8 +1,9 @@
-"""How often the interval that `train` prints for its best model includes the mean return of many fresh episodes.
+"""How often the interval that `train` prints for its best model includes the mean return of many fresh
+episodes.
 
-Trainings of CartPole end after 5,000 steps, a fifth of what a solved one took, so the best of their evaluations is chosen
-among policies of very different quality. `python -m tests.learning.best_model_bias 7001 7100` trains one for each of these
-seeds. Every best model then plays 2,000 fresh episodes.
+Trainings of CartPole end after 5,000 steps, a fifth of what a solved one took, so the best of their
+evaluations is chosen among policies of very different quality. `python -m tests.learning.best_model_bias 7001
+7100` trains one for each of these seeds. Every best model then plays 2,000 fresh episodes.
 """
 
 from __future__ import annotations
@@ -23,8 +24,11 @@ STEPS, FRESH_EPISODES = 5_000, 2_000
 
 
 def measure(seed: int, folder: Path) -> tuple[float, float, tuple[float, float], float]:
-    """The mean return that chose the best model, the printed one with its interval, and that of fresh episodes."""
-    result = train("cartpole", seed=seed, total_timesteps=STEPS, run=folder / f"cartpole-{seed}", engine="mujoco")
+    """The mean return that chose the best model, the printed one with its interval, and that of fresh
+    episodes."""
+    result = train(
+        "cartpole", seed=seed, total_timesteps=STEPS, run=folder / f"cartpole-{seed}", engine="mujoco"
+    )
     run = Run.open(result.run)
     printed = evaluate_trained(run)
     fresh = evaluate(run, episodes=FRESH_EPISODES, seed=next(n for n in count(900_000) if n != printed.seed))
@@ -34,7 +38,9 @@ def measure(seed: int, folder: Path) -> tuple[float, float, tuple[float, float],
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("first", type=int)
     parser.add_argument("last", type=int)
     given = parser.parse_args(arguments)
@@ -46,7 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             chosen.append(by - fresh)
             printed.append(mean - fresh)
             held += low <= fresh <= high
-            print(f"{seed}: chosen by {by:.1f}, printed {mean:.1f} ({low:.1f} .. {high:.1f}), fresh {fresh:.1f}", flush=True)
+            print(
+                f"{seed}: chosen by {by:.1f}, printed {mean:.1f} ({low:.1f} .. {high:.1f}), fresh"
+                f" {fresh:.1f}",
+                flush=True,
+            )
     for name, bias in (("episodes that chose the model", chosen), ("printed result", printed)):
         error = np.std(bias, ddof=1) / np.sqrt(len(bias))
         print(f"bias of the {name}: {np.mean(bias):+.2f} +- {error:.2f} (standard error)")

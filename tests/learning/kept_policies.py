@@ -1,8 +1,8 @@
 """Whether the policy that a training keeps is as good as the best of all models that the run has.
 
-`python -m tests.learning.kept_policies 11 14` trains the A1 of `stair.yaml` from these seeds, with each of three rewards,
-and saves models at equal intervals. Every model of a run then plays the same 200 new starts. The kept policy passes if its
-success rate is within Wilson's 95 % interval of the best one.
+`python -m tests.learning.kept_policies 11 14` trains the A1 of `stair.yaml` from these seeds, with each of
+three rewards, and saves models at equal intervals. Every model of a run then plays the same 200 new starts.
+The kept policy passes if its success rate is within Wilson's 95 % interval of the best one.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ def success_rates(run: Run) -> dict[int, float]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("first", type=int)
     parser.add_argument("last", type=int)
     parser.add_argument("--rewards", nargs="*", default=list(REWARDS))
@@ -52,7 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for name in options.rewards:
                 compiled = api.compile(api.load(str(SCENARIO), overrides=REWARDS[name]))
                 path = Path(folder) / f"{name}-{seed}"
-                result = train(compiled, total_timesteps=STEPS, seed=seed, run=path, keep_checkpoints=CHECKPOINTS)
+                result = train(
+                    compiled, total_timesteps=STEPS, seed=seed, run=path, keep_checkpoints=CHECKPOINTS
+                )
                 rates = success_rates(Run.open(path))
                 assert result.best_model is not None
                 kept, best = rates[result.best_model.steps], max(rates.values())

@@ -1,6 +1,7 @@
 """A small world to learn in: a cart-pole by its equations, and the scenario that describes it.
 
-It stands in for the generated supervisor, with the same observation, action, info and endings, at a few microseconds a step.
+It stands in for the generated supervisor, with the same observation, action, info and endings, at a few
+microseconds a step.
 """
 
 from __future__ import annotations
@@ -96,7 +97,9 @@ def _compiled(text: str) -> api.Compiled:
 
 def _train(training: Training) -> str:
     """The section in YAML."""
-    section: dict[str, Any] = {name: getattr(training, name) for name in ("algorithm", "total_timesteps", "environments")}
+    section: dict[str, Any] = {
+        name: getattr(training, name) for name in ("algorithm", "total_timesteps", "environments")
+    }
     section |= {"shards": training.shards, "staleness": training.staleness}
     section |= {} if training.patience is None else {"patience": training.patience}
     section |= {entry.name: _figure(entry.value) for entry in training.hyperparameters}
@@ -121,17 +124,22 @@ def scenario(**settings: Any) -> Program:
 
 
 class CartPole(gym.Env[Any, Any]):
-    """The cart follows its speed command within a tick; the pole is a uniform rod of 1 m on a moving hinge."""
+    """The cart follows its speed command within a tick; the pole is a uniform rod of 1 m on a moving
+    hinge."""
 
     def __init__(self, program: Program, render_mode: str | None = None) -> None:
         self.program = program
         self.render_mode = render_mode
         self.observation_space = gym.spaces.Box(-1, 1, (4,), np.float32)
         self.discrete = isinstance(program.agent.action[0], Choices)
-        self.action_space = gym.spaces.Discrete(2) if self.discrete else gym.spaces.Box(-1, 1, (1,), np.float32)
+        self.action_space = (
+            gym.spaces.Discrete(2) if self.discrete else gym.spaces.Box(-1, 1, (1,), np.float32)
+        )
         self.closed = 0
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
         self.x = self.v = self.w = 0.0
         self.angle = float(self.np_random.uniform(-1, 1)) * math.radians(1)
@@ -149,7 +157,13 @@ class CartPole(gym.Env[Any, Any]):
         self.steps += 1
         ended_by = "fallen" if abs(self.angle) > FALL else "off_track" if abs(self.x) > TRACK else None
         truncated = self.steps >= (self.program.truncation.max_steps or 200)
-        return self._observation(), 1.0, ended_by is not None, truncated, self._info(ended_by or ("max_steps" if truncated else None))
+        return (
+            self._observation(),
+            1.0,
+            ended_by is not None,
+            truncated,
+            self._info(ended_by or ("max_steps" if truncated else None)),
+        )
 
     def _observation(self) -> Any:
         tip = self.v + self.w
@@ -157,7 +171,11 @@ class CartPole(gym.Env[Any, Any]):
         return np.clip(np.array(raw, np.float32), -1, 1)
 
     def _info(self, ended_by: str | None) -> dict[str, Any]:
-        return {"is_success": ended_by == "max_steps", "ended_by": ended_by, "reward_terms": {"alive": 1.0, "center": 0.0}}
+        return {
+            "is_success": ended_by == "max_steps",
+            "ended_by": ended_by,
+            "reward_terms": {"alive": 1.0, "center": 0.0},
+        }
 
     def render(self) -> Any:
         picture = np.zeros((62, 98, 3), np.uint8)
@@ -179,11 +197,18 @@ class Failing(CartPole):
         observation, _, terminated, truncated, info = super().step(action)
         if self.steps < 5:
             return observation, 1.0, terminated, truncated, info
-        return observation, math.nan, terminated, truncated, {**info, "reward_terms": {"alive": 1.0, "center": math.nan}}
+        return (
+            observation,
+            math.nan,
+            terminated,
+            truncated,
+            {**info, "reward_terms": {"alive": 1.0, "center": math.nan}},
+        )
 
 
 def altered(base: api.Compiled, policy: Mapping[str, Any] | None = None, **changes: Any) -> api.Compiled:
-    """The task with changes, also of its `policy`, that no file says; a run of it would be loaded without them."""
+    """The task with changes, also of its `policy`, that no file says; a run of it would be loaded without
+    them."""
     return replace(base, program=replace(base.program.with_agents(**policy or {}), **changes))
 
 

@@ -1,4 +1,5 @@
-"""The chances of a training that stops because a confirmation shows that its task is solved: simulated, and against closed forms."""
+"""The chances of a training that stops because a confirmation shows that its task is solved: simulated, and
+against closed forms."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t
 
-from deepbots_cli.learning.callbacks import CONFIRMATION_PART, EVALUATION_EPISODES
+from deepbots_cli.learning.callbacks import CONFIRMATION_PART
 from deepbots_cli.learning.confirmation import (
     COST_SHARE,
     FALSE_STOPS,
@@ -20,6 +21,7 @@ from deepbots_cli.learning.confirmation import (
     lower_bound,
     required_successes,
 )
+from deepbots_cli.learning.held_out import EVALUATION_EPISODES
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 
@@ -31,8 +33,8 @@ Draw = Callable[[np.random.Generator, float, int], Sequence[Episode]]
 
 
 class Outcome(NamedTuple):
-    """Of one simulated training: the value of the policy with which it stopped, None if it went on to its end; episodes of
-    failed confirmations; these per episode of the training."""
+    """Of one simulated training: the value of the policy with which it stopped, None if it went on to its
+    end; episodes of failed confirmations; these per episode of the training."""
 
     stopped_with: float | None
     failed: int
@@ -51,7 +53,9 @@ def falls(generator: np.random.Generator, mean: float, count: int) -> list[Episo
 
 
 def uniform(generator: np.random.Generator, mean: float, count: int) -> list[Episode]:
-    return [Episode(float(value), 1, False, None) for value in generator.uniform(2 * mean - 200.0, 200.0, count)]
+    return [
+        Episode(float(value), 1, False, None) for value in generator.uniform(2 * mean - 200.0, 200.0, count)
+    ]
 
 
 def wins(generator: np.random.Generator, mean: float, count: int) -> list[Episode]:
@@ -60,8 +64,8 @@ def wins(generator: np.random.Generator, mean: float, count: int) -> list[Episod
 
 
 def train(generator: np.random.Generator, solved: Solved, values: Sequence[float], draw: Draw) -> Outcome:
-    """A training as `TrainingCallback` runs it, whose policy has these true values at its evaluations. Evaluations take 10 % of the steps,
-    and all episodes have the same length."""
+    """A training as `TrainingCallback` runs it, whose policy has these true values at its evaluations.
+    Evaluations take 10 % of the steps, and all episodes have the same length."""
     number, failed, steps = 1, 0, 0
     for value in values:
         steps += 10 * EVALUATION_EPISODES
@@ -83,7 +87,9 @@ def train(generator: np.random.Generator, solved: Solved, values: Sequence[float
     return Outcome(None, failed, failed / steps)
 
 
-def simulate(solved: Solved, values: Sequence[float], draw: Draw, repetitions: int, seed: int) -> list[Outcome]:
+def simulate(
+    solved: Solved, values: Sequence[float], draw: Draw, repetitions: int, seed: int
+) -> list[Outcome]:
     generator = np.random.default_rng(seed)
     return [train(generator, solved, values, draw) for _ in range(repetitions)]
 
@@ -95,7 +101,11 @@ def stops(outcomes: Sequence[Outcome], below: float = math.inf) -> float:
 
 def test_the_first_confirmations_of_90_percent_need_95_of_100_then_187_and_188_of_200() -> None:
     plans = [Confirmation.plan(RATE, number, BOUNDS) for number in (1, 2, 3)]
-    assert [(plan.successes, plan.episodes) for plan in plans if plan is not None] == [(95, 100), (187, 200), (188, 200)]
+    assert [(plan.successes, plan.episodes) for plan in plans if plan is not None] == [
+        (95, 100),
+        (187, 200),
+        (188, 200),
+    ]
 
 
 @pytest.mark.parametrize("number", [1, 2, 5, 10])
@@ -109,7 +119,9 @@ def test_half_of_the_policies_halfway_to_100_percent_pass_a_confirmation(rate: f
 @pytest.mark.parametrize("episodes", [1, 7, 100, 1_000])
 @pytest.mark.parametrize("rate", [0.0, 0.1, 0.88, 0.99, 1.0])
 @pytest.mark.parametrize("level", [0.025, 1e-4])
-def test_the_required_successes_are_those_of_the_binomial_distribution(episodes: int, rate: float, level: float) -> None:
+def test_the_required_successes_are_those_of_the_binomial_distribution(
+    episodes: int, rate: float, level: float
+) -> None:
     least = required_successes(episodes, rate, level)
     assert binom.sf(least - 1, episodes, rate) <= level
     assert least == 0 or binom.sf(least - 2, episodes, rate) > level
@@ -125,7 +137,9 @@ def test_the_lower_bound_is_that_of_student_with_the_worst_returns_added() -> No
     assert lower_bound(values[:4], 0.0, 0.025) == pytest.approx(np.mean(values) - half)
 
 
-@pytest.mark.parametrize(("criterion", "episodes"), [(Solved(2, success_rate=1.0), 184), (Solved(20, success_rate=0.9), 100)])
+@pytest.mark.parametrize(
+    ("criterion", "episodes"), [(Solved(2, success_rate=1.0), 184), (Solved(20, success_rate=0.9), 100)]
+)
 def test_a_criterion_of_few_episodes_is_confirmed_with_more(criterion: Solved, episodes: int) -> None:
     plan = Confirmation.plan(criterion, 1, BOUNDS)
     assert plan is not None
@@ -138,8 +152,13 @@ def test_rare_failures_that_a_sample_lacks_do_not_confirm_a_mean_return(required
     plan = Confirmation.plan(Solved(100, mean_return=required), number, (0.0, 1.0))
     assert plan is not None
     chances = []
-    for high in np.linspace(required, 1.0, 6):  # an episode returns this value or 0, and too little in the mean
-        episodes = [Episode(float(high), 1, False, None)] * plan.episodes, [Episode(0.0, 1, False, None)] * plan.episodes
+    for high in np.linspace(
+        required, 1.0, 6
+    ):  # an episode returns this value or 0, and too little in the mean
+        episodes = (
+            [Episode(float(high), 1, False, None)] * plan.episodes,
+            [Episode(0.0, 1, False, None)] * plan.episodes,
+        )
         mixed = range(round(required * plan.episodes), plan.episodes + 1)
         passing = [count for count in mixed if plan.passes([*episodes[0][:count], *episodes[1][count:]])]
         chances.append(float(np.sum(binom.pmf(passing, plan.episodes, (required - MARGIN) / high))))
@@ -172,7 +191,8 @@ def test_policies_below_the_bar_rarely_stop_a_training_and_policies_above_it_do(
 def test_false_stops_over_all_looks_of_a_training(rate: float) -> None:
     outcomes = simulate(RATE, [rate] * LOOKS, successes, 2_000, seed=10 + round(100 * rate))
     print(
-        f"{rate:.0%}: false stops {stops(outcomes):.2%}, failed confirmations {np.median([each.failed for each in outcomes]):.0f} episodes"
+        f"{rate:.0%}: false stops {stops(outcomes):.2%}, failed confirmations"
+        f" {np.median([each.failed for each in outcomes]):.0f} episodes"
     )
     assert stops(outcomes) <= FALSE_STOPS
     assert max(each.share for each in outcomes) <= 0.15
@@ -181,7 +201,10 @@ def test_false_stops_over_all_looks_of_a_training(rate: float) -> None:
 @pytest.mark.slow
 def test_a_policy_of_95_percent_stops_its_training() -> None:
     outcomes = simulate(RATE, [0.95] * LOOKS, successes, 2_000, seed=3)
-    print(f"never stopped {1 - stops(outcomes):.2%}, median cost {np.median([each.failed for each in outcomes]):.0f} episodes")
+    print(
+        f"never stopped {1 - stops(outcomes):.2%}, median cost"
+        f" {np.median([each.failed for each in outcomes]):.0f} episodes"
+    )
     assert stops(outcomes) >= 0.95
 
 

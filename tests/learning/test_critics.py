@@ -28,10 +28,15 @@ def test_the_return_that_followed_ends_with_the_episode_and_is_unknown_after_a_t
 
 @pytest.mark.parametrize(("scenario", "algorithm"), [("cartpole_continuous", "TD3"), ("cartpole", "DQN")])
 def test_a_training_logs_both(tmp_path, scenario, algorithm):
-    settings = "total_timesteps: 500, environments: 4, learning_starts: 100, batch_size: 32, gamma: 0.9, network: {hidden: [8]}"
+    settings = (
+        "total_timesteps: 500, environments: 4, learning_starts: 100, batch_size: 32, gamma: 0.9,"
+        " network: {hidden: [8]}"
+    )
     compiled = api.compile(api.load(scenario, overrides=[f"train={{algorithm: {algorithm}, {settings}}}"]))
     scalars = scalars_of(train(compiled, seed=1, run=tmp_path / "run").run / "tensorboard")
     followed, value = scalars["critic/followed"][1], scalars["critic/value"][1]
     assert len(followed) == len(value) > 0
     assert np.isfinite(value).all()
-    assert ((followed > 4) & (followed < 10)).all()  # a reward of 1 a step, over ten steps or to the end of an episode
+    assert (
+        (followed > 4) & (followed < 10)
+    ).all()  # a reward of 1 a step, over ten steps or to the end of an episode

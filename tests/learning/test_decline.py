@@ -1,4 +1,5 @@
-"""When a training is said to fall apart: after a fall of its evaluations, and hardly ever while it is healthy."""
+"""When a training is said to fall apart: after a fall of its evaluations, and hardly ever while it is
+healthy."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from deepbots_cli.learning.episodes import read_evaluations
 
 
 def _evaluations(rates, *, stage="", every=1000, low=20.0, high=200.0):
-    """Evaluations of 20 episodes, of which these shares succeed and return `high`; the others return `low`."""
+    """Evaluations of 20 episodes, of which these shares succeed and return `high`; the others return
+    `low`."""
     wins = [np.arange(20) < round(20 * rate) for rate in rates]
     return [
         {
@@ -154,7 +156,12 @@ def test_damaged_evaluations_are_told_in_a_sentence(tmp_path):
     line = json.dumps(_evaluations([0.5])[0])
     path.write_text(f"{line}\n{line[:20]}")
     assert len(read_evaluations(tmp_path)) == 1  # half a line is still being written
-    for damaged in ("{", '{"steps": -1, "returns": [1], "successes": [1]}', '{"steps": 1, "returns": [], "successes": []}', "[]"):
+    for damaged in (
+        "{",
+        '{"steps": -1, "returns": [1], "successes": [1]}',
+        '{"steps": 1, "returns": [], "successes": []}',
+        "[]",
+    ):
         path.write_text(f"{damaged}\n")
         with pytest.raises(RunError, match="is damaged"):
             read_evaluations(tmp_path)

@@ -33,7 +33,14 @@ def _evaluation(seed: int, low: float, high: float, episodes: int = 500, draws: 
     succeeds = generator.random(episodes) < 1 / (1 + np.exp(-trend))
     names = ["rise", *(f"robots.dog.links.link_{number}.mass" for number in range(draws - 1))]
     done = [
-        Episode(float(success), 10, bool(success), None, seed=number, drawn=dict(zip(names, row.tolist(), strict=True)))
+        Episode(
+            float(success),
+            10,
+            bool(success),
+            None,
+            seed=number,
+            drawn=dict(zip(names, row.tolist(), strict=True)),
+        )
         for number, (success, row) in enumerate(zip(succeeds, drawn, strict=True))
     ]
     return by_drawn_value(done, RISE)
@@ -44,7 +51,12 @@ def _named(effects: DrawnEffects) -> list[str]:
 
 
 def _from(values: list[float | str], successes: list[bool], name: str = "value") -> DrawnEffects:
-    return by_drawn_value([Episode(0.0, 1, success, None, drawn={name: value}) for value, success in zip(values, successes, strict=True)])
+    return by_drawn_value(
+        [
+            Episode(0.0, 1, success, None, drawn={name: value})
+            for value, success in zip(values, successes, strict=True)
+        ]
+    )
 
 
 def test_noise_of_sixty_draws_names_none() -> None:
@@ -65,13 +77,16 @@ def test_at_most_three_of_thirty_evaluations_without_an_effect_name_a_draw(rate:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("low", "high"), [(0.95, 0.75), (0.9, 0.7), (0.6, 0.4)])
-def test_twenty_points_between_the_quartiles_come_first_in_27_of_30_evaluations(low: float, high: float) -> None:
+def test_twenty_points_between_the_quartiles_come_first_in_27_of_30_evaluations(
+    low: float, high: float
+) -> None:
     first = [_named(_evaluation(seed, low, high))[:1] for seed in range(200, 230)]
     assert first.count(["rise"]) >= 27
 
 
 def test_an_evaluation_without_an_effect_says_which_one_it_would_have_found() -> None:
-    few, many = _evaluation(3, 0.8, 0.8, episodes=200, draws=5), _evaluation(3, 0.8, 0.8, episodes=1_000, draws=5)
+    few = _evaluation(3, 0.8, 0.8, episodes=200, draws=5)
+    many = _evaluation(3, 0.8, 0.8, episodes=1_000, draws=5)
     assert few.detectable is not None
     assert many.detectable is not None
     assert few.detectable == pytest.approx(np.sqrt(5) * many.detectable, rel=0.15)
@@ -81,7 +96,13 @@ def test_an_evaluation_without_an_effect_says_which_one_it_would_have_found() ->
 
 def test_parameters_of_the_scenario_come_before_other_values_with_an_effect() -> None:
     done = [
-        Episode(0.0, 1, number >= 50, None, drawn={"robots.dog.links.trunk.mass": number, "rise": number + 40 * (number % 2)})
+        Episode(
+            0.0,
+            1,
+            number >= 50,
+            None,
+            drawn={"robots.dog.links.trunk.mass": number, "rise": number + 40 * (number % 2)},
+        )
         for number in range(100)
     ]
     assert _named(by_drawn_value(done, RISE)) == ["rise", "robots.dog.links.trunk.mass"]
@@ -114,18 +135,28 @@ def test_the_return_counts_where_all_episodes_succeed() -> None:
 
 
 def test_episodes_with_one_outcome_are_not_called_too_few() -> None:
-    effects = by_drawn_value([Episode(200.0, 1, True, None, drawn={"near": number / 50}) for number in range(50)])
-    assert effects.conclusion == "the drawn value does not have an effect on the return (all episodes have the same one)"
+    effects = by_drawn_value(
+        [Episode(200.0, 1, True, None, drawn={"near": number / 50}) for number in range(50)]
+    )
+    assert (
+        effects.conclusion
+        == "the drawn value does not have an effect on the return (all episodes have the same one)"
+    )
 
 
 def test_episodes_of_several_policies_from_one_start_count_once() -> None:
-    done = [Episode(0.0, 1, start % 3 == 0, None, seed=start, drawn={"near": float(start)}) for start in range(12)]
+    done = [
+        Episode(0.0, 1, start % 3 == 0, None, seed=start, drawn={"near": float(start)}) for start in range(12)
+    ]
     assert by_drawn_value(done * 5).starts == 12
     assert by_drawn_value(done * 5).values["near"].chance == by_drawn_value(done).values["near"].chance
 
 
 def test_the_parts_of_a_value_count_every_episode_once() -> None:
-    done = [Episode(0.0, 1, k >= 50, None, seed=k, drawn={"mass": k / 100, "which": "ab"[k % 2]}) for k in range(100)]
+    done = [
+        Episode(0.0, 1, k >= 50, None, seed=k, drawn={"mass": k / 100, "which": "ab"[k % 2]})
+        for k in range(100)
+    ]
     values = by_drawn_value(done).values
     assert list(values) == ["mass", "which"]
     assert [(part.low, part.high, part.episodes, part.success_rate) for part in values["mass"].parts] == [
@@ -140,13 +171,23 @@ def test_the_parts_of_a_value_count_every_episode_once() -> None:
 
 
 def test_single_copies_of_a_group_are_left_out_of_the_drawn_values() -> None:
-    drawn = ("reset.layouts.scattered.crate#2.x", "objects.crate#1.one_of", "cart#1.reset.place.cart.x", "robots.dog.force#1.x")
-    done = [Episode(float(k), 1, k >= 50, None, seed=k, drawn=dict.fromkeys(drawn, k / 100)) for k in range(100)]
+    drawn = (
+        "reset.layouts.scattered.crate#2.x",
+        "objects.crate#1.one_of",
+        "cart#1.reset.place.cart.x",
+        "robots.dog.force#1.x",
+    )
+    done = [
+        Episode(float(k), 1, k >= 50, None, seed=k, drawn=dict.fromkeys(drawn, k / 100)) for k in range(100)
+    ]
     assert sorted(by_drawn_value(done).values) == ["cart#1.reset.place.cart.x", "robots.dog.force#1.x"]
 
 
 def test_a_draw_that_is_no_number_in_a_damaged_log_is_left_out() -> None:
-    done = [Episode(0.0, 1, k >= 5, None, drawn={"mixed": ["a", 1.0][k % 2], "nan": float("nan"), "x": float(k)}) for k in range(10)]
+    done = [
+        Episode(0.0, 1, k >= 5, None, drawn={"mixed": ["a", 1.0][k % 2], "nan": float("nan"), "x": float(k)})
+        for k in range(10)
+    ]
     assert list(by_drawn_value(done).values) == ["x"]
 
 

@@ -21,7 +21,8 @@ WORLDS, FALL, SURVIVAL, TRUTH = 256, 20, 500, 0.74
 
 
 def _endings(seed: int, worlds: int = WORLDS, steps: int = 4_000) -> Iterator[tuple[int, int, bool]]:
-    """Step, world and success of episodes in lock step: 26 % fall after 20 steps, 74 % survive for 500 steps."""
+    """Step, world and success of episodes in lock step: 26 % fall after 20 steps, 74 % survive for 500
+    steps."""
     generator = np.random.default_rng(seed)
     running: list[tuple[int, int, bool]] = []
 
@@ -58,7 +59,9 @@ def test_falls_that_end_first_and_survivors_that_end_last_do_not_move_a_stage_on
     assert rates[0.5] == rates[0.9] == rates[1.0] == SURVIVAL
 
     curriculum = Curriculum(_staged(0.9, 100), worlds=WORLDS)
-    assert not any(curriculum.add(_episode(survives), step, 0, world) for step, world, survives in _endings(seed=0))
+    assert not any(
+        curriculum.add(_episode(survives), step, 0, world) for step, world, survives in _endings(seed=0)
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -146,12 +149,21 @@ def test_a_checkpoint_keeps_which_world_an_episode_was_in() -> None:
 def test_a_checkpoint_of_an_earlier_version_is_read() -> None:
     recent = [{"total_return": 3.0, "length": 5, "is_success": True, "ended_by": None}] * 2
     old = StatisticsState.model_validate(
-        {"steps": 10, "episodes": 2, "cpu_seconds": 1.0, "solved_at": None, "recent": [Episode(**each) for each in recent]}
+        {
+            "steps": 10,
+            "episodes": 2,
+            "cpu_seconds": 1.0,
+            "solved_at": None,
+            "recent": [Episode(**each) for each in recent],
+        }
     )
     single, several = Statistics(0.1, None), Statistics(0.1, None, worlds=2)
     single.restore(old)
     several.restore(old)
-    assert (single.mean_return, several.mean_return) == (3.0, None)  # it is not known which worlds they were in
+    assert (single.mean_return, several.mean_return) == (
+        3.0,
+        None,
+    )  # it is not known which worlds they were in
     curriculum = Curriculum(_staged(0.9, 2))
     curriculum.restore(CurriculumState.model_validate({"ends": [], "first_step": 0, "recent": [1.0]}))
     assert curriculum.add(_episode(True), 20, 3)

@@ -76,7 +76,9 @@ def test_an_algorithm_keeps_the_optimizer_settings_of_stable_baselines(algorithm
 @pytest.mark.parametrize("theta", [0.15, 1.0])
 def test_drifting_noise_has_the_deviation_and_the_memory_that_it_is_given(theta: float) -> None:
     np.random.seed(1)
-    drawn = DecayingNoise(ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.5), theta), (20_000,), lambda: 1.0)
+    drawn = DecayingNoise(
+        ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.5), theta), (20_000,), lambda: 1.0
+    )
     first, second = drawn(), drawn()
     for sample in (first, second):
         assert sample.std() == pytest.approx(0.5, rel=0.03)
@@ -96,14 +98,23 @@ def test_noise_goes_from_its_first_deviation_to_its_last(kind: Any) -> None:
 
 
 @pytest.mark.parametrize("algorithm", few(["TD3", "DDPG", "SAC", "TQC"], ["TD3"]))
-def test_noise_fades_while_the_training_goes_on(tmp_path: Path, algorithm: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_noise_fades_while_the_training_goes_on(
+    tmp_path: Path, algorithm: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen: list[float] = []
 
     def watched(kind: Any, size: Any, remaining: Any) -> Any:
         return DecayingNoise(kind, size, lambda: seen.append(remaining()) or remaining())
 
     monkeypatch.setattr(algorithms, "DecayingNoise", watched)
-    training = Training(algorithm, 300, 2, hyper(learning_starts=50), SMALL, ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.1)))
+    training = Training(
+        algorithm,
+        300,
+        2,
+        hyper(learning_starts=50),
+        SMALL,
+        ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.1)),
+    )
     learned(stand_in.build, tmp_path, training, continuous=True)
     assert seen[0] > 0.8
     assert seen[-1] < 0.05
@@ -119,10 +130,14 @@ class Reach(stand_in.CartPole):
     def __init__(self, program: Program, render_mode: str | None = None) -> None:
         super().__init__(program, render_mode)
         one = gym.spaces.Box(-1, 1, (1,), np.float32)
-        self.observation_space = gym.spaces.Dict({"observation": one, "achieved_goal": one, "desired_goal": one})
+        self.observation_space = gym.spaces.Dict(
+            {"observation": one, "achieved_goal": one, "desired_goal": one}
+        )
         self.action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
         self.place, self.goal = 0.0, float(self.np_random.uniform(-1, 1))
         return self._seen(), self._info(None)
@@ -133,11 +148,21 @@ class Reach(stand_in.CartPole):
         seen = self._seen()
         reward = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}))
         cut = self.steps >= 10
-        return seen, reward, False, cut, self._info("max_steps" if cut else None) | {"is_success": reward == 0.0}
+        return (
+            seen,
+            reward,
+            False,
+            cut,
+            self._info("max_steps" if cut else None) | {"is_success": reward == 0.0},
+        )
 
     def _seen(self) -> dict[str, Any]:
         place = np.array([self.place], np.float32)
-        return {"observation": place, "achieved_goal": place, "desired_goal": np.array([self.goal], np.float32)}
+        return {
+            "observation": place,
+            "achieved_goal": place,
+            "desired_goal": np.array([self.goal], np.float32),
+        }
 
     def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
         return -(np.abs(achieved - desired)[..., 0] > 0.1).astype(np.float32)
@@ -149,7 +174,13 @@ GOAL: dict[str, Any] = {
     "more": "goal: {achieved: x, desired: 0.1 m, tolerance: 2 cm, range: -0.4 .. 0.4 m}\n",
 }
 REACH = Training(
-    "DDPG", 1_500, 2, hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9), Network((32,)), None, Hindsight()
+    "DDPG",
+    1_500,
+    2,
+    hyper(learning_starts=200, buffer_size=1_000, learning_rate=3e-3, gamma=0.9),
+    Network((32,)),
+    None,
+    Hindsight(),
 )
 
 
@@ -169,7 +200,11 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
 
     class Seen(OffPolicyLearner):
         def start(self) -> None:
-            replays.append(deepcopy({key: value for key, value in vars(self.model.replay_buffer).items() if key != "env"}))
+            replays.append(
+                deepcopy(
+                    {key: value for key, value in vars(self.model.replay_buffer).items() if key != "env"}
+                )
+            )
             super().start()
 
     monkeypatch.setattr("deepbots_cli.learning.sb3.learner.OffPolicyLearner", Seen)
@@ -190,7 +225,9 @@ def copies_of(program: Program, world: Any = Reach) -> Any:
 def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:
     training = replace(REACH, total_timesteps=100, hyperparameters=())
     base = stand_in.compiled(training=training, **{**GOAL, "max_steps": 700})
-    model = algorithms.create(training, copies_of(base.program), seed=0, total_timesteps=100, longest_episode=700)
+    model = algorithms.create(
+        training, copies_of(base.program), seed=0, total_timesteps=100, longest_episode=700
+    )
     assert model.learning_starts == 1_400
     assert train(base, run=tmp_path / "run", build=Reach).steps == 100
 
@@ -199,7 +236,8 @@ def test_hindsight_waits_for_the_first_episode_to_end(tmp_path: Path) -> None:
 
 
 class OneWay(stand_in.CartPole):
-    """The second option is forbidden whenever the cart is right of the middle, and taking it then is a fault."""
+    """The second option is forbidden whenever the cart is right of the middle, and taking it then is a
+    fault."""
 
     def action_masks(self) -> Any:
         return np.array([True, self.x <= 0.0])
@@ -210,20 +248,29 @@ class OneWay(stand_in.CartPole):
 
 
 def test_forbidden_choices_are_never_taken_in_training_and_evaluation(tmp_path: Path) -> None:
-    run = learned(OneWay, tmp_path, Training("MaskablePPO", 300, 2, hyper(n_steps=32, batch_size=32), SMALL)).run
+    run = learned(
+        OneWay, tmp_path, Training("MaskablePPO", 300, 2, hyper(n_steps=32, batch_size=32), SMALL)
+    ).run
     assert evaluate(run, episodes=9, build=OneWay).episodes == 9
     assert evaluate(run, episodes=2, deterministic=False, build=OneWay).episodes == 2
     assert resume(run, total_timesteps=400, build=OneWay).steps >= 400
 
 
 def test_masks_are_not_asked_for_where_nothing_is_forbidden(tmp_path: Path) -> None:
-    run = learned(stand_in.build, tmp_path, Training("MaskablePPO", 300, 2, hyper(n_steps=32, batch_size=32), SMALL)).run
+    run = learned(
+        stand_in.build, tmp_path, Training("MaskablePPO", 300, 2, hyper(n_steps=32, batch_size=32), SMALL)
+    ).run
     assert evaluate(run, episodes=3, build=stand_in.build).episodes == 3
 
 
-def test_what_is_not_installed_is_told_with_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_installed_is_told_with_how_to_install_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(algorithms.ALGORITHMS["TQC"], "import_path", "not_there:TQC")
-    with pytest.raises(MissingExtraError, match=re.escape(f"training with TQC needs the 'contrib' extra; {install_hint('contrib')}")):
+    with pytest.raises(
+        MissingExtraError,
+        match=re.escape(f"training with TQC needs the 'contrib' extra; {install_hint('contrib')}"),
+    ):
         learned(stand_in.build, tmp_path, Training("TQC", 300), continuous=True)
     assert not (tmp_path / "run").exists()
 
@@ -234,7 +281,9 @@ def test_what_is_not_installed_is_told_with_how_to_install_it(tmp_path: Path, mo
 class Remember(stand_in.CartPole):
     """A cue is shown at the start, and three steps later it counts which of the two it was."""
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
         self.cue = int(self.np_random.integers(2))
         return np.array([2 * self.cue - 1, 0, 0, 0], np.float32), self._info(None)
@@ -243,13 +292,23 @@ class Remember(stand_in.CartPole):
         self.steps += 1
         over = self.steps == 4
         right = over and int(action) == self.cue
-        return np.zeros(4, np.float32), float(right), False, over, self._info("max_steps" if over else None) | {"is_success": right}
+        return (
+            np.zeros(4, np.float32),
+            float(right),
+            False,
+            over,
+            self._info("max_steps" if over else None) | {"is_success": right},
+        )
 
 
 @pytest.fixture(scope="module")
 def remembered(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     figures = hyper(lstm=16, n_steps=32, batch_size=64, n_epochs=5, learning_rate=1e-2)
-    return learned(Remember, tmp_path_factory.mktemp("memory"), Training("RecurrentPPO", 1_800, 8, figures, Network((16,))))
+    return learned(
+        Remember,
+        tmp_path_factory.mktemp("memory"),
+        Training("RecurrentPPO", 1_800, 8, figures, Network((16,))),
+    )
 
 
 def test_a_policy_with_a_memory_acts_by_what_it_saw_before(remembered: TrainingResult) -> None:
@@ -299,7 +358,9 @@ class Seeing(stand_in.CartPole):
     def __init__(self, program: Program, render_mode: str | None = None) -> None:
         super().__init__(program, render_mode)
         picture = gym.spaces.Box(0, 255, (self.SIZE, self.SIZE, 3), np.uint8)
-        self.observation_space = gym.spaces.Dict({"observation": self.observation_space, "cart_camera": picture})
+        self.observation_space = gym.spaces.Dict(
+            {"observation": self.observation_space, "cart_camera": picture}
+        )
 
     def _observation(self) -> Any:
         picture = np.zeros((self.SIZE, self.SIZE, 3), np.uint8)
@@ -308,15 +369,21 @@ class Seeing(stand_in.CartPole):
 
 
 @pytest.mark.parametrize("algorithm", few(["PPO", "DQN", "SAC"], ["DQN"]))
-def test_a_policy_that_sees_pictures_is_trained_kept_evaluated_and_gone_on_with(tmp_path: Path, algorithm: str) -> None:
+def test_a_policy_that_sees_pictures_is_trained_kept_evaluated_and_gone_on_with(
+    tmp_path: Path, algorithm: str
+) -> None:
     settings = {"n_steps": 32, "batch_size": 32} if algorithm == "PPO" else {"learning_starts": 50}
-    run = learned(Seeing, tmp_path, Training(algorithm, 100, 2, hyper(**settings), SMALL), continuous=algorithm == "SAC").run
+    run = learned(
+        Seeing, tmp_path, Training(algorithm, 100, 2, hyper(**settings), SMALL), continuous=algorithm == "SAC"
+    ).run
     first, again = (evaluate(run, episodes=3, model="last", build=Seeing) for _ in range(2))
     assert first == again
     assert resume(run, total_timesteps=150, build=Seeing).steps >= 150
 
 
-def test_more_remembered_pictures_than_memory_holds_are_refused_before_anything_is_made(tmp_path: Path) -> None:
+def test_more_remembered_pictures_than_memory_holds_are_refused_before_anything_is_made(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(UsageError, match=r"remembered steps need .* GB of memory"):
         learned(Seeing, tmp_path, Training("DQN", 10**9, 1, hyper(buffer_size=10**8)))
     assert not (tmp_path / "run").exists()
@@ -337,8 +404,12 @@ def test_the_effective_hyperparameters_are_those_that_the_library_gets(algorithm
     model = algorithms.create(training, copies_of(scenario, stand_in.CartPole), seed=0, total_timesteps=5_000)
     shown = {row.name: row for row in defaults.effective_hyperparameters(scenario, 5_000)}
     assert (shown["gamma"].value, shown["gamma"].source) == (0.9, "scenario")
-    got = {name: getattr(model, name) for name in shown if isinstance(getattr(model, name, None), (int, float))}
-    got = {name: value for name, value in got.items() if shown[name].value != "auto"}  # which the library resolves
+    got = {
+        name: getattr(model, name) for name in shown if isinstance(getattr(model, name, None), (int, float))
+    }
+    got = {
+        name: value for name, value in got.items() if shown[name].value != "auto"
+    }  # which the library resolves
     assert got.keys() >= {"learning_rate", "gamma", "n_steps"}
     assert {name: shown[name].value for name in got} == got
 
@@ -347,5 +418,9 @@ def test_the_effective_hyperparameters_are_those_that_the_library_gets(algorithm
 def test_the_defaults_of_the_library_are_read_from_its_signature(algorithm: str) -> None:
     home = pytest.importorskip(algorithms.ALGORITHMS[algorithm].import_path.partition(":")[0])
     signature = inspect.signature(getattr(home, algorithm).__init__)
-    theirs = {name: entry.default for name, entry in signature.parameters.items() if entry.default is not entry.empty}
+    theirs = {
+        name: entry.default
+        for name, entry in signature.parameters.items()
+        if entry.default is not entry.empty
+    }
     assert defaults.library_defaults(algorithm) == theirs

@@ -1,4 +1,5 @@
-"""Held-out episodes during a training: which model is kept as the best, and when a solved task ends the training."""
+"""Held-out episodes during a training: which model is kept as the best, and when a solved task ends the
+training."""
 
 from __future__ import annotations
 
@@ -11,11 +12,21 @@ import pytest
 import stand_in
 import torch
 
-from deepbots_cli.learning import TrainingResult, callbacks, evaluate, evaluate_trained, learner, resume, train
-from deepbots_cli.learning.callbacks import EVALUATION_EPISODES, Evaluator, Interruption, confirmation_root, evaluation_seeds
+from deepbots_cli.learning import (
+    TrainingResult,
+    callbacks,
+    evaluate,
+    evaluate_trained,
+    learner,
+    resume,
+    train,
+)
 from deepbots_cli.learning.confirmation import COST_SHARE
+from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
+from deepbots_cli.learning.records import PATIENCE, RunRecord
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import PATIENCE, Run, RunRecord
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
@@ -25,13 +36,15 @@ SEED = 0
 EVALUATION = evaluation_seeds(SEED, range(EVALUATION_EPISODES))
 NEW_STARTS = evaluation_seeds(SEED, range(EVALUATION_EPISODES, 200))
 CONFIRMATIONS = {
-    Start.of_evaluation(confirmation_root(SEED, number), start).seed: number for number in range(1, 30) for start in range(400)
+    Start.of_evaluation(confirmation_root(SEED, number), start).seed: number
+    for number in range(1, 30)
+    for start in range(400)
 }
 SUCCESS = Solved(20, success_rate=0.9)
 RETURN = Solved(20, mean_return=5.0)
 Score = Callable[[int], tuple[float, bool]]
-"""The reward of a step, and whether the episode is a success, by the number of the evaluation, of the confirmation, or
-of the candidate in the last choice, each from 0."""
+"""The reward of a step, and whether the episode is a success, by the number of the evaluation, of the
+confirmation, or of the candidate in the last choice, each from 0."""
 
 
 def poor(number: int) -> tuple[float, bool]:
@@ -79,7 +92,9 @@ class Scored(stand_in.CartPole):
         self.worlds = worlds
         self.seed: int | None = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         self.seed = seed
         if seed is not None:
             self.worlds.seeds.append(seed)
@@ -150,7 +165,10 @@ def unpaid(tmp_path_factory: pytest.TempPathFactory) -> tuple[Worlds, TrainingRe
 
 
 def test_the_policy_that_is_kept_succeeds_although_another_one_has_a_higher_return(tmp_path: Path) -> None:
-    build = Worlds(lambda number: (9.0, False) if number == 0 else (0.1, number == 1), choice=lambda number: (0.1, number == 0))
+    build = Worlds(
+        lambda number: (9.0, False) if number == 0 else (0.1, number == 1),
+        choice=lambda number: (0.1, number == 0),
+    )
     result = learned(tmp_path, build, total=6_000)
     first, second, *_ = evaluated_steps(result)
     assert first < second < result.steps
@@ -161,7 +179,9 @@ def test_the_policy_that_is_kept_succeeds_although_another_one_has_a_higher_retu
 
 
 def test_where_solved_asks_for_a_return_the_higher_return_is_kept(tmp_path: Path) -> None:
-    build = Worlds(lambda number: (0.09, False) if number == 0 else (0.01, True), choice=lambda number: (0.01, False))
+    build = Worlds(
+        lambda number: (0.09, False) if number == 0 else (0.01, True), choice=lambda number: (0.01, False)
+    )
     result = learned(tmp_path, build, total=3_000, solved=Solved(20, mean_return=40.0))
     assert result.best is not None
     assert (result.best.measure, result.best.steps) == ("mean_return", evaluated_steps(result)[0])
@@ -179,9 +199,14 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
     result = learned(tmp_path, build, total=12_000, solved=None, progress=notes)
     *_, third = evaluated_steps(result)[:3]
     assert result.best is not None
-    assert (result.best.chosen_by, result.best.steps) == ("new starts", third)  # of equals it was the first to play
+    assert (result.best.chosen_by, result.best.steps) == (
+        "new starts",
+        third,
+    )  # of equals it was the first to play
     assert result.best.episodes is not None
-    assert result.best.episodes % EVALUATION_EPISODES == 0  # the evaluation that put it forward is not among them
+    assert (
+        result.best.episodes % EVALUATION_EPISODES == 0
+    )  # the evaluation that put it forward is not among them
     assert result.best.success_rate == 1.0
     assert any(f"that of {third:,} steps is the best on new starts" in note for note in notes.notes)
     assert any(" models on new starts: 0 of at most " in activity for activity in notes.activities)
@@ -200,12 +225,16 @@ def test_candidates_are_models_that_can_be_named(tmp_path: Path) -> None:
     assert steps_of(result, files[0].stem) == int(files[0].stem.removeprefix("candidate-"))
 
 
-def test_a_run_of_before_is_read_and_its_best_marked_as_chosen_by_return(unpaid: tuple[Worlds, TrainingResult], tmp_path: Path) -> None:
+def test_a_run_of_before_is_read_and_its_best_marked_as_chosen_by_return(
+    unpaid: tuple[Worlds, TrainingResult], tmp_path: Path
+) -> None:
     _, result = unpaid
     record = json.loads((result.run / "run.json").read_text())
     for name in ("best", "confirmations", "confirmed_seed"):
         record["result"].pop(name)
-    (tmp_path / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
+    (tmp_path / "run.json").write_text(
+        json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
+    )
     best = RunRecord.read(tmp_path).result
     assert best is not None
     assert best.best_model is not None
@@ -236,7 +265,10 @@ def test_a_lucky_evaluation_does_not_stop_a_training(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("solved", [SUCCESS, RETURN])
 def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solved) -> None:
-    build = Worlds(lambda number: (1.0, number >= 1) if solved is SUCCESS else (float(number >= 1), False), confirmation=good)
+    build = Worlds(
+        lambda number: (1.0, number >= 1) if solved is SUCCESS else (float(number >= 1), False),
+        confirmation=good,
+    )
     result = learned(tmp_path, build, total=100_000, solved=solved)
     assert build.evaluations == 2
     assert result.steps < 20_000
@@ -264,7 +296,12 @@ def test_a_single_lucky_evaluation_of_an_off_policy_training_begins_no_confirmat
     values = {"learning_starts": 10, "train_freq": 100, "batch_size": 8}
     hyperparameters = tuple(Hyperparameter(name, value) for name, value in values.items())
     training = Training("DQN", 600, environments=1, hyperparameters=hyperparameters)
-    result = train(stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=50), runs=tmp_path, seed=SEED, build=build)
+    result = train(
+        stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=50),
+        runs=tmp_path,
+        seed=SEED,
+        build=build,
+    )
     assert build.evaluations > 2
     assert result.confirmations == confirmations
 
@@ -291,8 +328,12 @@ def test_a_training_that_does_not_stop_when_solved_notes_it_once(tmp_path: Path)
     assert (result.confirmations, result.confirmed_seed) == (1, None)
 
 
-def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_better_model(tmp_path: Path) -> None:
-    build = Worlds(lambda number: (1.0 + number, True), confirmation=good, choice=lambda number: (1.0, number == 0))
+def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_better_model(
+    tmp_path: Path,
+) -> None:
+    build = Worlds(
+        lambda number: (1.0 + number, True), confirmation=good, choice=lambda number: (1.0, number == 0)
+    )
     result = learned(tmp_path, build, total=4_000)
     assert result.confirmed_seed is not None
     before = evaluated_steps(result)
@@ -314,7 +355,12 @@ def test_a_checkpoint_of_before_goes_on(tmp_path: Path) -> None:
     state = json.loads(path.read_text())
     for name in ("candidates", "confirmations", "confirmation_steps", "returns"):
         state["callback"].pop(name)
-    state["callback"] |= {"best": [True, True, 200.0], "confirmed": True, "solved_seen": True, "evaluation_steps": 10**6}
+    state["callback"] |= {
+        "best": [True, True, 200.0],
+        "confirmed": True,
+        "solved_seen": True,
+        "evaluation_steps": 10**6,
+    }
     path.write_text(json.dumps(state))
     again = resume(result.run, total_timesteps=4_000, build=build)
     assert len(evaluated_steps(again)) > 1  # although older versions spent more steps on evaluations
@@ -333,7 +379,9 @@ def test_a_training_that_does_not_get_better_ends_after_its_patience(tmp_path: P
 
 def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: Path) -> None:
     build = Worlds(poor)
-    result = learned(tmp_path, build, on_evaluation=lambda run: "somebody" if run.parent == tmp_path else None)
+    result = learned(
+        tmp_path, build, on_evaluation=lambda run: "somebody" if run.parent == tmp_path else None
+    )
     assert (result.status, result.stopped_by, build.evaluations) == ("finished", "somebody", 1)
     assert result.steps < 1_500
 
@@ -345,10 +393,16 @@ def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: P
 def test_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> None:
     result = learned(tmp_path, Worlds(poor, choice=poor), total=20_000)
     chosen = 5 * EVALUATION_EPISODES * 50 * 4
-    assert 0 < result.evaluation_steps <= result.steps * callbacks.URGENT_SHARE + 2 * EVALUATION_EPISODES * 50 + chosen
+    assert (
+        0
+        < result.evaluation_steps
+        <= result.steps * callbacks.URGENT_SHARE + 2 * EVALUATION_EPISODES * 50 + chosen
+    )
 
 
-def test_the_best_models_are_not_the_same_policy_evaluated_again_within_a_long_rollout(tmp_path: Path) -> None:
+def test_the_best_models_are_not_the_same_policy_evaluated_again_within_a_long_rollout(
+    tmp_path: Path,
+) -> None:
     result = learned(tmp_path, Worlds(poor), total=12_000, n_steps=1_500, batch_size=1_500)
     # The last evaluation follows the last update.
     rollouts = [(steps - 1) // 3_000 for steps in evaluated_steps(result)[:-1]]
@@ -356,7 +410,9 @@ def test_the_best_models_are_not_the_same_policy_evaluated_again_within_a_long_r
     assert len(set(rollouts)) == len(rollouts)
 
 
-def test_evaluations_start_where_neither_training_nor_evaluation_does(unpaid: tuple[Worlds, TrainingResult]) -> None:
+def test_evaluations_start_where_neither_training_nor_evaluation_does(
+    unpaid: tuple[Worlds, TrainingResult],
+) -> None:
     build, result = unpaid
     assert set(EVALUATION) <= set(build.seeds)
     before = len(build.seeds)

@@ -46,13 +46,18 @@ def settings(found: Compiled) -> dict[str, Any]:
     return {entry.name: entry.value for entry in training.hyperparameters} | vars(training)
 
 
-@pytest.mark.parametrize("scenario", few(shipped.scenario_names(), ("cartpole", "find_ball", "panda_push", "quadruped")))
+@pytest.mark.parametrize(
+    "scenario", few(shipped.scenario_names(), ("cartpole", "find_ball", "panda_push", "quadruped"))
+)
 def test_every_shipped_scenario_without_train_can_be_trained(tmp_path: Path, scenario: str) -> None:
     found = compiled(tmp_path, scenario)
     assert found.findings == ()
     assert found.learner
     algorithm, worlds = EXPECTED.get(scenario, (None, None))
-    assert algorithm is None or (settings(found)["algorithm"], settings(found)["environments"]) == (algorithm, worlds)
+    assert algorithm is None or (settings(found)["algorithm"], settings(found)["environments"]) == (
+        algorithm,
+        worlds,
+    )
 
 
 @pytest.mark.parametrize("scenario", few(EXPECTED, ("cartpole",)))
@@ -65,7 +70,9 @@ def test_a_chosen_learner_trains(tmp_path: Path, scenario: str) -> None:
 
 
 def test_auto_is_the_same_as_none(tmp_path: Path) -> None:
-    none, empty, auto = (compiled(tmp_path, "cartpole", text) for text in (None, "{gamma: 98 %}", "{algorithm: auto}"))
+    none, empty, auto = (
+        compiled(tmp_path, "cartpole", text) for text in (None, "{gamma: 98 %}", "{algorithm: auto}")
+    )
     assert none.digest == auto.digest == empty.digest
     assert none.resolved == auto.resolved
 
@@ -90,7 +97,9 @@ def test_given_values_stay_and_their_reasons_go(tmp_path: Path) -> None:
     assert (known["network"].hidden, known["network"].activation) == ((64, 64), "relu")
     assert (known["learning_rate"].start, known["learning_rate"].end) == (1e-3, 0)
     assert (known["n_epochs"], known["n_steps"]) == (3, 64)
-    assert [reason.split(":")[0] for reason in found.learner] == ["PPO"]  # those for `environments` and `gamma` are gone
+    assert [reason.split(":")[0] for reason in found.learner] == [
+        "PPO"
+    ]  # those for `environments` and `gamma` are gone
 
 
 def test_a_scenario_without_train_is_otherwise_as_before(tmp_path: Path) -> None:
@@ -101,7 +110,9 @@ def test_a_scenario_without_train_is_otherwise_as_before(tmp_path: Path) -> None
 def test_what_no_algorithm_can_act_in_is_an_error(tmp_path: Path) -> None:
     base = compiled(tmp_path, "cartpole").source
     mixed = tmp_path / "mixed.yaml"
-    mixed.write_text(f"deepbots: 1\nextends: {base.name}\nname: Mixed\naction: {{more: -1 .. 1}}\n", encoding="utf-8")
+    mixed.write_text(
+        f"deepbots: 1\nextends: {base.name}\nname: Mixed\naction: {{more: -1 .. 1}}\n", encoding="utf-8"
+    )
     with pytest.raises(ScenarioError, match="no algorithm supports choices and ranges"):
         train(mixed, run=tmp_path / "run")
     assert not (tmp_path / "run").exists()

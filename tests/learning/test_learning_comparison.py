@@ -14,13 +14,17 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import compare, evaluate, evaluate_group, load_policy, train, train_group
 from deepbots_cli.learning.comparison import GroupDifference
 from deepbots_cli.learning.group import GroupTraining
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.statistics import compare_episodes, mean_interval
 from deepbots_cli.learning.verdict import last_episodes
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 
-SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
+SHORT = Training(
+    "PPO",
+    400,
+    2,
+    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+)
 STEP = "models/agent/step-000000256.zip"
 
 
@@ -62,13 +66,17 @@ def test_a_model_is_named_in_the_same_way_everywhere(climb: Path) -> None:
     assert load_policy(checkpoint).scenario == "stand_in"
     ref = ModelRef.open(checkpoint)
     assert (ref.path, ref.label, ref.is_named) == (checkpoint, "climb (step-000000256)", True)
-    with pytest.raises(UsageError, match=r"--last chooses a model of a run, but .*step-000000256\.zip is already a model"):
+    with pytest.raises(
+        UsageError, match=r"--last chooses a model of a run, but .*step-000000256\.zip is already a model"
+    ):
         compare([climb, checkpoint], model="last", build=stand_in.build)
 
 
 def test_a_training_begins_with_the_weights_of_a_checkpoint(climb: Path, tmp_path: Path) -> None:
     task = stand_in.compiled(training=SHORT)
-    begun = train(task, run=tmp_path / "second", initialize_from=climb / STEP, total_timesteps=64, build=stand_in.build)
+    begun = train(
+        task, run=tmp_path / "second", initialize_from=climb / STEP, total_timesteps=64, build=stand_in.build
+    )
     assert begun.initialized_from is not None
     assert begun.initialized_from.startswith(f"{climb / STEP}: ")
     assert (begun.run / "models" / "agent" / "initial.zip").read_bytes() == (climb / STEP).read_bytes()
@@ -78,13 +86,21 @@ def test_evaluations_of_checkpoints_are_the_last_ones_too(run_copy: Path) -> Non
     run = Run.open(run_copy)
     run.model("step-000000128").write_bytes(run.model("last").read_bytes())
     of_checkpoint = ModelRef.open(run.model("step-000000128"))
-    best = run.write_evaluation(to_json(evaluate(run, episodes=2, build=stand_in.build)))
-    path = run.write_evaluation(to_json(evaluate(of_checkpoint, episodes=2, build=stand_in.build)))
-    for ref, expected in ((ModelRef(run), path), (of_checkpoint, path), (ModelRef.open(run.model("best")), best)):
+    best = run.write_evaluation(evaluate(run, episodes=2, build=stand_in.build).model_dump(mode="json"))
+    path = run.write_evaluation(
+        evaluate(of_checkpoint, episodes=2, build=stand_in.build).model_dump(mode="json")
+    )
+    for ref, expected in (
+        (ModelRef(run), path),
+        (of_checkpoint, path),
+        (ModelRef.open(run.model("best")), best),
+    ):
         found = last_episodes(ref)
         assert found is not None
         assert found[0] == expected
-    forged = to_json(evaluate(run, episodes=2, build=stand_in.build)) | {"model": "../../../elsewhere"}
+    forged = evaluate(run, episodes=2, build=stand_in.build).model_dump(mode="json") | {
+        "model": "../../../elsewhere"
+    }
     run.write_evaluation(forged)
     assert last_episodes(ModelRef(run))[0] == path  # type: ignore[index]
 
@@ -92,7 +108,9 @@ def test_evaluations_of_checkpoints_are_the_last_ones_too(run_copy: Path) -> Non
 # In which world
 
 
-def test_policies_whose_apply_differs_are_each_played_in_their_own_scenario(climb: Path, tmp_path: Path) -> None:
+def test_policies_whose_apply_differs_are_each_played_in_their_own_scenario(
+    climb: Path, tmp_path: Path
+) -> None:
     faster = trained(tmp_path / "faster", apply="drive * 8 rad/s")
     found = compare([climb, faster], episodes=3, build=stand_in.build)
     assert found.scenario is None
@@ -100,22 +118,34 @@ def test_policies_whose_apply_differs_are_each_played_in_their_own_scenario(clim
     assert difference.own_scenarios
     assert difference.mean_return is not None  # the rewards are the same
     (note,) = [note for note in found.notes if "own scenario" in note]
-    assert note.startswith("climb and faster are each evaluated in their own scenario, from starts with the same seeds")
+    assert note.startswith(
+        "climb and faster are each evaluated in their own scenario, from starts with the same seeds"
+    )
     assert "robots.cart.apply.wheels: drive * 5 rad/s -> drive * 8 rad/s" in note
     for each in found.groups:
         assert each.evaluations[0].elsewhere is None
-    named = compare([climb, faster], episodes=3, scenario=stand_in.compiled(training=SHORT), build=stand_in.build)
+    named = compare(
+        [climb, faster], episodes=3, scenario=stand_in.compiled(training=SHORT), build=stand_in.build
+    )
     assert named.scenario == "stand_in"
     assert any("something else than here: robots.cart.apply.wheels" in note for note in named.notes)
 
 
-def test_returns_of_different_rewards_are_left_out_where_each_policy_is_in_its_own_scenario(climb: Path, tmp_path: Path) -> None:
+def test_returns_of_different_rewards_are_left_out_where_each_policy_is_in_its_own_scenario(
+    climb: Path, tmp_path: Path
+) -> None:
     other = trained(tmp_path / "other", apply="drive * 8 rad/s", reward="{alive: 2, center: 0}")
     found = compare([climb, other], episodes=3, build=stand_in.build)
     (difference,) = found.differences
     assert (difference.mean_return, difference.compared) == (None, None)
-    assert difference.verdict == "other: cannot be compared with climb, because returns do not mean the same (reward.alive differ)"
-    assert any("returns are not compared, because they do not mean the same: reward.alive: 1 -> 2" in note for note in found.notes)
+    assert (
+        difference.verdict
+        == "other: cannot be compared with climb, because returns do not mean the same (reward.alive differ)"
+    )
+    assert any(
+        "returns are not compared, because they do not mean the same: reward.alive: 1 -> 2" in note
+        for note in found.notes
+    )
 
 
 def test_successes_are_compared_where_returns_do_not_mean_the_same(tmp_path: Path) -> None:
@@ -127,8 +157,12 @@ def test_successes_are_compared_where_returns_do_not_mean_the_same(tmp_path: Pat
     assert "success rate" in difference.verdict
 
 
-def test_policies_are_compared_in_one_world_where_only_the_reward_differs(climb: Path, tmp_path: Path) -> None:
-    found = compare([climb, trained(tmp_path / "other", reward="{alive: 2, center: 0}")], episodes=2, build=stand_in.build)
+def test_policies_are_compared_in_one_world_where_only_the_reward_differs(
+    climb: Path, tmp_path: Path
+) -> None:
+    found = compare(
+        [climb, trained(tmp_path / "other", reward="{alive: 2, center: 0}")], episodes=2, build=stand_in.build
+    )
     assert found.scenario == "stand_in"
     assert not found.differences[0].own_scenarios
     assert any("the rewards of the runs differ" in note for note in found.notes)
@@ -138,13 +172,13 @@ def test_policies_are_compared_in_one_world_where_only_the_reward_differs(climb:
 
 
 def test_the_verdict_is_about_successes_where_the_task_asks_for_them() -> None:
-    returns, successes = (
-        compare_episodes([200.0] * 99 + [199.0], [100.0] * 99 + [99.0]),
-        compare_episodes([0.0] * 100, [0.0] * 50 + [1.0] * 50),
-    )
+    returns = compare_episodes([200.0] * 99 + [199.0], [100.0] * 99 + [99.0])
+    successes = compare_episodes([0.0] * 100, [0.0] * 50 + [1.0] * 50)
     difference = GroupDifference("one", "other", "success_rate", returns, successes, between_seeds=False)
     assert difference.verdict.startswith("other is better than one: the success rate is 50.0 points higher")
-    assert replace(difference, measure="mean_return").verdict.startswith("other is worse than one: the mean return is 100 lower")
+    assert replace(difference, measure="mean_return").verdict.startswith(
+        "other is worse than one: the mean return is 100 lower"
+    )
 
 
 def test_a_comparison_of_one_episode_asks_for_more_episodes_and_not_for_more_seeds() -> None:
@@ -152,21 +186,31 @@ def test_a_comparison_of_one_episode_asks_for_more_episodes_and_not_for_more_see
     between_runs = GroupDifference("one", "other", "mean_return", single, None, between_seeds=False)
     assert (
         between_runs.verdict
-        == "other: cannot be compared, because a single episode has no interval; evaluate more of them with --episodes N"
+        == "other: cannot be compared, because a single episode has no interval; evaluate more of them with"
+        " --episodes N"
     )
-    assert replace(between_runs, between_seeds=True).verdict.endswith("a group with one run has no interval; train more seeds")
+    assert replace(between_runs, between_seeds=True).verdict.endswith(
+        "a group with one run has no interval; train more seeds"
+    )
 
 
 # Groups
 
 
-def test_the_interval_of_equal_seeds_says_that_seeds_are_few_and_stands_beside_that_of_the_starts(group: GroupTraining) -> None:
+def test_the_interval_of_equal_seeds_says_that_seeds_are_few_and_stands_beside_that_of_the_starts(
+    group: GroupTraining,
+) -> None:
     found = evaluate_group(group.group, episodes=6, build=stand_in.build)
-    means = [sum(result.outcomes[start].total_return for result in found.evaluations) / 3 for start in range(6)]
+    means = [
+        sum(result.outcomes[start].total_return for result in found.evaluations) / 3 for start in range(6)
+    ]
     assert found.return_interval_over_starts == mean_interval(means, found.evaluations[0].possible_returns)
     text = records.group_text(found)
     assert "over 3 seeds: what another training may give; more seeds narrow the intervals" in text
-    assert "over 6 starts: what these policies give from other starts; more episodes narrow the intervals" in text
+    assert (
+        "over 6 starts: what these policies give from other starts; more episodes narrow the intervals"
+        in text
+    )
     assert text.count("  mean return ") == 2
 
 
@@ -174,8 +218,8 @@ def test_a_group_counts_solved_runs_by_their_verdicts(group: GroupTraining) -> N
     found = evaluate_group(group.group, episodes=10, build=stand_in.build)
     first, *others = found.evaluations
     run = Run.open(first.run)
-    run.write_evaluation(to_json(replace(first, episodes=100, solved=True)))
+    run.write_evaluation(first.model_copy(update={"episodes": 100, "solved": True}).model_dump(mode="json"))
     for result in others:
-        Run.open(result.run).write_evaluation(to_json(result))
+        Run.open(result.run).write_evaluation(result.model_dump(mode="json"))
     assert "solved              1 of 3 seeds" in records.group_text(found)
     assert records.group_json(found)["solved"] == [True, False, False]

@@ -1,4 +1,5 @@
-"""Compiled scenarios of every kind of observation, learned from in the engine: for a moment, to see that all of it fits together."""
+"""Compiled scenarios of every kind of observation, learned from in the engine: for a moment, to see that all
+of it fits together."""
 
 from __future__ import annotations
 
@@ -73,7 +74,9 @@ def test_it_is_trained_evaluated_and_gone_on_with(tmp_path: Path, kind: str) -> 
     first, again = (evaluate(result.run, episodes=2) for _ in range(2))
     assert first == again
     assert first.success_defined == (kind == "goal")
-    assert [case.case for case in evaluate_cases(result.run)] == [case.name for case in compiled.program.cases]
+    assert [case.case for case in evaluate_cases(result.run)] == [
+        case.name for case in compiled.program.cases
+    ]
     assert result.stage == ("usual" if kind == "stages" else None)
     goal = result.steps + 64
     assert resume(result.run, total_timesteps=goal).steps >= goal

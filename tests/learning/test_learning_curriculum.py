@@ -19,23 +19,31 @@ from deepbots_cli.cli.records import evaluation_text, training_text
 from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import Curriculum, CurriculumState
-from deepbots_cli.learning.report import TrainingProgress, to_json
+from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Criterion, Hyperparameter, Solved, Training
 from deepbots_cli.rollout import Episode
 
-PPO = Training("PPO", 1_000, 3, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
+PPO = Training(
+    "PPO",
+    1_000,
+    3,
+    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+)
 SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)
 
 
 def staged(*untils: Criterion | None, lengths: tuple[int, ...] = (5, 8, 11, 14), **settings: Any) -> Compiled:
-    """A scenario with a stage for each criterion; an episode of the stages `a`, `b`, ... has so many steps."""
+    """A scenario with a stage for each criterion; an episode of the stages `a`, `b`, ... has so many
+    steps."""
     stages = [
         f"  - {{name: {name}, set: {{truncation.max_steps: {length}}}{until_text(until)}}}\n"
         for name, until, length in zip("abcd", untils, lengths, strict=False)
     ]
-    return stand_in.compiled(training=PPO, more="".join(["curriculum:\n", *stages]) if stages else "", **settings)
+    return stand_in.compiled(
+        training=PPO, more="".join(["curriculum:\n", *stages]) if stages else "", **settings
+    )
 
 
 def until_text(until: Criterion | None) -> str:
@@ -51,7 +59,9 @@ def rows(run: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
 
 
-def learned(tmp_path: Path, compiled: Compiled, build: Any = stand_in.build, **settings: Any) -> TrainingResult:
+def learned(
+    tmp_path: Path, compiled: Compiled, build: Any = stand_in.build, **settings: Any
+) -> TrainingResult:
     return train(compiled, run=tmp_path / "run", build=build, **settings)
 
 
@@ -63,10 +73,16 @@ def through(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
 
 def test_each_copy_goes_on_to_the_next_stage_when_its_episode_has_ended(through: TrainingResult) -> None:
     result, log = through, rows(through.run)
-    assert {stage: {int(row["l"]) for row in log if row["stage"] == stage} for stage in "abc"} == {"a": {5}, "b": {8}, "c": {11}}
+    assert {stage: {int(row["l"]) for row in log if row["stage"] == stage} for stage in "abc"} == {
+        "a": {5},
+        "b": {8},
+        "c": {11},
+    }
     # The sixth episode is the second of the last copy; the other two had begun their third by then.
     assert [row["stage"] for row in log[:9]] == ["a"] * 8 + ["b"]
-    assert [(end.name, end.steps, end.episodes, end.value) for end in result.stages[:1]] == [("a", 30, 6, 5.0)]
+    assert [(end.name, end.steps, end.episodes, end.value) for end in result.stages[:1]] == [
+        ("a", 30, 6, 5.0)
+    ]
     assert result.stages[1].steps >= 330
     assert result.stage == "c"
     assert "stage a" in training_text(result)
@@ -76,7 +92,9 @@ def test_the_criterion_asks_for_its_number_of_episodes_in_a_row() -> None:
     program = staged(Criterion("success_rate", 0.5, 4), None, success=True).program
     curriculum = Curriculum(program)
     outcomes = [True, True, False, False, True]  # two of four at the fourth
-    begun = [curriculum.add(Episode(0.0, 10, good, None), 10 * n, n) for n, good in enumerate(outcomes[:4], 1)]
+    begun = [
+        curriculum.add(Episode(0.0, 10, good, None), 10 * n, n) for n, good in enumerate(outcomes[:4], 1)
+    ]
     assert begun == [False, False, False, True]
     assert (curriculum.name, curriculum.is_last, curriculum.value(40)) == ("b", True, None)
     assert curriculum.add(Episode(0.0, 10, True, None), 50, 5) is False
@@ -100,10 +118,17 @@ def test_a_stage_that_counts_evaluations_ends_with_one_and_resumes_to_the_bit(tm
     evaluated = [Criterion("mean_return", length - 0.5, None) for length in (2, 3)]
     compiled = staged(*evaluated, None, lengths=(2, 3, 4), solved=Solved(5, mean_return=4.5))
     whole = learned(tmp_path, compiled, total_timesteps=1400)
-    log = [json.loads(line) for line in (whole.run / "evaluations" / "training.jsonl").read_text().splitlines()]
+    log = [
+        json.loads(line) for line in (whole.run / "evaluations" / "training.jsonl").read_text().splitlines()
+    ]
     assert [line["stage"] for line in log] == ["a", "b", "c"]
-    assert [(done.name, done.value, done.steps) for done in whole.stages] == [("a", 2.0, log[0]["steps"]), ("b", 3.0, log[1]["steps"])]
-    parts = train(compiled, run=tmp_path / "parts", build=stand_in.build, total_timesteps=1400, progress=Stop(500))
+    assert [(done.name, done.value, done.steps) for done in whole.stages] == [
+        ("a", 2.0, log[0]["steps"]),
+        ("b", 3.0, log[1]["steps"]),
+    ]
+    parts = train(
+        compiled, run=tmp_path / "parts", build=stand_in.build, total_timesteps=1400, progress=Stop(500)
+    )
     assert (parts.status, [done.name for done in parts.stages]) == ("interrupted", ["a"])
     again = resume(parts.run, build=stand_in.build)
     assert (again.inexact, again.stages, again.weights_digest) == ((), whole.stages, whole.weights_digest)
@@ -112,7 +137,9 @@ def test_a_stage_that_counts_evaluations_ends_with_one_and_resumes_to_the_bit(tm
 def test_an_evaluation_below_the_criterion_begins_no_stage_and_is_kept_by_a_checkpoint() -> None:
     program = staged(Criterion("success_rate", 0.6, None), None, success=True).program
     curriculum, again = Curriculum(program), Curriculum(program)
-    assert curriculum.add(Episode(0.0, 10, True, None), 10, 1) is False  # episodes of the training do not count
+    assert (
+        curriculum.add(Episode(0.0, 10, True, None), 10, 1) is False
+    )  # episodes of the training do not count
     assert curriculum.add_evaluation(0.0, 0.55, 20, 2) is False
     again.restore(CurriculumState.model_validate_json(curriculum.state().model_dump_json()))
     assert again.describe(20) == "a (1 of 2): success rate in evaluation 0.55 of 0.6"
@@ -125,7 +152,9 @@ def test_returns_of_one_stage_do_not_count_in_the_next(tmp_path: Path) -> None:
     assert result.solved_at is not None
     log = rows(result.run)
     first = next(index for index, row in enumerate(log) if row["stage"] == "b")
-    assert result.solved_at.episode >= first + 5  # five episodes of the last stage, though any five had the return
+    assert (
+        result.solved_at.episode >= first + 5
+    )  # five episodes of the last stage, though any five had the return
     assert result.best is not None
     assert result.best.mean_return == 8.0
 
@@ -154,15 +183,20 @@ def test_a_killed_training_that_had_learned_nothing_begins_anew_in_its_first_sta
         shutil.rmtree(folder)
         folder.mkdir()
     (run / "monitor.csv").unlink()
-    (run / "run.json").write_text(json.dumps(json.loads((run / "run.json").read_text()) | {"status": "running"}))
+    (run / "run.json").write_text(
+        json.dumps(json.loads((run / "run.json").read_text()) | {"status": "running"})
+    )
     resume(run, build=stand_in.build)
     assert {row["stage"] for row in rows(run)} == {"b"}
 
 
 @pytest.mark.parametrize(
-    ("untils", "known"), [((SHORT, None), "has no stage 'z'.*there are: a, b"), ((), "has no stages, so there is no 'z'")]
+    ("untils", "known"),
+    [((SHORT, None), "has no stage 'z'.*there are: a, b"), ((), "has no stages, so there is no 'z'")],
 )
-def test_a_stage_that_does_not_exist_is_refused_before_there_is_a_run(tmp_path: Path, untils: tuple[Criterion, ...], known: str) -> None:
+def test_a_stage_that_does_not_exist_is_refused_before_there_is_a_run(
+    tmp_path: Path, untils: tuple[Criterion, ...], known: str
+) -> None:
     with pytest.raises(UsageError, match=known):
         learned(tmp_path, staged(*untils), stage="z")
     assert not (tmp_path / "run").exists()
@@ -187,7 +221,7 @@ def test_an_evaluation_says_when_the_training_did_not_come_to_the_last_stage(tmp
     evaluation = evaluate(result.run, episodes=2, build=stand_in.build)
     assert evaluation.greatest_return > 11  # the scenario itself, not the stage
     assert "the training ended in stage b, number 2 of 3" in evaluation_text(evaluation)
-    assert json.loads(json.dumps(to_json(result)))["stage"] == "b"
+    assert json.loads(json.dumps(result.model_dump(mode="json")))["stage"] == "b"
 
 
 def test_a_stage_that_cannot_be_built_is_found_before_there_is_a_run(tmp_path: Path) -> None:

@@ -29,7 +29,14 @@ ODD = {
 
 def odd(name: str) -> Compiled:
     """The CartPole, in which a reward term or an observed value has no value after some steps."""
-    return api.compile(check(loads(f"deepbots: 1\nextends: cartpole.yaml\nname: Odd\n{ODD[name]}\n", base=Path("scenarios").absolute())))
+    return api.compile(
+        check(
+            loads(
+                f"deepbots: 1\nextends: cartpole.yaml\nname: Odd\n{ODD[name]}\n",
+                base=Path("scenarios").absolute(),
+            )
+        )
+    )
 
 
 @pytest.mark.parametrize(("name", "field"), [("reward", "`odd = "), ("observation", "growth")])
@@ -44,7 +51,9 @@ def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_f
     text, notes = str(caught.value), caught.value.full_message
     path = tmp_path / "run" / "failures" / "0001.json"
     failure, error = reproduce(path)
-    assert all(part in text for part in (f"episode {failure.episode} (seed ", "step ", field, f"deepbots try {path}"))
+    assert all(
+        part in text for part in (f"episode {failure.episode} (seed ", "step ", field, f"deepbots try {path}")
+    )
     assert failure.error in text
     assert error is not None
     assert text.startswith(error)
@@ -53,7 +62,8 @@ def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_f
 
 
 def hurled(push: str) -> Compiled:
-    """The CartPole with a motor at its hinge that hurls the pole out of the range of numbers, in the episodes that draw a `push`."""
+    """The CartPole with a motor at its hinge that hurls the pole out of the range of numbers, in the episodes
+    that draw a `push`."""
     text = f"""
 deepbots: 1
 extends: cartpole.yaml
@@ -91,7 +101,11 @@ def test_a_world_of_a_batch_that_becomes_infinite_is_reset_and_its_episode_is_ke
     assert done.status == "finished"
     assert len(told) == len(files) == (tmp_path / "run" / "monitor.csv").read_text().count("not_finite") > 0
     for text, path in zip(told, files, strict=True):
-        assert re.match(rf"episode \d+ \(seed \d+\), step \d: the pose of 'cart' became infinite or NaN\nreproduce .* {path}\n", text)
+        assert re.match(
+            r"episode \d+ \(seed \d+\), step \d: the pose of 'cart' became infinite or NaN\nreproduce .*"
+            rf" {path}\n",
+            text,
+        )
         failure, error = reproduce(path)
         assert error is not None
         assert failure.error.endswith(error.partition("), ")[2])
@@ -100,7 +114,8 @@ def test_a_world_of_a_batch_that_becomes_infinite_is_reset_and_its_episode_is_ke
 def test_a_training_stops_when_worlds_of_a_batch_are_lost_again_and_again(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     with pytest.raises(
-        EngineError, match=r"in 10 of the last \d+ episodes the state became infinite or NaN; the last one is episode"
+        EngineError,
+        match=r"in 10 of the last \d+ episodes the state became infinite or NaN; the last one is episode",
     ) as caught:
         train(hurled("1e9"), run=tmp_path / "run", total_timesteps=2_000, engine="mujoco")
     files = sorted(path.name for path in (tmp_path / "run" / "failures").iterdir())
@@ -109,7 +124,9 @@ def test_a_training_stops_when_worlds_of_a_batch_are_lost_again_and_again(tmp_pa
 
 
 def test_a_reward_that_is_not_finite_names_its_term(tmp_path: Path) -> None:
-    with pytest.raises(DeepbotsError, match=r"episode 1 \(seed \d+\), step 5: the reward term 'center' is not finite"):
+    with pytest.raises(
+        DeepbotsError, match=r"episode 1 \(seed \d+\), step 5: the reward term 'center' is not finite"
+    ):
         train(stand_in.compiled(), run=tmp_path / "run", build=stand_in.Failing)
 
 
@@ -154,16 +171,28 @@ def test_an_observation_that_is_not_finite_is_named() -> None:
 def test_a_damaged_file_is_refused(trained: TrainingResult, run_copy: Path) -> None:
     folder = run_copy / "failures"
     folder.mkdir()
-    whole = '{"error": "", "step": 1, "episode": 1, "case": null, "stage": null, "start": %s, "actions": [%s]}'
+    whole = (
+        '{"error": "", "step": 1, "episode": 1, "case": null, "stage": null, "start": %s, "actions": [%s]}'
+    )
     for content in ("{", whole % ('{"root": "x"}', "0"), whole % ("0", '"x"'), whole % ("-1", "0")):
         (folder / "0001.json").write_text(content)
         with pytest.raises(RunError, match="damaged"):
             reproduce(folder / "0001.json")
 
 
-def test_actions_after_the_end_of_the_episode_are_not_repeated(trained: TrainingResult, run_copy: Path) -> None:
+def test_actions_after_the_end_of_the_episode_are_not_repeated(
+    trained: TrainingResult, run_copy: Path
+) -> None:
     (run_copy / "failures").mkdir()
-    content = {"error": "", "step": 1, "episode": 1, "case": None, "stage": None, "start": 0, "actions": [0] * 1_000_000}
+    content = {
+        "error": "",
+        "step": 1,
+        "episode": 1,
+        "case": None,
+        "stage": None,
+        "start": 0,
+        "actions": [0] * 1_000_000,
+    }
     (run_copy / "failures" / "0001.json").write_text(json.dumps(content))
     failure, error = reproduce(run_copy / "failures" / "0001.json")
     assert error is None

@@ -22,7 +22,11 @@ State = dict[str, Any]
 
 
 def files(run: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(run)): path.read_bytes() for path in run.rglob("*") if path.is_file() and path.name != ".lock"}
+    return {
+        str(path.relative_to(run)): path.read_bytes()
+        for path in run.rglob("*")
+        if path.is_file() and path.name != ".lock"
+    }
 
 
 def refusal(run: Path) -> str:
@@ -54,20 +58,32 @@ def with_arrays(run: Path, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
 
 HUGE_TEXT = {"dtype": "S2000000000", "value": ["x", "y", "z"]}
 STATES: dict[str, Callable[[State], object]] = {
-    "a position beyond the numbers of the generator": lambda state: state.update(numpy=[1_000_000_000, 0, 0.0]),
+    "a position beyond the numbers of the generator": lambda state: state.update(
+        numpy=[1_000_000_000, 0, 0.0]
+    ),
     "a text of 2 GB as a number": lambda state: state["infos"].insert(0, {"r": HUGE_TEXT, "l": 1}),
     "an object as a number": lambda state: state["pending"][0].update(x={"dtype": "O", "value": 1}),
-    "a number that its type does not have": lambda state: state["pending"][0].update(x={"dtype": "int8", "value": 300}),
+    "a number that its type does not have": lambda state: state["pending"][0].update(
+        x={"dtype": "int8", "value": 300}
+    ),
     "steps below zero": lambda state: state["counts"].update(num_timesteps=-(10**12)),
     "steps that the statistics do not have": lambda state: state["counts"].update(num_timesteps=10**9),
-    "steps without end": lambda state: (state["counts"].update(num_timesteps=10**25), state["statistics"].update(steps=10**25)),
-    "steps of another checkpoint": lambda state: (state["counts"].update(num_timesteps=4), state["statistics"].update(steps=4)),
+    "steps without end": lambda state: (
+        state["counts"].update(num_timesteps=10**25),
+        state["statistics"].update(steps=10**25),
+    ),
+    "steps of another checkpoint": lambda state: (
+        state["counts"].update(num_timesteps=4),
+        state["statistics"].update(steps=4),
+    ),
     "a seed below zero": lambda state: state["starts"].__setitem__(0, -5),
     "a generator of another kind": lambda state: state["action_space"].update(bit_generator="MT19937"),
     "too many worlds": lambda state: (state["starts"].append(1), state["stages"].append(0)),
     "no worlds": lambda state: state.update(starts=[], stages=[]),
     "a stage that is not there": lambda state: state["stages"].__setitem__(0, 7),
-    "an episode without end": lambda state: state["statistics"]["recent"][0].update(total_return=float("inf")),
+    "an episode without end": lambda state: state["statistics"]["recent"][0].update(
+        total_return=float("inf")
+    ),
     "a generator of Python that is cut short": lambda state: state.update(python=[3, [1, 2, 3], None]),
     "an evaluation in the future": lambda state: state["callback"].update(evaluated_at=10**9),
     "a candidate whose return is no number": lambda state: state["callback"].update(
@@ -142,6 +158,14 @@ def test_a_refused_resume_leaves_files_in_logs_and_tensorboard(run_copy: Path) -
     assert files(run_copy) == before
 
 
-def test_the_advice_for_a_damaged_checkpoint_works(run_copy: Path, trained: TrainingResult, tmp_path: Path) -> None:
-    result = train(run_copy / "resolved.yaml", run=tmp_path / "new", initialize_from=run_copy, total_timesteps=256, build=stand_in.build)
+def test_the_advice_for_a_damaged_checkpoint_works(
+    run_copy: Path, trained: TrainingResult, tmp_path: Path
+) -> None:
+    result = train(
+        run_copy / "resolved.yaml",
+        run=tmp_path / "new",
+        initialize_from=run_copy,
+        total_timesteps=256,
+        build=stand_in.build,
+    )
     assert result.initialized_from is not None

@@ -1,4 +1,5 @@
-"""Groups of runs: trained seed by seed, resumed, evaluated and compared as one, and listed from their files."""
+"""Groups of runs: trained seed by seed, resumed, evaluated and compared as one, and listed from their
+files."""
 
 from __future__ import annotations
 
@@ -19,17 +20,32 @@ from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.cli.sources import open_source
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.learning import TrainingResult, compare, evaluate, evaluate_group, resume_group, train, train_group
+from deepbots_cli.learning import (
+    TrainingResult,
+    compare,
+    evaluate,
+    evaluate_group,
+    resume_group,
+    train,
+    train_group,
+)
 from deepbots_cli.learning.comparison import GroupDifference
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.group import Group, GroupTraining
 from deepbots_cli.learning.listing import list_runs, read_listed, sort_runs
-from deepbots_cli.learning.report import Reporter, TrainingProgress, to_json
-from deepbots_cli.learning.run import Run, run_lock, short_settings
+from deepbots_cli.learning.records import short_settings
+from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.statistics import compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Solved, Training
 
-SHORT = Training("PPO", 200, 2, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
+SHORT = Training(
+    "PPO",
+    200,
+    2,
+    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+)
 SCENARIO = stand_in.compiled(training=SHORT, solved=Solved(10, mean_return=195.0))
 
 
@@ -62,11 +78,17 @@ class InterruptsSeed(Reporter):
             os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_each_seed_of_a_group_is_the_run_that_this_seed_alone_would_be(trained_group: GroupTraining, tmp_path: Path) -> None:
+def test_each_seed_of_a_group_is_the_run_that_this_seed_alone_would_be(
+    trained_group: GroupTraining, tmp_path: Path
+) -> None:
     assert trained_group.group.name == "stand_in-seeds-1"
     assert [found.run.name for found in trained_group.trained] == ["seed-0", "seed-1", "seed-4"]
     alone = train(SCENARIO, run=tmp_path / "alone", seed=4, build=stand_in.build)
-    assert trained_group.trained[2].weights_digest == alone.weights_digest != trained_group.trained[1].weights_digest
+    assert (
+        trained_group.trained[2].weights_digest
+        == alone.weights_digest
+        != trained_group.trained[1].weights_digest
+    )
 
 
 def test_the_cpu_time_of_a_seed_is_its_own(trained_group: GroupTraining) -> None:
@@ -74,15 +96,21 @@ def test_the_cpu_time_of_a_seed_is_its_own(trained_group: GroupTraining) -> None
     assert 0 < last < 2.5 * first
 
 
-def test_an_interrupted_group_goes_on_and_skips_what_is_finished(trained_group: GroupTraining, tmp_path: Path) -> None:
-    begun = train_group(SCENARIO, (0, 1, 4), group=tmp_path / "group", progress=InterruptsSeed(2), build=stand_in.build)
+def test_an_interrupted_group_goes_on_and_skips_what_is_finished(
+    trained_group: GroupTraining, tmp_path: Path
+) -> None:
+    begun = train_group(
+        SCENARIO, (0, 1, 4), group=tmp_path / "group", progress=InterruptsSeed(2), build=stand_in.build
+    )
     assert [found.status for found in begun.trained] == ["finished", "interrupted"]
     assert begun.waiting == (1, 4)
     listed = read_listed(tmp_path / "group")
     assert (listed.state, [run.state for run in listed.runs]) == ("interrupted", ["finished", "interrupted"])
     rest = resume_group(tmp_path / "group", build=stand_in.build)
     assert (rest.skipped, rest.waiting) == ((0,), ())
-    assert [found.weights_digest for found in rest.trained] == [found.weights_digest for found in trained_group.trained[1:]]
+    assert [found.weights_digest for found in rest.trained] == [
+        found.weights_digest for found in trained_group.trained[1:]
+    ]
     assert read_listed(tmp_path / "group").state == "finished"
     again = resume_group(tmp_path / "group", build=stand_in.build)
     assert (again.trained, again.skipped) == ((), (0, 1, 4))
@@ -91,7 +119,12 @@ def test_an_interrupted_group_goes_on_and_skips_what_is_finished(trained_group: 
 
 
 def test_a_seed_that_diverges_does_not_end_the_others(tmp_path: Path) -> None:
-    found = train_group(SCENARIO, (0, 1), group=tmp_path / "group", build=lambda program, render_mode=None: stand_in.Failing(program))
+    found = train_group(
+        SCENARIO,
+        (0, 1),
+        group=tmp_path / "group",
+        build=lambda program, render_mode=None: stand_in.Failing(program),
+    )
     assert (found.trained, sorted(found.failed)) == ((), [0, 1])
     assert "is not finite" in found.failed[0]
     assert read_listed(tmp_path / "group").state == "failed"
@@ -126,10 +159,12 @@ def test_a_group_is_evaluated_by_one_score_per_seed(trained_group: GroupTraining
     assert found.return_interval == mean_interval(found.returns)
     assert found.interquartile_mean == interquartile_mean(found.returns)
     alone = evaluate(trained_group.group / "seed-1", episodes=6, seed=0, build=stand_in.build)
-    assert to_json(alone) == to_json(found.evaluations[1])
+    assert alone.model_dump(mode="json") == found.evaluations[1].model_dump(mode="json")
 
 
-def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer(trained_group: GroupTraining) -> None:
+def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer(
+    trained_group: GroupTraining,
+) -> None:
     gates = Gates(min_success=0.5, min_return=None, solved=False)
     enough = partial(gates.decided_of_group, planned=30)
     found = evaluate_group(trained_group.group, episodes=10, until=enough, build=stand_in.build)
@@ -142,16 +177,23 @@ def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer
     assert f"the remaining {30 - done} episodes cannot change the result" in reason
 
 
-def test_two_groups_are_compared_by_their_seeds_though_their_scenario_is_the_same(trained_group: GroupTraining, tmp_path: Path) -> None:
+def test_two_groups_are_compared_by_their_seeds_though_their_scenario_is_the_same(
+    trained_group: GroupTraining, tmp_path: Path
+) -> None:
     longer = shutil.copytree(trained_group.group, tmp_path / "longer")
     resume_group(longer, total_timesteps=400, build=stand_in.build)
     found = compare([trained_group.group, longer], episodes=5, build=stand_in.build)
-    assert [(group.name, len(group.evaluations)) for group in found.groups] == [("stand_in-seeds-1", 3), ("longer", 3)]
+    assert [(group.name, len(group.evaluations)) for group in found.groups] == [
+        ("stand_in-seeds-1", 3),
+        ("longer", 3),
+    ]
     assert found.groups[0].solved_after == (None, None, None)
     (difference,) = found.differences
     assert difference.between_seeds
     assert difference.mean_return is not None
-    assert difference.mean_return.mean == pytest.approx(found.groups[1].mean_return - found.groups[0].mean_return)
+    assert difference.mean_return.mean == pytest.approx(
+        found.groups[1].mean_return - found.groups[0].mean_return
+    )
     with pytest.raises(UsageError, match="at least two runs"):
         compare([trained_group.group / "seed-0"], build=stand_in.build)
 
@@ -163,20 +205,32 @@ def test_the_runs_of_one_group_are_compared_with_each_other(trained_group: Group
 
 
 def test_groups_of_equal_returns_differ_by_the_steps_until_they_are_solved() -> None:
-    equal, steps = compare_seeds([200.0] * 3, [200.0] * 3), compare_seeds([26_900, 26_300, 27_400], [46_400, 44_200, 48_800])
-    verdict = GroupDifference("wide", "narrow", "mean_return", equal, None, between_seeds=True, solved_after=steps).verdict
-    assert verdict.startswith("narrow: the same mean return in every run; it is solved after 19,600 more steps of training (95 % interval ")
+    equal = compare_seeds([200.0] * 3, [200.0] * 3)
+    steps = compare_seeds([26_900, 26_300, 27_400], [46_400, 44_200, 48_800])
+    verdict = GroupDifference(
+        "wide", "narrow", "mean_return", equal, None, between_seeds=True, solved_after=steps
+    ).verdict
+    assert verdict.startswith(
+        "narrow: the same mean return in every run; it is solved after 19,600 more steps of training (95 %"
+        " interval "
+    )
 
 
-def test_variants_that_see_something_else_are_compared_in_their_own_scenarios(trained_group: GroupTraining, tmp_path: Path) -> None:
-    other = train(stand_in.compiled(training=SHORT, speed_range=1.0), run=tmp_path / "other", build=stand_in.build).run
+def test_variants_that_see_something_else_are_compared_in_their_own_scenarios(
+    trained_group: GroupTraining, tmp_path: Path
+) -> None:
+    other = train(
+        stand_in.compiled(training=SHORT, speed_range=1.0), run=tmp_path / "other", build=stand_in.build
+    ).run
     found = compare([trained_group.group / "seed-0", other], episodes=4, build=stand_in.build)
     assert found.scenario is None
     assert any("observation.speed" in note for note in found.notes)
     assert not any("rewards differ" in note for note in found.notes)
 
 
-def test_a_group_that_is_no_group_any_more_is_told_in_one_sentence(trained_group: GroupTraining, tmp_path: Path) -> None:
+def test_a_group_that_is_no_group_any_more_is_told_in_one_sentence(
+    trained_group: GroupTraining, tmp_path: Path
+) -> None:
     copy = Path(shutil.copytree(trained_group.group, tmp_path / "copy"))
     record = json.loads((copy / "group.json").read_text())
     (copy / "group.json").write_text(json.dumps(record | {"format": 9}))
@@ -197,7 +251,9 @@ def test_a_group_that_is_no_group_any_more_is_told_in_one_sentence(trained_group
     (copy / "group.json").write_text(json.dumps(record))
     with pytest.raises(RunError, match="symbolic link"):
         Group.open(copy)
-    with pytest.raises(RunError, match=r"is a group of runs, and not a run; name one of its runs, such as .*/seed-0"):
+    with pytest.raises(
+        RunError, match=r"is a group of runs, and not a run; name one of its runs, such as .*/seed-0"
+    ):
         Run.open(trained_group.group)
 
 
@@ -225,27 +281,44 @@ def test_the_list_shows_the_longest_evaluation_in_the_scenario_of_the_training(r
     assert read_listed(run_copy).score == "training"
     plain = evaluate(run_copy, episodes=3, build=stand_in.build)
     run = Run.open(run_copy)
-    run.write_evaluation(to_json(plain))
-    run.write_evaluation(to_json(plain) | {"mean_return": 1e6, "set": ["world.substeps=2"]})
-    run.write_evaluation(to_json(plain) | {"mean_return": 1e6, "model": "last"})
+    run.write_evaluation(plain.model_dump(mode="json"))
+    run.write_evaluation(plain.model_dump(mode="json") | {"mean_return": 1e6, "set": ["world.substeps=2"]})
+    run.write_evaluation(plain.model_dump(mode="json") | {"mean_return": 1e6, "model": "last"})
     (run_copy / "evaluations" / "0009.json").write_text("{")
     found = read_listed(run_copy)
-    assert (found.score, found.mean_return, found.return_interval) == ("evaluation", plain.mean_return, plain.return_interval)
-    run.write_evaluation(to_json(plain) | {"mean_return": 1e6, "episodes": 2})  # such as one that a gate has stopped early
+    assert (found.score, found.mean_return, found.return_interval) == (
+        "evaluation",
+        plain.mean_return,
+        plain.return_interval,
+    )
+    run.write_evaluation(
+        plain.model_dump(mode="json") | {"mean_return": 1e6, "episodes": 2}
+    )  # such as one that a gate has stopped early
     found = read_listed(run_copy)
     assert (found.mean_return, found.evaluated_episodes) == (plain.mean_return, 3)
 
 
 def test_values_that_the_command_line_has_changed_are_listed(run_copy: Path) -> None:
     record = json.loads((run_copy / "run.json").read_text())
-    record["command"] = ["deepbots", "train", "cartpole", "--set", "train.learning_rate=0.003", "--set=fall_angle=10deg", "--seed", "1"]
+    record["command"] = [
+        "deepbots",
+        "train",
+        "cartpole",
+        "--set",
+        "train.learning_rate=0.003",
+        "--set=fall_angle=10deg",
+        "--seed",
+        "1",
+    ]
     (run_copy / "run.json").write_text(json.dumps(record))
     settings = read_listed(run_copy).settings
     assert settings == ("train.learning_rate=0.003", "fall_angle=10deg")
     assert short_settings(settings) == "learning_rate=0.003, fall_angle=10deg"
 
 
-def test_scenarios_of_the_same_name_are_listed_with_their_files(run_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scenarios_of_the_same_name_are_listed_with_their_files(
+    run_copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["runs", str(run_copy.parent)]) == 0
     assert "stand_in (" not in capsys.readouterr().out
     other = shutil.copytree(run_copy, run_copy.parent / "other")
@@ -257,7 +330,9 @@ def test_scenarios_of_the_same_name_are_listed_with_their_files(run_copy: Path, 
     assert "stand_in (other.yaml)" in told
 
 
-def test_runs_in_folders_of_the_same_name_are_compared_under_their_paths(run_copy: Path, tmp_path: Path) -> None:
+def test_runs_in_folders_of_the_same_name_are_compared_under_their_paths(
+    run_copy: Path, tmp_path: Path
+) -> None:
     other = shutil.copytree(run_copy, tmp_path / "second" / run_copy.name)
     found = compare([run_copy, other], episodes=1, build=stand_in.build)
     assert [group.name for group in found.groups] == [str(run_copy), str(other)]

@@ -11,20 +11,27 @@ import stand_in
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import evaluate, train
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.keeping import keep, kept_models
 from deepbots_cli.learning.learner import steps_of
-from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import ModelRef, Run, RunRecord, run_lock
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Hyperparameter, Training
 from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE
 
-SHORT = Training("PPO", 400, 2, tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))))
+SHORT = Training(
+    "PPO",
+    400,
+    2,
+    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+)
 
 
 class PaidByTurn:
-    """Builds worlds that pay 1 a step to the models that play in certain turns, each in `FORWARD_BATCH_SIZE` worlds."""
+    """Builds worlds that pay 1 a step to the models that play in certain turns, each in `FORWARD_BATCH_SIZE`
+    worlds."""
 
     def __init__(self, *turns: int) -> None:
         self.turns, self.count = turns, 0
@@ -40,7 +47,9 @@ class Paid(stand_in.CartPole):
         super().__init__(program)
         self.worlds, self.reward = worlds, reward
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         if seed is not None:
             self.worlds.seeds.add(seed)
         return super().reset(seed=seed, options=options)
@@ -65,7 +74,7 @@ def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(ru
     before, names = bytes_of(run, "best"), kept_models(run)
     assert len(names) >= 3
     assert len(set(names.values())) == len(names)
-    run.write_evaluation(to_json(evaluate(run, episodes=4, build=stand_in.build)))
+    run.write_evaluation(evaluate(run, episodes=4, build=stand_in.build).model_dump(mode="json"))
     # The second model wins the first round, and is the first to play in each later one.
     turns, left = [1], len(names)
     played = left
@@ -94,14 +103,16 @@ def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(ru
     evaluated = evaluate(kept.run, episodes=4, build=build)
     assert evaluated.seed == kept.best.evaluation_seed != run.record.seed
     assert not {episode.seed for episode in evaluated.outcomes} & seen
-    kept.run.write_evaluation(to_json(evaluated))
+    kept.run.write_evaluation(evaluated.model_dump(mode="json"))
     assert run_verdict(run.path, RunRecord.read(run.path)).evaluation is not None
 
 
 def test_a_run_of_before_whose_best_model_was_chosen_by_return_is_judged_again(run: Run) -> None:
     record = json.loads((run.path / "run.json").read_text())
     record["result"].pop("best")
-    (run.path / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
+    (run.path / "run.json").write_text(
+        json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
+    )
     keep(ModelRef.open(run.path), build=stand_in.build)
     result = RunRecord.read(run.path).result
     assert result is not None
@@ -122,7 +133,7 @@ def test_a_checkpoint_is_kept_by_hand(run: Run) -> None:
 
 
 def test_the_best_model_stays_with_its_evaluations_where_it_is_chosen_again(run: Run) -> None:
-    run.write_evaluation(to_json(evaluate(run, episodes=4, build=stand_in.build)))
+    run.write_evaluation(evaluate(run, episodes=4, build=stand_in.build).model_dump(mode="json"))
     kept = keep(ModelRef.open(run.model("best")), build=stand_in.build)
     assert kept.earlier is None
     assert not list(run.model("best").parent.glob("earlier-*"))

@@ -90,7 +90,10 @@ def refusal(run: Path) -> str:
 def test_plain_stable_baselines_loads_a_model_and_acts_the_same(tmp_path: Path, algorithm: str) -> None:
     observations = np.random.default_rng(0).uniform(-1, 1, (1000, 4)).astype(np.float32)
     settings = {} if algorithm in ("PPO", "A2C") else {"learning_starts": 50}
-    hyperparameters = (*(Hyperparameter(*pair) for pair in settings.items()), Hyperparameter("learning_rate", Schedule(1e-3, 1e-4)))
+    hyperparameters = (
+        *(Hyperparameter(*pair) for pair in settings.items()),
+        Hyperparameter("learning_rate", Schedule(1e-3, 1e-4)),
+    )
     training = Training(algorithm, 150, 2, hyperparameters, Network((8,), "relu"))
     task = stand_in.compiled(training=training, continuous=algorithm != "DQN")
     run = Run.open(train(task, run=tmp_path / algorithm, build=stand_in.build).run)
@@ -98,7 +101,9 @@ def test_plain_stable_baselines_loads_a_model_and_acts_the_same(tmp_path: Path, 
     with pytest.MonkeyPatch.context() as patched:
         for name in [name for name in sys.modules if name.partition(".")[0] == "deepbots_cli"]:
             patched.setitem(sys.modules, name, None)  # an import of it fails
-        plain = getattr(stable_baselines3, algorithm).load(tmp_path / algorithm / "models/agent/best.zip", device="cpu")
+        plain = getattr(stable_baselines3, algorithm).load(
+            tmp_path / algorithm / "models/agent/best.zip", device="cpu"
+        )
         assert np.array_equal(plain.predict(observations, deterministic=True)[0], ours)
 
 
@@ -115,8 +120,13 @@ def test_a_pickle_in_place_of_a_model_is_refused_and_never_run(run_copy: Path, t
 def test_a_pickle_inside_a_model_is_never_run(run_copy: Path, tmp_path: Path, member: str) -> None:
     trace, path = tmp_path / "trace", run_copy / BEST
     pickled = base64.b64encode(pickle.dumps(Bomb(trace))).decode()
-    data = json.dumps(json.loads(members(path)["data"]) | {"policy_class": {":type:": "", ":serialized:": pickled}}).encode()
-    rewrite(path, members(path) | {member: data if member == "data" else saved({"action_net.weight": Bomb(trace)})})
+    data = json.dumps(
+        json.loads(members(path)["data"]) | {"policy_class": {":type:": "", ":serialized:": pickled}}
+    ).encode()
+    rewrite(
+        path,
+        members(path) | {member: data if member == "data" else saved({"action_net.weight": Bomb(trace)})},
+    )
     assert bool(refusal(run_copy)) == (member == "policy.pth")
     assert not trace.exists()
 
@@ -161,10 +171,15 @@ def test_a_zip_bomb_is_refused_outside_and_inside(run_copy: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize(("place", "value"), [(6, 1), (8, 99)], ids=["encrypted", "unknown compression"])
-def test_a_model_that_is_encrypted_or_packed_otherwise_is_refused(run_copy: Path, place: int, value: int) -> None:
+def test_a_model_that_is_encrypted_or_packed_otherwise_is_refused(
+    run_copy: Path, place: int, value: int
+) -> None:
     path = run_copy / "models" / "agent" / "last.zip"
     content = bytearray(path.read_bytes())
-    for mark, further in ((b"PK\x03\x04", 0), (b"PK\x01\x02", 2)):  # a local header, and its entry in the directory
+    for mark, further in (
+        (b"PK\x03\x04", 0),
+        (b"PK\x01\x02", 2),
+    ):  # a local header, and its entry in the directory
         for found in re.finditer(re.escape(mark), bytes(content)):
             content[found.start() + place + further] = value
     path.write_bytes(content)
@@ -179,7 +194,9 @@ def test_a_truncated_or_shuffled_file_is_refused_or_read(run_copy: Path) -> None
     content = path.read_bytes()
     generator = np.random.default_rng(0)
     for _ in range(60):
-        spoiled = bytearray(content[: generator.integers(len(content))] if generator.random() < 0.5 else content)
+        spoiled = bytearray(
+            content[: generator.integers(len(content))] if generator.random() < 0.5 else content
+        )
         for position in generator.integers(len(spoiled), size=3) if spoiled else ():
             spoiled[position] = generator.integers(256)
         path.write_bytes(bytes(spoiled))
@@ -243,7 +260,9 @@ def test_a_tensor_of_a_kind_that_no_policy_has_is_refused(run_copy: Path, kind: 
     changed(run_copy / BEST, "policy", lambda state: state.update({WEIGHT: KINDS[kind](state[WEIGHT])}))
     refused(run_copy, "damaged, or was not written by deepbots")
     with pytest.raises(RunError, match="damaged, or was not written by deepbots"):
-        train(run_copy / "resolved.yaml", run=run_copy / "new", initialize_from=run_copy, build=stand_in.build)
+        train(
+            run_copy / "resolved.yaml", run=run_copy / "new", initialize_from=run_copy, build=stand_in.build
+        )
 
 
 def test_a_pickle_that_asks_for_memory_is_refused(run_copy: Path) -> None:
@@ -277,7 +296,9 @@ def test_a_model_with_steps_without_end_is_damaged(run_copy: Path, steps: str) -
         steps_of(path)
 
 
-def test_a_policy_acts_like_the_model_by_names_and_units_and_leaves_the_generators_alone(trained: TrainingResult) -> None:
+def test_a_policy_acts_like_the_model_by_names_and_units_and_leaves_the_generators_alone(
+    trained: TrainingResult,
+) -> None:
     before = np.random.get_state()[1].sum(), torch.get_rng_state().sum()  # type: ignore[union-attr]
     policy = load_policy(trained.run)
     assert (np.random.get_state()[1].sum(), torch.get_rng_state().sum()) == before  # type: ignore[union-attr]
@@ -286,7 +307,11 @@ def test_a_policy_acts_like_the_model_by_names_and_units_and_leaves_the_generato
     observation = policy.observe(values)
     assert observation.tolist() == pytest.approx([0.5, -0.5, 1.0, 1.0])
     plain = PPO.load(trained.run / "models" / "agent" / "best.zip")
-    assert policy(observation) == policy.predict(observation) == plain.predict(observation, deterministic=True)[0]
+    assert (
+        policy(observation)
+        == policy.predict(observation)
+        == plain.predict(observation, deterministic=True)[0]
+    )
     assert policy.predict(np.stack([observation] * 3)).shape == (3,)
     assert policy.named(0) == {"drive": "forward"}
     with pytest.raises(UsageError, match="tip_speed"):
@@ -297,7 +322,10 @@ def test_a_policy_refuses_a_value_that_is_not_finite_and_names_it(trained: Train
     policy = load_policy(trained.run)
     with pytest.raises(UsageError, match=r"^the value of speed is nan; it must be finite$"):
         policy.observe({"x": 0.0, "speed": float("nan"), "cart.pole_angle": 0.0, "tip_speed": 0.0})
-    with pytest.raises(UsageError, match=r"^the observation contains a value of cart\.pole_angle that is infinite or NaN: inf$"):
+    with pytest.raises(
+        UsageError,
+        match=r"^the observation contains a value of cart\.pole_angle that is infinite or NaN: inf$",
+    ):
         policy(np.array([[0, 0, 0, 0], [0, 0, np.inf, 0]], np.float32))
 
 
@@ -305,11 +333,16 @@ def test_a_policy_refuses_a_value_that_is_not_finite_and_names_it(trained: Train
 def test_likeliest_actions_of_rows_are_those_of_the_library_to_the_bit(scenario):
     program = api.compile(scenario).program
     training = Training("PPO", 1000, network=Network((32, 32), "tanh"))
-    policy = learner.create(learner.Setup(training, observation_space(program.agent), action_space(program.agent)))
+    policy = learner.create(
+        learner.Setup(training, observation_space(program.agent), action_space(program.agent))
+    )
     generator = np.random.default_rng(0)
     for scale in (0.01, 1.0, 30.0):
         rows = (scale * generator.normal(size=(8, *policy.setup.observation_space.shape))).astype(np.float32)
-        ours, (theirs, _) = policy.predict(rows, deterministic=True)[0], policy.model.predict(rows, deterministic=True)
+        ours, (theirs, _) = (
+            policy.predict(rows, deterministic=True)[0],
+            policy.model.predict(rows, deterministic=True),
+        )
         assert ours.dtype == theirs.dtype
         np.testing.assert_array_equal(ours, theirs)
 
@@ -319,10 +352,14 @@ def test_sampled_actions_of_rows_are_those_of_the_library_to_the_bit(scenario):
     """So are their values and log-probabilities, and the random numbers that they take."""
     program = api.compile(scenario).program
     training = Training("PPO", 1000, network=Network((32, 32), "tanh"))
-    policy = learner.create(learner.Setup(training, observation_space(program.agent), action_space(program.agent))).model.policy
+    policy = learner.create(
+        learner.Setup(training, observation_space(program.agent), action_space(program.agent))
+    ).model.policy
     generator = np.random.default_rng(0)
     for scale in (0.01, 1.0, 30.0):
-        rows = torch.from_numpy((scale * generator.normal(size=(8, *policy.observation_space.shape))).astype(np.float32))
+        rows = torch.from_numpy(
+            (scale * generator.normal(size=(8, *policy.observation_space.shape))).astype(np.float32)
+        )
         with torch.no_grad():
             before = torch.get_rng_state()
             theirs, after = policy(rows), torch.get_rng_state()

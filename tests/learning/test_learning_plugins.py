@@ -20,13 +20,16 @@ from deepbots_cli.errors import PluginError, UsageError
 from deepbots_cli.learning import TrainingResult, resume, resume_group, train, train_group
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.group import Group
+from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.report import Reporter, TrainingProgress
-from deepbots_cli.learning.run import Run, RunRecord
+from deepbots_cli.learning.run import Run
 from deepbots_cli.program.task import Hyperparameter, Training
 from tests.plugins import test_plugins
 
 GROUPS = ("deepbots.callbacks", "deepbots.loggers")
-TASK = stand_in.compiled(training=Training("PPO", 256, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size"))))
+TASK = stand_in.compiled(
+    training=Training("PPO", 256, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -79,11 +82,15 @@ def test_a_training_that_was_interrupted_calls_and_logs_as_one_that_was_not(tmp_
 
 def test_a_name_that_no_package_registers_is_told_with_the_nearest(tmp_path: Path) -> None:
     with pytest.raises(
-        UsageError, match=r"^there is no callback 'explore_les'; the known ones are .*failing.* \(did you mean explore_less\?\)$"
+        UsageError,
+        match=r"^there is no callback 'explore_les'; the known ones are .*failing.* \(did you mean"
+        r" explore_less\?\)$",
     ):
         short(tmp_path / "run", callbacks=["explore_les"])
     with pytest.raises(
-        UsageError, match=r"^there is no logger 'cvs'; the known ones are csv, json_lines, full_disk \(did you mean csv\?\)$"
+        UsageError,
+        match=r"^there is no logger 'cvs'; the known ones are csv, json_lines, full_disk \(did you mean"
+        r" csv\?\)$",
     ):
         short(tmp_path / "run", loggers=["cvs"])
     with pytest.raises(UsageError, match="given twice"):
@@ -94,12 +101,20 @@ def test_a_name_that_no_package_registers_is_told_with_the_nearest(tmp_path: Pat
 @pytest.mark.parametrize(
     ("names", "sentence"),
     [
-        ({"callbacks": ["failing"]}, r"the callback 'failing' failed after 100 steps: KeyError: 'no such gauge' \(.*training.py:\d+\)"),
+        (
+            {"callbacks": ["failing"]},
+            r"the callback 'failing' failed after 100 steps: KeyError: 'no such gauge' \(.*training.py:\d+\)",
+        ),
         ({"callbacks": ["odd"]}, "the callback 'odd' is a str, and not a BaseCallback of Stable-Baselines3"),
-        ({"loggers": ["full_disk"]}, r"the logger 'full_disk' failed after \d+ steps: OSError: .*No space left on device \(.*\)"),
+        (
+            {"loggers": ["full_disk"]},
+            r"the logger 'full_disk' failed after \d+ steps: OSError: .*No space left on device \(.*\)",
+        ),
     ],
 )
-def test_one_that_fails_is_named_and_the_training_can_go_on(tmp_path: Path, names: dict[str, Any], sentence: str) -> None:
+def test_one_that_fails_is_named_and_the_training_can_go_on(
+    tmp_path: Path, names: dict[str, Any], sentence: str
+) -> None:
     with pytest.raises(PluginError, match=f"^{sentence}(?m:$)") as caught:
         short(tmp_path / "run", **names)
     if "odd" not in sentence:
@@ -116,7 +131,9 @@ def test_a_callback_may_end_the_training(tmp_path: Path) -> None:
 
 
 def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path) -> None:
-    group = train_group(TASK, [0, 1], group=tmp_path / "group", build=stand_in.build, callbacks=["impatient"], loggers=["csv"])
+    group = train_group(
+        TASK, [0, 1], group=tmp_path / "group", build=stand_in.build, callbacks=["impatient"], loggers=["csv"]
+    )
     assert [found.stopped_by for found in group.trained] == ["impatient"] * 2
     run = group.trained[0].run
     assert lines(run, "scalars.csv")

@@ -1,4 +1,5 @@
-"""A training that is killed at any moment, and resumed, becomes the same as one that was never interrupted, to the bit."""
+"""A training that is killed at any moment, and resumed, becomes the same as one that was never interrupted,
+to the bit."""
 
 from __future__ import annotations
 
@@ -33,7 +34,15 @@ from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Solved, Training
+from deepbots_cli.program.task import (
+    ActionNoise,
+    Hindsight,
+    Hyperparameter,
+    Network,
+    Schedule,
+    Solved,
+    Training,
+)
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.rollout.worlds import Worlds, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory
@@ -67,7 +76,9 @@ def outcome(folder: Path) -> dict[str, Any]:
             for tag in events.Tags()["scalars"]
             if not tag.startswith("time/")
         },
-        "evaluations": (run.evaluations / "training.jsonl").read_text() if (run.evaluations / "training.jsonl").exists() else "",
+        "evaluations": (run.evaluations / "training.jsonl").read_text()
+        if (run.evaluations / "training.jsonl").exists()
+        else "",
         "models": {path.name: models_in(path) for path in run.model("last").parent.glob("*.zip")},
         "checkpoint": None if last is None else last.name,
     }
@@ -94,14 +105,17 @@ FORKS.set_forkserver_preload(["stand_in", "deepbots_cli.learning.training"])
 
 
 def work(name: str, run: Path, seed: int) -> None:
-    """Begin a training, or continue it; checkpoints follow each other fast, and their times change nothing in the result."""
+    """Begin a training, or continue it; checkpoints follow each other fast, and their times change nothing in
+    the result."""
     checkpoints.INTERVAL_S, checkpoints.MIN_INTERVAL_PER_COST = (0.5, 10) if name in SHIPPED else (0.02, 2)
     if (run / "run.json").exists():
         if Run.open(run).record.status != "finished":
             resume(run, build=build_of(name))
     else:
         shutil.rmtree(run, ignore_errors=True)  # killed while it was made
-        train(compiled_of(name), run=run, seed=seed, stop_when_solved=name not in SHIPPED, build=build_of(name))
+        train(
+            compiled_of(name), run=run, seed=seed, stop_when_solved=name not in SHIPPED, build=build_of(name)
+        )
 
 
 def in_a_process(name: str, run: Path, kill_after: float, number: int = signal.SIGKILL, seed: int = 0) -> int:
@@ -117,7 +131,8 @@ def in_a_process(name: str, run: Path, kill_after: float, number: int = signal.S
 
 
 def survives(name: str, folder: Path, kills: int, seed: int = 0, number: int = signal.SIGKILL) -> None:
-    """Train twice, once with kills at random moments; a shipped scenario takes its seed, the small ones have a single uninterrupted run."""
+    """Train twice, once with kills at random moments; a shipped scenario takes its seed, the small ones have
+    a single uninterrupted run."""
     root = seed if name in SHIPPED else 0
     whole, parts, generator = folder / f"whole-{root}", folder / f"parts-{seed}", random.Random(seed)
     began = time.perf_counter()
@@ -141,7 +156,11 @@ def survives(name: str, folder: Path, kills: int, seed: int = 0, number: int = s
 
 OFF_POLICY = {"learning_starts": 100}
 CASES: dict[str, dict[str, Any]] = {
-    "PPO": {"training": Training("PPO", 1_500, 3, hyper(n_steps=32, batch_size=32, n_epochs=2, learning_rate=Schedule(3e-3, 0.0)))},
+    "PPO": {
+        "training": Training(
+            "PPO", 1_500, 3, hyper(n_steps=32, batch_size=32, n_epochs=2, learning_rate=Schedule(3e-3, 0.0))
+        )
+    },
     "TD3": {
         "training": Training(
             "TD3",
@@ -155,20 +174,36 @@ CASES: dict[str, dict[str, Any]] = {
         "continuous": True,
     },
     "DDPG": {"training": Training("DDPG", 700, 1, hyper(**OFF_POLICY), SMALL), "continuous": True},
-    "SAC": {"training": Training("SAC", 500, 2, hyper(**OFF_POLICY, use_sde=True), SMALL), "continuous": True},
+    "SAC": {
+        "training": Training("SAC", 500, 2, hyper(**OFF_POLICY, use_sde=True), SMALL),
+        "continuous": True,
+    },
     "DQN": {"training": Training("DQN", 1_000, 2, hyper(**OFF_POLICY, buffer_size=300), SMALL)},
     "A2C": {"training": Training("A2C", 1_500, 2, normalize="reward")},
-    "RecurrentPPO": {"training": Training("RecurrentPPO", 800, 2, hyper(lstm=8, n_steps=32, batch_size=32), SMALL)},
+    "RecurrentPPO": {
+        "training": Training("RecurrentPPO", 800, 2, hyper(lstm=8, n_steps=32, batch_size=32), SMALL)
+    },
     "MaskablePPO": {"training": Training("MaskablePPO", 2_000, 2, hyper(n_steps=32, batch_size=32), SMALL)},
     "TQC": {"training": Training("TQC", 300, 1, hyper(**OFF_POLICY), SMALL), "continuous": True},
     "HER": {
-        "training": Training("SAC", 700, 2, hyper(learning_starts=200, buffer_size=500), SMALL, None, Hindsight()),
+        "training": Training(
+            "SAC", 700, 2, hyper(learning_starts=200, buffer_size=500), SMALL, None, Hindsight()
+        ),
         "continuous": True,
         "max_steps": 30,
         "more": "goal: {achieved: x, desired: 0.1 m, tolerance: 2 cm, range: -0.4 .. 0.4 m}\n",
     },
     "older weights": {
-        "training": Training("TD3", 400, 2, hyper(**OFF_POLICY, buffer_size=500), SMALL, ActionNoise("normal", 0.2), shards=2, staleness=1),
+        "training": Training(
+            "TD3",
+            400,
+            2,
+            hyper(**OFF_POLICY, buffer_size=500),
+            SMALL,
+            ActionNoise("normal", 0.2),
+            shards=2,
+            staleness=1,
+        ),
         "continuous": True,
     },
     "curriculum": {
@@ -185,20 +220,31 @@ SHIPPED = {
     "CartPole PPO": ("cartpole", f"algorithm: PPO, total_timesteps: 20000, environments: 4, {_CARTPOLE}"),
     "FindBall PPO": ("find_ball_random", "algorithm: PPO, total_timesteps: 20000, environments: 4"),
     **{
-        f"CartPole {algorithm}": ("cartpole_continuous", f"algorithm: {algorithm}, total_timesteps: 3000, environments: 2")
+        f"CartPole {algorithm}": (
+            "cartpole_continuous",
+            f"algorithm: {algorithm}, total_timesteps: 3000, environments: 2",
+        )
         for algorithm in ("TD3", "SAC", "DDPG")
     },
     **{
-        f"FindBall {algorithm}": ("find_ball_random", f"algorithm: {algorithm}, total_timesteps: 2400, environments: 2")
+        f"FindBall {algorithm}": (
+            "find_ball_random",
+            f"algorithm: {algorithm}, total_timesteps: 2400, environments: 2",
+        )
         for algorithm in ("TD3", "SAC", "DDPG")
     },
     "FindBall PPO, teacher": (
         "find_ball_random",
-        "algorithm: PPO, total_timesteps: 8000, environments: 4, n_steps: 64, batch_size: 64, teacher: {script: along_path, share: 0.6}",
+        "algorithm: PPO, total_timesteps: 8000, environments: 4, n_steps: 64, batch_size: 64, teacher:"
+        " {script: along_path, share: 0.6}",
     ),
-    "FindBall SAC, teacher": ("find_ball_random", "algorithm: SAC, total_timesteps: 2400, environments: 2, teacher: along_path"),
+    "FindBall SAC, teacher": (
+        "find_ball_random",
+        "algorithm: SAC, total_timesteps: 2400, environments: 2, teacher: along_path",
+    ),
 }
-"""Shipped scenarios in the simulator: the scenario, and its section `train`. FindBall goes through its curriculum by steps."""
+"""Shipped scenarios in the simulator: the scenario, and its section `train`. FindBall goes through its
+curriculum by steps."""
 
 
 def compiled_of(name: str) -> api.Compiled:
@@ -208,14 +254,16 @@ def compiled_of(name: str) -> api.Compiled:
 
 
 def _shipped(scenario: str, section: str) -> api.Compiled:
-    """A scenario with another section `train`; the stages of its curriculum end after a quarter of the steps each."""
+    """A scenario with another section `train`; the stages of its curriculum end after a quarter of the steps
+    each."""
     base = Scenario.from_yaml(Source.open(scenario).path)
     training = yaml.safe_load(f"{{{section}}}")
     changes: dict[str, Any] = {"train": training, "evaluation": {"episodes": 5}, "tests": {}}
     if base.curriculum:
         stages = [stage.model_dump(exclude_unset=True) for stage in base.curriculum]
         changes["curriculum"] = [
-            stage | {"until": f"{training['total_timesteps'] // 4} steps"} if "until" in stage else stage for stage in stages
+            stage | {"until": f"{training['total_timesteps'] // 4} steps"} if "until" in stage else stage
+            for stage in stages
         ]
     return api.compile(Scenario(**base.model_dump(exclude_unset=True) | changes))
 
@@ -232,7 +280,9 @@ class Reach(stand_in.CartPole):
     def __init__(self, program: Program, render_mode: str | None = None) -> None:
         super().__init__(program, render_mode)
         goal = gym.spaces.Box(-1, 1, (1,), np.float32)
-        self.observation_space = gym.spaces.Dict({"observation": self.observation_space, "achieved_goal": goal, "desired_goal": goal})
+        self.observation_space = gym.spaces.Dict(
+            {"observation": self.observation_space, "achieved_goal": goal, "desired_goal": goal}
+        )
 
     def _observation(self) -> Any:
         achieved, desired = np.array([self.x / 0.4], np.float32), np.array([0.25], np.float32)
@@ -355,14 +405,22 @@ def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tm
 
 
 def test_a_training_with_a_higher_goal_may_remember_more(tmp_path: Path) -> None:
-    training = Training("DQN", 200, 2, hyper(learning_starts=50), SMALL)  # whose buffer holds as many steps as the goal
+    training = Training(
+        "DQN", 200, 2, hyper(learning_starts=50), SMALL
+    )  # whose buffer holds as many steps as the goal
     run = train(stand_in.compiled(training=training), run=tmp_path / "run", build=stand_in.build).run
     assert resume(run, total_timesteps=400, build=stand_in.build).steps == 400
     assert resume(run, total_timesteps=480, build=stand_in.build).steps == 480
 
 
 def test_checkpoints_are_kept_at_equal_distances_and_can_be_used(tmp_path: Path) -> None:
-    run = train(compiled_of("PPO"), run=tmp_path / "run", total_timesteps=1_000, keep_checkpoints=4, build=stand_in.build).run
+    run = train(
+        compiled_of("PPO"),
+        run=tmp_path / "run",
+        total_timesteps=1_000,
+        keep_checkpoints=4,
+        build=stand_in.build,
+    ).run
     kept = sorted(path.name for path in (run / "models" / "agent").glob("step-*.zip"))
     assert len(kept) == 4
     assert kept[0] == "step-000000288.zip"  # the first rollout of 96 steps that ends after 250
@@ -370,11 +428,21 @@ def test_checkpoints_are_kept_at_equal_distances_and_can_be_used(tmp_path: Path)
 
 def test_a_training_begins_with_the_policy_of_another_run_and_says_what_it_took_over(tmp_path: Path) -> None:
     first = train(compiled_of("PPO"), run=tmp_path / "first", total_timesteps=500, build=stand_in.build)
-    same = train(compiled_of("PPO"), run=tmp_path / "same", total_timesteps=96, initialize_from=first.run, build=stand_in.build)
+    same = train(
+        compiled_of("PPO"),
+        run=tmp_path / "same",
+        total_timesteps=96,
+        initialize_from=first.run,
+        build=stand_in.build,
+    )
     assert same.initialized_from == f"{first.run}: 12 of 12 tensors"
     assert "initialized from" in training_text(same)
-    wider = stand_in.compiled(training=Training("PPO", 96, 3, hyper(n_steps=32, batch_size=32), Network((64, 32))))
-    taken = train(wider, run=tmp_path / "wider", initialize_from=first.run, build=stand_in.build).initialized_from
+    wider = stand_in.compiled(
+        training=Training("PPO", 96, 3, hyper(n_steps=32, batch_size=32), Network((64, 32)))
+    )
+    taken = train(
+        wider, run=tmp_path / "wider", initialize_from=first.run, build=stand_in.build
+    ).initialized_from
     assert taken is not None
     assert "new: " in taken
     strange = stand_in.compiled(training=Training("DQN", 96, 1, hyper(learning_starts=50), Network((7,))))
@@ -408,7 +476,9 @@ def files_of_at_most(size: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("size", [0, 8_000])
-def test_a_training_without_room_for_its_first_files_names_one_and_can_begin_again(tmp_path: Path, size: int) -> None:
+def test_a_training_without_room_for_its_first_files_names_one_and_can_begin_again(
+    tmp_path: Path, size: int
+) -> None:
     """No byte fits, or the inputs and no model."""
     run = tmp_path / "run"
     with files_of_at_most(size), pytest.raises(UsageError, match=r"cannot be written: file too large"):
@@ -419,10 +489,15 @@ def test_a_training_without_room_for_its_first_files_names_one_and_can_begin_aga
         assert not run.exists()
 
 
-def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes_the_same(tmp_path: Path) -> None:
+def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes_the_same(
+    tmp_path: Path,
+) -> None:
     whole = train(compiled_of("PPO"), run=tmp_path / "whole", total_timesteps=200, build=stand_in.build).run
     cut = shutil.copytree(whole, tmp_path / "cut")
-    with files_of_at_most(8_000), pytest.raises(UsageError, match=r"cannot be written: file too large") as caught:
+    with (
+        files_of_at_most(8_000),
+        pytest.raises(UsageError, match=r"cannot be written: file too large") as caught,
+    ):
         resume(cut, total_timesteps=400, build=stand_in.build)
     assert f"is kept; continue from there with: deepbots resume {cut}" in caught.value.full_message
     for run in (whole, cut):

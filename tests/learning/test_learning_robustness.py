@@ -16,13 +16,23 @@ from deepbots_cli.cli.records import robustness_text
 from deepbots_cli.document import Document, load
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import TrainingResult, evaluate_robustness
-from deepbots_cli.learning.robustness import Change, RobustnessLevel, Side, _bar, base_document, changed_scenario, plans
+from deepbots_cli.learning.robustness import (
+    Change,
+    RobustnessLevel,
+    Side,
+    _bar,
+    base_document,
+    changed_scenario,
+    plans,
+)
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout.source import Source
 
 
-def changes(name: str, case: str | None = None, stage: str | None = None) -> tuple[Document, dict[str, dict[str, Change]]]:
+def changes(
+    name: str, case: str | None = None, stage: str | None = None
+) -> tuple[Document, dict[str, dict[str, Change]]]:
     """A shipped scenario, in a case or stage, and the changes of each condition by level."""
     base = base_document(Source.open(name), (), case, stage)
     assert base.root is not None
@@ -31,7 +41,12 @@ def changes(name: str, case: str | None = None, stage: str | None = None) -> tup
 
 
 def masses(program: Program) -> list[float]:
-    return [link.inertial.mass for robot in program.world.robots for link in robot.model.links if link.inertial is not None]
+    return [
+        link.inertial.mass
+        for robot in program.world.robots
+        for link in robot.model.links
+        if link.inertial is not None
+    ]
 
 
 @pytest.mark.parametrize("name", ["cartpole_wireless", "quadruped", "find_ball_random", "panda_push"])
@@ -78,8 +93,12 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
     assert [number.std.value / (number.high - number.low) for number in noisy] == pytest.approx([0.1] * 4)  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize(("name", "case", "stage"), [("quadruped", "rough", None), ("find_ball_random", None, "crowded")])
-def test_in_a_case_or_stage_its_settings_apply_before_the_changes(name: str, case: str | None, stage: str | None) -> None:
+@pytest.mark.parametrize(
+    ("name", "case", "stage"), [("quadruped", "rough", None), ("find_ball_random", None, "crowded")]
+)
+def test_in_a_case_or_stage_its_settings_apply_before_the_changes(
+    name: str, case: str | None, stage: str | None
+) -> None:
     base, found = changes(name, case, stage)
     plain = api.compile(name).program.variant(case, stage)
 
@@ -96,9 +115,15 @@ def test_the_link_or_object_whose_mass_is_changed_can_be_named(trained: Training
     for scenario, name in (("cartpole", "cart.pole"), ("panda_push", "block")):
         base = base_document(Source.open(scenario))
         assert base.root is not None
-        (plan,) = (plan for plan in plans(base.root, api.compile(scenario).program, name) if plan.name == f"mass of {name}")
+        (plan,) = (
+            plan
+            for plan in plans(base.root, api.compile(scenario).program, name)
+            if plan.name == f"mass of {name}"
+        )
         assert changed_scenario(base, dict(plan.levels)["x 2"]).digest != api.compile(scenario).digest
-    with pytest.raises(UsageError, match=r"there is no link or object 'cart.poel' with a mass; choose from: cart\.body, "):
+    with pytest.raises(
+        UsageError, match=r"there is no link or object 'cart.poel' with a mass; choose from: cart\.body, "
+    ):
         evaluate_robustness(trained.run, mass_of="cart.poel", build=stand_in.build)
 
 
@@ -137,20 +162,29 @@ def test_the_mass_of_what_is_fixed_to_the_world_is_not_varied(tmp_path: Path) ->
     assert root is not None
     assert [plan.name for plan in plans(root, program) if plan.name.startswith("mass")] == ["mass of arm.rod"]
     for name in ("arm.post", "wall"):
-        with pytest.raises(UsageError, match=f"'{name}' is fixed to the world, so its mass has no effect; choose from: arm.rod$"):
+        with pytest.raises(
+            UsageError,
+            match=f"'{name}' is fixed to the world, so its mass has no effect; choose from: arm.rod$",
+        ):
             list(plans(root, program, name))
 
 
 def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResult) -> None:
     told: list[tuple[int, int]] = []
     found = evaluate_robustness(
-        trained.run, episodes=2, min_return=1.0, build=stand_in.build, on_level=lambda done, of: told.append((done, of))
+        trained.run,
+        episodes=2,
+        min_return=1.0,
+        build=stand_in.build,
+        on_level=lambda done, of: told.append((done, of)),
     )
     assert (found.metric, found.bar, found.bar_source) == ("mean_return", 1.0, "given")
     levels = [entry for condition in found.conditions for entry in condition.levels]
     assert told[-1] == (1 + len(levels), 1 + len(levels))
     assert found.conditions[0].verdicts == {"latency to the robot": "holds up to +256 ms"}
-    assert {condition.name: [side.holds_up_to for side in condition.sides] for condition in found.conditions}["mass of cart.body"] == [
+    assert {condition.name: [side.holds_up_to for side in condition.sides] for condition in found.conditions}[
+        "mass of cart.body"
+    ] == [
         "x 0.5",
         "x 2",
     ]
@@ -173,7 +207,9 @@ def side(**levels: tuple[float, float, float]) -> Side:
     return Side(
         "",
         tuple(
-            RobustnessLevel(f"+{name[1:]} ms", SimpleNamespace(), score >= 0.8, not low <= 0.8 <= high, (low, high))  # type: ignore[arg-type]
+            RobustnessLevel(
+                f"+{name[1:]} ms", SimpleNamespace(), score >= 0.8, not low <= 0.8 <= high, (low, high)
+            )  # type: ignore[arg-type]
             for name, (score, low, high) in levels.items()
         ),
     )
@@ -182,7 +218,8 @@ def side(**levels: tuple[float, float, float]) -> Side:
 def test_a_level_that_is_easier_than_a_smaller_one_within_the_intervals_is_no_threshold() -> None:
     found = side(l10=(0.95, 0.85, 0.99), l20=(0.76, 0.62, 0.86), l40=(0.84, 0.7, 0.93), l80=(0.1, 0.05, 0.2))
     assert found.verdict == (
-        "holds up to +10 ms, fails from +80 ms; not decided at +20 ms and +40 ms, which do not differ within their intervals"
+        "holds up to +10 ms, fails from +80 ms; not decided at +20 ms and +40 ms, which do not differ within"
+        " their intervals"
     )
     assert (found.holds_up_to, found.fails_from) == ("+10 ms", "+80 ms")
     apart = side(l20=(0.5, 0.4, 0.6), l40=(0.9, 0.85, 0.97))
@@ -191,7 +228,11 @@ def test_a_level_that_is_easier_than_a_smaller_one_within_the_intervals_is_no_th
 
 def test_the_verdict_says_up_to_which_level_the_interval_excludes_the_required_score() -> None:
     found = side(l10=(0.95, 0.85, 0.99), l20=(0.84, 0.7, 0.93), l40=(0.76, 0.62, 0.86), l80=(0.1, 0.05, 0.2))
-    assert found.verdict == "holds up to +20 ms (up to +10 ms with 95 % confidence), fails from +40 ms (from +80 ms with 95 % confidence)"
+    assert (
+        found.verdict
+        == "holds up to +20 ms (up to +10 ms with 95 % confidence), fails from +40 ms (from +80 ms with 95 %"
+        " confidence)"
+    )
 
 
 def test_half_the_mass_and_more_mass_are_two_sides_each_from_the_smallest_change_on() -> None:
@@ -199,13 +240,18 @@ def test_half_the_mass_and_more_mass_are_two_sides_each_from_the_smallest_change
     assert base.root is not None
     planned = {plan.name: plan for plan in plans(base.root, api.compile("cartpole").program)}
     for plan in (planned["mass of cart.body"], planned["friction of the ground"]):
-        assert {side: [plan.level(amount)[0] for amount in amounts] for side, amounts in plan.sides.items()} == {
+        assert {
+            side: [plan.level(amount)[0] for amount in amounts] for side, amounts in plan.sides.items()
+        } == {
             "smaller": ["x 0.75", "x 0.5"],
             "larger": ["x 1.25", "x 1.5", "x 2"],
         }
 
 
-STAIR = "{stair: {shape: box, size: 1 1 0.1 m, fixed: true, friction: 0.8}, mark: {shape: sphere, radius: 1 cm, fixed: true, solid: false}}"
+STAIR = (
+    "{stair: {shape: box, size: 1 1 0.1 m, fixed: true, friction: 0.8}, mark: {shape: sphere, radius: 1"
+    " cm, fixed: true, solid: false}}"
+)
 
 
 def test_the_friction_of_a_stair_varies_with_that_of_the_ground_and_is_named() -> None:
@@ -217,14 +263,19 @@ def test_the_friction_of_a_stair_varies_with_that_of_the_ground_and_is_named() -
     assert plan.name == "friction of the ground and stair"
     world = changed_scenario(base, dict(plan.levels)["x 0.5"]).program.world
     assert world.ground is not None
-    assert (world.ground.friction, {body.name: body.friction for body in world.objects}) == (0.5, {"stair": 0.4, "mark": 1.0})
+    assert (world.ground.friction, {body.name: body.friction for body in world.objects}) == (
+        0.5,
+        {"stair": 0.4, "mark": 1.0},
+    )
 
 
 def test_a_policy_that_fails_without_any_change_has_nothing_to_keep(
     trained: TrainingResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept = (trained.run / "resolved.yaml").read_text()
-    without_solved = re.sub(r"(?m)^solved:.*\n", "", kept).replace("inputs/robots/urdf/cartpole.urdf", "cartpole")
+    without_solved = re.sub(r"(?m)^solved:.*\n", "", kept).replace(
+        "inputs/robots/urdf/cartpole.urdf", "cartpole"
+    )
     hard = tmp_path / "hard.yaml"
     hard.write_text(without_solved.replace("failure:", "success: {far: abs(x) > 1 m}\n  failure:"))
     options = ["--scenario", str(hard), "--engine", "mujoco", "--episodes", "2"]

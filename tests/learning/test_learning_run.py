@@ -19,8 +19,8 @@ from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
-from deepbots_cli.learning.report import to_json
-from deepbots_cli.learning.run import Run, new_directory
+from deepbots_cli.learning.directories import new_directory
+from deepbots_cli.learning.run import Run
 from deepbots_cli.robots.model import Mesh
 
 
@@ -41,7 +41,9 @@ def test_a_run_keeps_everything_that_it_was_made_from(trained: TrainingResult) -
     assert record["status"] == "finished"
     assert record["command"] == ["deepbots", "train", "stand_in"]
     assert record["seed"] == 3
-    assert {"python", "torch", "stable-baselines3", "numpy", "gymnasium", "pybullet"} <= set(record["versions"])
+    assert {"python", "torch", "stable-baselines3", "numpy", "gymnasium", "pybullet"} <= set(
+        record["versions"]
+    )
     assert record["result"]["steps"] == trained.steps
 
 
@@ -55,7 +57,10 @@ def test_a_run_is_never_overwritten(trained: TrainingResult) -> None:
 def test_new_runs_are_numbered_past_all_that_exist(tmp_path: Path) -> None:
     (tmp_path / "cart_pole-0-7").mkdir()
     (tmp_path / "cart_pole-0-x").mkdir()
-    assert [new_directory(None, tmp_path, "Cart Pole", 0).name for _ in range(2)] == ["cart_pole-0-8", "cart_pole-0-9"]
+    assert [new_directory(None, tmp_path, "Cart Pole", 0).name for _ in range(2)] == [
+        "cart_pole-0-8",
+        "cart_pole-0-9",
+    ]
     assert new_directory(None, tmp_path, "../..", 0).parent == tmp_path
     assert new_directory(None, tmp_path / "new" / "runs", "Cart Pole", 0).is_dir()
 
@@ -63,7 +68,11 @@ def test_new_runs_are_numbered_past_all_that_exist(tmp_path: Path) -> None:
 def test_what_is_no_run_is_named_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "empty").mkdir()
-    for name, reason in (("nothing", "no file, folder or shipped scenario"), ("file", "is a file"), ("empty", "without run.json")):
+    for name, reason in (
+        ("nothing", "no file, folder or shipped scenario"),
+        ("file", "is a file"),
+        ("empty", "without run.json"),
+    ):
         with pytest.raises(RunError, match=reason) as caught:
             Run.open(tmp_path / name)
         assert "\n" not in str(caught.value)
@@ -97,7 +106,9 @@ def test_a_changed_file_of_a_run_warns(run_copy: Path) -> None:
 
 def test_a_scenario_that_no_longer_fits_its_policy_is_refused_item_by_item(run_copy: Path) -> None:
     rewrite(run_copy, "-0.8 .. 0.8 m/s", "-0.9 .. 0.8 m/s")
-    with pytest.raises(RunError, match=r"observation\.speed: trained -0\.8 \.\. 0\.8 m/s, now -0\.9 \.\. 0\.8 m/s") as caught:
+    with pytest.raises(
+        RunError, match=r"observation\.speed: trained -0\.8 \.\. 0\.8 m/s, now -0\.9 \.\. 0\.8 m/s"
+    ) as caught:
         evaluate(run_copy, build=stand_in.build)
     assert str(caught.value).count("\n") == 1
 
@@ -129,7 +140,9 @@ def test_a_scenario_that_no_longer_fits_its_policy_is_refused_item_by_item(run_c
         ("inputs/robots/urdf/cartpole.urdf", "inputs"),
     ],
 )
-def test_a_forged_scenario_is_refused_in_a_sentence(run_copy: Path, old: str, new: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_forged_scenario_is_refused_in_a_sentence(
+    run_copy: Path, old: str, new: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("secret.yaml", "secret.urdf"):
         (run_copy.parent / name).write_text("secret: 1\n")
     (run_copy.parent / "deepbots.toml").touch()  # what looks like a project around a run is not its project
@@ -168,7 +181,9 @@ def test_a_forged_robot_that_would_end_the_process_is_refused(run_copy: Path, ol
 
 
 @pytest.mark.parametrize("radius", ["-1 m", "1e300 m", "0 m", ".nan"])
-def test_a_forged_form_of_an_object_that_would_end_the_process_is_refused(run_copy: Path, radius: str) -> None:
+def test_a_forged_form_of_an_object_that_would_end_the_process_is_refused(
+    run_copy: Path, radius: str
+) -> None:
     forms = f"[{{shape: sphere, radius: 10 cm}}, {{shape: sphere, radius: {radius}}}]"
     rewrite(run_copy, "reward:", f"objects: {{thing: {{mass: 1 kg, variants: {forms}}}}}\nreward:")
     assert "does not compile" in refusal(run_copy)
@@ -181,7 +196,9 @@ def test_a_run_without_one_of_its_files_is_refused_in_a_sentence(run_copy: Path,
     assert "\n" not in said
 
 
-@pytest.mark.parametrize("name", ["resolved.yaml", "inputs", "inputs/robots", "inputs/robots/urdf/cartpole.urdf"])
+@pytest.mark.parametrize(
+    "name", ["resolved.yaml", "inputs", "inputs/robots", "inputs/robots/urdf/cartpole.urdf"]
+)
 def test_a_link_out_of_the_run_is_not_followed(run_copy: Path, tmp_path: Path, name: str) -> None:
     (run_copy / name).rename(tmp_path / "elsewhere")
     os.symlink(tmp_path / "elsewhere", run_copy / name)
@@ -210,7 +227,7 @@ def test_a_lock_that_is_a_link_is_not_followed(run_copy: Path, tmp_path: Path) -
 
 def test_an_evaluation_is_kept_with_its_episodes(run_copy: Path) -> None:
     run = Run.open(run_copy)
-    result = to_json(evaluate(run, episodes=2, build=stand_in.build))
+    result = evaluate(run, episodes=2, build=stand_in.build).model_dump(mode="json")
     first, second = run.write_evaluation(result), run.write_evaluation(result)
     assert [first.name, second.name] == ["0001.json", "0002.json"]
     assert len(json.loads(first.read_text())["outcomes"]) == 2
@@ -225,10 +242,18 @@ def test_an_evaluation_is_kept_with_its_episodes(run_copy: Path) -> None:
 def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path: Path) -> None:
     project = tmp_path / "project"
     project.mkdir()
-    (project / "part.obj").write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
-    robot = shipped.robot_path("cartpole").read_text().replace('<box size="0.20 0.05 0.08"/>', '<mesh filename="part.obj"/>', 1)
+    (project / "part.obj").write_bytes(
+        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    robot = (
+        shipped.robot_path("cartpole")
+        .read_text()
+        .replace('<box size="0.20 0.05 0.08"/>', '<mesh filename="part.obj"/>', 1)
+    )
     (project / "mine.urdf").write_text(robot)
-    scenario = shipped.scenario_path("cartpole").read_text().replace("../robots/urdf/cartpole.urdf", "mine.urdf")
+    scenario = (
+        shipped.scenario_path("cartpole").read_text().replace("../robots/urdf/cartpole.urdf", "mine.urdf")
+    )
     (project / "mine.yaml").write_text(scenario)
     compiled = api.compile(project / "mine.yaml")
     result = train(compiled, run=tmp_path / "run", total_timesteps=512, build=stand_in.build)
@@ -237,7 +262,12 @@ def test_a_run_whose_project_is_gone_finds_its_meshes_in_its_own_copies(tmp_path
     run = Run.open(tmp_path / "moved")
     assert (run.digest, run.notes()) == (run.record.digest, [])
     links = run.program.world.robots[0].model.links
-    meshes = [part.shape.path for link in links for part in (*link.visuals, *link.collisions) if isinstance(part.shape, Mesh)]
+    meshes = [
+        part.shape.path
+        for link in links
+        for part in (*link.visuals, *link.collisions)
+        if isinstance(part.shape, Mesh)
+    ]
     assert meshes == [str(tmp_path / "moved" / "inputs" / "part.obj")]
     with closing(api.build(run.program)) as environment:
         environment.reset(seed=0)
@@ -262,7 +292,9 @@ VALUES = st.recursive(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_whatever_run_json_holds_it_opens_or_is_refused_in_a_sentence(run_copy: Path, trained: TrainingResult, data: st.DataObject) -> None:
+def test_whatever_run_json_holds_it_opens_or_is_refused_in_a_sentence(
+    run_copy: Path, trained: TrainingResult, data: st.DataObject
+) -> None:
     record = json.loads((trained.run / "run.json").read_text())
     key = data.draw(st.sampled_from(sorted(record)))
     if data.draw(st.booleans()):

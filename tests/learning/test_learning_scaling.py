@@ -17,12 +17,16 @@ def timings(*rates: float) -> list[ShardTiming]:
     return [replace(TIMING, shards=1 << number, steps_per_second=rate) for number, rate in enumerate(rates)]
 
 
-@pytest.mark.parametrize("changes", [["train.n_steps=16"], ["train={algorithm: DQN, total_timesteps: 1000, environments: 2}"]])
+@pytest.mark.parametrize(
+    "changes", [["train.n_steps=16"], ["train={algorithm: DQN, total_timesteps: 1000, environments: 2}"]]
+)
 def test_the_parts_of_the_time_add_up_and_nothing_is_left(tmp_path: Path, changes: list[str]) -> None:
     found = measure("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)
     assert [timing.shards for timing in found] == [1, 2]
     for timing in found:
-        parts = timing.worlds_us + timing.policy_us + timing.transfer_us + timing.waiting_us + timing.update_us
+        parts = (
+            timing.worlds_us + timing.policy_us + timing.transfer_us + timing.waiting_us + timing.update_us
+        )
         assert parts == pytest.approx(1e6 / timing.steps_per_second)
         assert min(timing.worlds_us, timing.policy_us, timing.update_us) > 0
     assert not list(tmp_path.iterdir())
@@ -33,12 +37,16 @@ def test_several_shards_are_chosen_only_if_they_are_clearly_faster() -> None:
     assert choose(timings(1000, 1900, 1500)).shards == 2
     assert choose(slow := timings(1000, 1090)).shards == 1
     assert described(slow, slow[0]) == (
-        "measured: 1 shard 1,000 steps/s, 2 shards 1,090 steps/s; the training has 1 shard, because more are less than 1.1 times as fast"
+        "measured: 1 shard 1,000 steps/s, 2 shards 1,090 steps/s; the training has 1 shard, because more are"
+        " less than 1.1 times as fast"
     )
 
 
 @pytest.mark.parametrize(
-    ("environments", "workers", "numbers"), [(8, 2, [1, 2]), (8, 6, [1, 2, 4, 6]), (3, 16, [1, 2, 3]), (1, 4, [1]), (9, 8, [1, 2, 4, 8])]
+    ("environments", "workers", "numbers"),
+    [(8, 2, [1, 2]), (8, 6, [1, 2, 4, 6]), (3, 16, [1, 2, 3]), (1, 4, [1]), (9, 8, [1, 2, 4, 8])],
 )
-def test_each_power_of_two_is_a_candidate_and_a_shard_for_each_worker(environments: int, workers: int, numbers: list[int]) -> None:
+def test_each_power_of_two_is_a_candidate_and_a_shard_for_each_worker(
+    environments: int, workers: int, numbers: list[int]
+) -> None:
     assert candidates(environments, workers) == numbers

@@ -1,4 +1,5 @@
-"""The worlds of a training in shards: the result depends on their number, and not on where and how often they begin."""
+"""The worlds of a training in shards: the result depends on their number, and not on where and how often they
+begin."""
 
 from __future__ import annotations
 
@@ -28,27 +29,42 @@ ALGORITHMS = [name for name in CASES if name not in ("DDPG", "TQC", "older weigh
 class Forgetful:
     """Shards that are lost with every fragment: others continue from the state that the collector keeps."""
 
-    def shards(self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Any) -> ShardPool:
+    def shards(
+        self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Any
+    ) -> ShardPool:
         class Pool(LocalShards):
             def collect(
-                self, order: Order, memories: Sequence[Mapping[str, Array]], episodes: Sequence[Sequence[RunningEpisode]]
+                self,
+                order: Order,
+                memories: Sequence[Mapping[str, Array]],
+                episodes: Sequence[Sequence[RunningEpisode]],
             ) -> Callable[[], list[Harvest]]:
                 self.close()
-                self._shards = [Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))]
+                self._shards = [
+                    Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))
+                ]
                 self.begin(episodes)
                 return super().collect(order, memories, episodes)
 
-        pool = Pool([Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))])
+        pool = Pool(
+            [Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))]
+        )
         stack.callback(pool.close)
         return pool
 
 
-def trained(name: str, folder: Path, executor: Executor, shards: int = 2, staleness: int = 0) -> dict[str, Any]:
+def trained(
+    name: str, folder: Path, executor: Executor, shards: int = 2, staleness: int = 0
+) -> dict[str, Any]:
     settings = {"solved": Solved(30, mean_return=190.0)} | CASES[name]
     training: Training = settings["training"]
     total = min(training.total_timesteps, 600)
     settings["training"] = replace(
-        training, environments=max(3, training.environments), shards=shards, total_timesteps=total, staleness=staleness
+        training,
+        environments=max(3, training.environments),
+        shards=shards,
+        total_timesteps=total,
+        staleness=staleness,
     )
     compiled = stand_in.compiled(**settings)
     found = compiled.program.agent.training

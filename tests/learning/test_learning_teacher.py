@@ -31,7 +31,13 @@ from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.recordings import record
 from tests.few import few
 
-BALANCER = ["truncation.max_time=1s", "train.environments=4", "train.n_steps=32", "train.batch_size=64", "train.network.hidden=[16]"]
+BALANCER = [
+    "truncation.max_time=1s",
+    "train.environments=4",
+    "train.n_steps=32",
+    "train.batch_size=64",
+    "train.network.hidden=[16]",
+]
 CASES = {
     "PPO": ("balancer", [*BALANCER, "train.teacher={script: lean, share: 0.5}"]),
     "PPO in stages": (
@@ -39,14 +45,16 @@ CASES = {
         [
             *BALANCER,
             "train.teacher={script: lean, share: 0.7}",
-            "curriculum=[{name: low, set: {limit: 20 deg}, until: mean_return >= 1 over 2 episodes}, {name: usual}]",
+            "curriculum=[{name: low, set: {limit: 20 deg}, until: mean_return >= 1 over 2 episodes}, {name:"
+            " usual}]",
         ],
     ),
     "SAC": (
         "balancer",
         [
             "truncation.max_time=1s",
-            "train={algorithm: SAC, total_timesteps: 1000, environments: 4, learning_starts: 200, train_freq: 8, gradient_steps: 4, "
+            "train={algorithm: SAC, total_timesteps: 1000, environments: 4, learning_starts: 200,"
+            " train_freq: 8, gradient_steps: 4, "
             "network: {hidden: [16]}, teacher: {script: lean, share: 0.5}}",
         ],
     ),
@@ -56,7 +64,13 @@ STEPS = 1024
 
 def trained(name: str, folder: Path, changes: list[str] | None = None, **options: Any) -> dict[str, Any]:
     scenario, own = CASES[name]
-    train(api.compile(scenario, overrides=[*own, *(changes or [])]), run=folder, total_timesteps=STEPS, stop_when_solved=False, **options)
+    train(
+        api.compile(scenario, overrides=[*own, *(changes or [])]),
+        run=folder,
+        total_timesteps=STEPS,
+        stop_when_solved=False,
+        **options,
+    )
     return outcome(folder)
 
 
@@ -72,7 +86,9 @@ class InterruptedAt(Reporter):
 
 @pytest.mark.parametrize("steps", few([200, 450, 700], ["450"]))
 @pytest.mark.parametrize("name", few(CASES, ["PPO in stages", "SAC"]))
-def test_an_interrupted_training_with_a_teacher_resumes_to_the_bit(tmp_path: Path, name: str, steps: int) -> None:
+def test_an_interrupted_training_with_a_teacher_resumes_to_the_bit(
+    tmp_path: Path, name: str, steps: int
+) -> None:
     whole = trained(name, tmp_path / "whole")
     trained(name, tmp_path / "parts", progress=InterruptedAt(steps))
     resumed = resume(tmp_path / "parts")
@@ -103,18 +119,26 @@ def test_a_policy_imitates_its_teacher(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["SAC", "TD3", "TQC"])
 def test_an_actor_with_a_replay_buffer_imitates_its_teacher(tmp_path: Path, algorithm: str) -> None:
-    learner = "total_timesteps: 1600, environments: 4, learning_starts: 200, network: {hidden: [32]}, teacher: {script: lean, share: 1.0}"
-    compiled = api.compile("balancer", overrides=["truncation.max_time=4s", f"train={{algorithm: {algorithm}, {learner}}}"])
+    learner = (
+        "total_timesteps: 1600, environments: 4, learning_starts: 200, network: {hidden: [32]},"
+        " teacher: {script: lean, share: 1.0}"
+    )
+    compiled = api.compile(
+        "balancer", overrides=["truncation.max_time=4s", f"train={{algorithm: {algorithm}, {learner}}}"]
+    )
     result = train(compiled, run=tmp_path / "run", stop_when_solved=False)
     assert evaluate(result.run, model="last", episodes=10).mean_length > 300
 
 
 def test_with_a_teacher_evaluations_decide_what_exploration_spoils(tmp_path: Path) -> None:
     learner = (
-        "total_timesteps: 2400, environments: 4, learning_starts: 200, network: {hidden: [32]}, action_noise: {type: normal, sigma: 1.0}"
+        "total_timesteps: 2400, environments: 4, learning_starts: 200, network: {hidden: [32]},"
+        " action_noise: {type: normal, sigma: 1.0}"
     )
     train_ = f"train={{algorithm: TD3, {learner}, teacher: {{script: lean, share: 0.9}}}}"
-    compiled = api.compile("balancer", overrides=["truncation.max_time=1s", "solved=mean_return >= 95 over 10 episodes", train_])
+    compiled = api.compile(
+        "balancer", overrides=["truncation.max_time=1s", "solved=mean_return >= 95 over 10 episodes", train_]
+    )
     result = train(compiled, run=tmp_path / "run")
     assert result.solved_at is not None
     assert result.mean_return is not None
@@ -125,7 +149,13 @@ def test_with_a_teacher_evaluations_decide_what_exploration_spoils(tmp_path: Pat
 def test_labels_in_a_replay_buffer_apply_to_the_goal_of_their_episode_only() -> None:
     env = DummyVecEnv([lambda: BitFlippingEnv(n_bits=4, continuous=True, max_steps=4)])
     hindsight = {"n_sampled_goal": 3}
-    model: Any = SAC("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, replay_buffer_kwargs=hindsight, buffer_size=100)
+    model: Any = SAC(
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs=hindsight,
+        buffer_size=100,
+    )
     keep_labels(model)
     seen: Any = env.reset()
     goals = set()
@@ -139,20 +169,34 @@ def test_labels_in_a_replay_buffer_apply_to_the_goal_of_their_episode_only() -> 
     known = (model.replay_buffer.labels.numpy() <= 1.0).all(1)
     assert known.sum() == 16
     assert (model.replay_buffer.labels.numpy()[known] == -drawn.actions.numpy()[known]).all()
-    pairs = zip(drawn.actions.numpy()[known].tolist(), drawn.observations["desired_goal"].numpy()[known].tolist(), strict=True)
+    pairs = zip(
+        drawn.actions.numpy()[known].tolist(),
+        drawn.observations["desired_goal"].numpy()[known].tolist(),
+        strict=True,
+    )
     assert {(*action, *goal) for action, goal in pairs} <= goals
 
 
 @pytest.mark.parametrize(
     ("scenario", "script", "hidden"),
-    [("find_ball_random", "along_path", ["path_bearing(epuck, ball)"]), ("panda_push", "by_hand", []), ("pit_escape", "rocking", [])],
+    [
+        ("find_ball_random", "along_path", ["path_bearing(epuck, ball)"]),
+        ("panda_push", "by_hand", []),
+        ("pit_escape", "rocking", []),
+    ],
 )
-def test_what_a_teacher_reads_and_the_policy_does_not_observe(scenario: str, script: str, hidden: list[str]) -> None:
+def test_what_a_teacher_reads_and_the_policy_does_not_observe(
+    scenario: str, script: str, hidden: list[str]
+) -> None:
     assert unobserved_reads(api.compile(scenario).program, script) == hidden
 
 
 def test_of_a_signal_the_parts_are_named_that_are_not_observed() -> None:
-    changes = ["signals.tilt=yaw(roller)", "signals.turned=tilt / rad + 1", "scripts.turn.roll={forward: turned > 1, backward: true}"]
+    changes = [
+        "signals.tilt=yaw(roller)",
+        "signals.turned=tilt / rad + 1",
+        "scripts.turn.roll={forward: turned > 1, backward: true}",
+    ]
     compiled = api.compile("pit_escape", overrides=changes)
     assert unobserved_reads(compiled.program, "turn") == ["yaw(roller)"]
 
@@ -178,7 +222,11 @@ def test_the_cosine_and_sine_of_a_heading_show_it() -> None:
 
 def test_a_teacher_that_never_succeeds_is_refused(tmp_path: Path) -> None:
     compiled = api.compile("pit_escape", overrides=["train.teacher=forward_only", "truncation.max_time=2s"])
-    with pytest.raises(UsageError, match=r"the teacher `forward_only` succeeds in none of 20 episodes \(mean return .*, ended by \w+ 20\)"):
+    with pytest.raises(
+        UsageError,
+        match=r"the teacher `forward_only` succeeds in none of 20 episodes \(mean return .*, ended by \w+"
+        r" 20\)",
+    ):
         train(compiled, run=tmp_path / "run", total_timesteps=1000)
 
 
@@ -220,8 +268,14 @@ def test_a_recording_teaches_and_its_training_resumes_to_the_bit(tmp_path: Path,
     path.unlink()  # the run has a copy
     assert resume(tmp_path / "parts").inexact == ()
     assert outcome(tmp_path / "parts") == (whole := outcome(tmp_path / "whole"))
-    assert {tag for tag in whole["scalars"] if tag.startswith("teacher/")} >= {"teacher/weight", "teacher/mean_return"}
-    assert (read_listed(tmp_path / "whole").teacher, "teacher/driven_worlds" in whole["scalars"]) == ("demonstrations.mcap", False)
+    assert {tag for tag in whole["scalars"] if tag.startswith("teacher/")} >= {
+        "teacher/weight",
+        "teacher/mean_return",
+    }
+    assert (read_listed(tmp_path / "whole").teacher, "teacher/driven_worlds" in whole["scalars"]) == (
+        "demonstrations.mcap",
+        False,
+    )
 
 
 def test_a_recording_that_does_not_fit_is_refused_before_a_run_is_made(tmp_path: Path) -> None:

@@ -54,7 +54,9 @@ class Team(gym.Env[Any, Any]):
         self.observation_space = gym.spaces.Box(-1, 1, (SIZE, 4), np.float32)
         self.action_space = gym.spaces.MultiDiscrete([2] * SIZE)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
         for member in self.agents.values():
             member.reset(seed=int(self.np_random.integers(2**31)))
@@ -65,7 +67,13 @@ class Team(gym.Env[Any, Any]):
         outcomes = [member.step(int(row)) for member, row in zip(self.agents.values(), action, strict=True)]
         ended = [info for _, _, terminated, _, info in outcomes if terminated]
         info = ended[0] if ended else outcomes[0][4]
-        return self._rows(), float(np.mean([o[1] for o in outcomes])), bool(ended), not ended and outcomes[0][3], info
+        return (
+            self._rows(),
+            float(np.mean([o[1] for o in outcomes])),
+            bool(ended),
+            not ended and outcomes[0][3],
+            info,
+        )
 
     def _rows(self) -> Any:
         return np.stack([member.get_observations() for member in self.agents.values()])
@@ -74,16 +82,24 @@ class Team(gym.Env[Any, Any]):
 def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
     program = stand_in.scenario()
     episodes: list[tuple[int, Episode]] = []
-    copies = Worlds([Team(program), Team(program)], [1, 2], on_episode=lambda world, episode: episodes.append((world, episode)))
+    copies = Worlds(
+        [Team(program), Team(program)],
+        [1, 2],
+        on_episode=lambda world, episode: episodes.append((world, episode)),
+    )
     alone = [Team(program), Team(program)]
     first = np.concatenate([team.reset(seed=seed)[0] for team, seed in zip(alone, (1, 2), strict=True)])
     assert copies.rows == 6
     assert copies.observation_space.shape == (4,)
     assert (copies.reset() == first).all()
     dones, count = np.zeros(6, bool), 0
-    while not dones.any():  # the first team drives on, the second back and forth, which holds the poles up for longer
+    while (
+        not dones.any()
+    ):  # the first team drives on, the second back and forth, which holds the poles up for longer
         actions, count = np.array([0, 1, 1] + [count % 2] * 3), count + 1
-        before = np.concatenate([team.step(rows)[0] for team, rows in zip(alone, (actions[:3], actions[3:]), strict=True)])
+        before = np.concatenate(
+            [team.step(rows)[0] for team, rows in zip(alone, (actions[:3], actions[3:]), strict=True)]
+        )
         observations, rewards, dones, _, endings = copies.step_all(actions)
         assert (rewards == 1.0).all()
     world = int(np.argmax(dones)) // SIZE
@@ -102,7 +118,13 @@ def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
 
 @pytest.mark.parametrize("algorithm", few(["PPO", "RecurrentPPO"], ["PPO"]))
 def test_a_team_is_trained_evaluated_and_gone_on_with(tmp_path: Path, algorithm: str) -> None:
-    training = Training(algorithm, 600, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")), Network((8,)))
+    training = Training(
+        algorithm,
+        600,
+        2,
+        tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")),
+        Network((8,)),
+    )
     result = train(stand_in.compiled(training=training), run=tmp_path / "run", build=Team)
     assert result.steps == 768  # updates of 32 steps of six rows
     log = list(csv.DictReader((result.run / "monitor.csv").read_text().splitlines()[1:]))

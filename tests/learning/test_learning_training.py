@@ -24,10 +24,11 @@ from stable_baselines3.common.env_checker import check_env
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
 from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume, train
+from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.episodes import read_evaluations
 from deepbots_cli.learning.order import Candidate
-from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal, to_json
-from deepbots_cli.learning.run import Run, run_lock
+from deepbots_cli.learning.report import ProgressReporter, Reporter, TrainingProgress, longer_goal
+from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.sb3.state import StableState
@@ -38,8 +39,15 @@ from tests.few import few
 
 def short(tmp_path: Path, **settings: Any) -> TrainingResult:
     """A training of 256 steps."""
-    training = Training("PPO", settings.pop("total", 200), environments=2, hyperparameters=hyper(n_steps=32, batch_size=32, n_epochs=1))
-    return train(stand_in.compiled(training=training, solved=settings.pop("solved", None)), runs=tmp_path, **settings)
+    training = Training(
+        "PPO",
+        settings.pop("total", 200),
+        environments=2,
+        hyperparameters=hyper(n_steps=32, batch_size=32, n_epochs=1),
+    )
+    return train(
+        stand_in.compiled(training=training, solved=settings.pop("solved", None)), runs=tmp_path, **settings
+    )
 
 
 def hyper(**figures: Any) -> tuple[Hyperparameter, ...]:
@@ -97,12 +105,29 @@ def test_tensorboard_shows_returns_terms_and_simulated_time(trained: TrainingRes
     events = EventAccumulator(str(trained.run / "tensorboard"))
     events.Reload()
     tags = set(events.Tags()["scalars"])
-    assert {"rollout/ep_rew_mean", "rollout/simulated_hours", "reward/alive", "reward/center", "time/fps", "time/real_time_factor"} <= tags
-    assert {"action/probability", "action/forward", "action/backward", "saturation/x", "saturation/cart.pole_angle"} <= tags
-    assert events.Scalars("action/forward")[0].value + events.Scalars("action/backward")[0].value == pytest.approx(1.0)
+    assert {
+        "rollout/ep_rew_mean",
+        "rollout/simulated_hours",
+        "reward/alive",
+        "reward/center",
+        "time/fps",
+        "time/real_time_factor",
+    } <= tags
+    assert {
+        "action/probability",
+        "action/forward",
+        "action/backward",
+        "saturation/x",
+        "saturation/cart.pole_angle",
+    } <= tags
+    assert events.Scalars("action/forward")[0].value + events.Scalars("action/backward")[
+        0
+    ].value == pytest.approx(1.0)
     assert 0.0 <= events.Scalars("saturation/x")[0].value <= 1.0
     assert {"scenario/text_summary", "_hparams_/experiment"} <= set(events.summary_metadata)
-    assert "rollout/success_rate" not in tags  # no episode of this task ends in success: 0 % would look like a failure
+    assert (
+        "rollout/success_rate" not in tags
+    )  # no episode of this task ends in success: 0 % would look like a failure
 
 
 def test_tensorboard_shows_a_success_rate_where_episodes_may_end_in_success(tmp_path: Path) -> None:
@@ -126,7 +151,9 @@ def test_training_stops_when_solved_unless_told_to_go_on(tmp_path: Path) -> None
     assert further.solved_at is not None
 
 
-def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(run_copy: Path, trained: TrainingResult) -> None:
+def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(
+    run_copy: Path, trained: TrainingResult
+) -> None:
     before = (run_copy / "monitor.csv").read_text()
     events = set((run_copy / "tensorboard").iterdir())
     with pytest.raises(UsageError, match="is complete"):
@@ -150,7 +177,9 @@ def test_event_files_of_one_second_are_read_in_the_order_in_which_they_were_writ
     assert training is not None
     TrainingLog(run).open(training, is_new=False)
     assert min(path.name for path in run.tensorboard.iterdir()) == first.name
-    assert max(int(path.name.split(".")[3]) for path in run.tensorboard.iterdir()) > int(first.name.split(".")[3])
+    assert max(int(path.name.split(".")[3]) for path in run.tensorboard.iterdir()) > int(
+        first.name.split(".")[3]
+    )
 
 
 def test_train_and_resume_take_paths_as_text(tmp_path: Path) -> None:
@@ -178,11 +207,17 @@ def test_resuming_takes_up_networks_and_optimizer(run_copy: Path, trained: Train
     kept, before = (run / "models" / "agent" / "last.zip" for run in (run_copy, trained.run))
     with zipfile.ZipFile(kept) as mine, zipfile.ZipFile(before) as theirs:
         assert any("optimizer" in name for name in theirs.namelist())
-        assert all(mine.read(name) == theirs.read(name) for name in theirs.namelist() if name.endswith(".pth"))
+        assert all(
+            mine.read(name) == theirs.read(name) for name in theirs.namelist() if name.endswith(".pth")
+        )
 
 
-@pytest.mark.parametrize("number", few([signal.SIGINT, signal.SIGTERM], ["SIGINT"], lambda number: number.name))
-def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize(
+    "number", few([signal.SIGINT, signal.SIGTERM], ["SIGINT"], lambda number: number.name)
+)
+def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(
+    tmp_path: Path, number: int
+) -> None:
     handler = signal.getsignal(number)
     told = Telling(5, lambda: os.kill(os.getpid(), number))
     result = short(tmp_path, total=50_000, progress=told, build=stand_in.build)
@@ -197,7 +232,9 @@ def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(tm
     assert again.steps > result.steps
 
 
-def test_sigterm_ends_a_training_with_the_command_that_continues_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sigterm_ends_a_training_with_the_command_that_continues_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     class Terminated(ProgressReporter):
         def update(self, progress: TrainingProgress) -> None:
             if 200 < progress.steps < 1_000:
@@ -205,7 +242,10 @@ def test_sigterm_ends_a_training_with_the_command_that_continues_it(tmp_path: Pa
 
     result = short(tmp_path, total=50_000, progress=Terminated(), build=stand_in.build)
     assert result.interrupted
-    assert f"stopping after this rollout; continue with: deepbots resume {result.run}\n" in capsys.readouterr().err
+    assert (
+        f"stopping after this rollout; continue with: deepbots resume {result.run}\n"
+        in capsys.readouterr().err
+    )
     assert f"continue the training with: deepbots resume {result.run}" in training_text(result)
 
 
@@ -221,7 +261,9 @@ class Late(Reporter):
 
 
 def test_a_stop_after_the_last_step_leaves_nothing_to_resume(tmp_path: Path) -> None:
-    result = short(tmp_path, total=300, solved=Solved(10, mean_return=1e6), progress=Late(), build=stand_in.build)
+    result = short(
+        tmp_path, total=300, solved=Solved(10, mean_return=1e6), progress=Late(), build=stand_in.build
+    )
     assert (result.status, result.stop_requested) == ("finished", True)
     assert result.steps > 300
     assert "deepbots resume" not in training_text(result)
@@ -231,7 +273,9 @@ def test_a_stop_after_the_last_step_leaves_nothing_to_resume(tmp_path: Path) -> 
 
 
 def test_a_stop_after_the_last_step_leaves_the_last_evaluation_to_resume(tmp_path: Path) -> None:
-    result = short(tmp_path, total=300, solved=Solved(2, mean_return=1e6), progress=Late(), build=stand_in.build)
+    result = short(
+        tmp_path, total=300, solved=Solved(2, mean_return=1e6), progress=Late(), build=stand_in.build
+    )
     assert (result.status, result.stop_requested) == ("interrupted", True)
     assert result.steps > 300
     assert f"deepbots resume {result.run}" in training_text(result)
@@ -243,7 +287,9 @@ def test_a_stop_after_the_last_step_leaves_the_last_evaluation_to_resume(tmp_pat
         resume(result.run, build=stand_in.build)
 
 
-def test_a_full_training_that_was_confirmed_stops_at_the_next_confirmation_if_it_is_resumed_so(tmp_path: Path) -> None:
+def test_a_full_training_that_was_confirmed_stops_at_the_next_confirmation_if_it_is_resumed_so(
+    tmp_path: Path,
+) -> None:
     easy = Solved(2, mean_return=5.0)
     full = short(tmp_path, total=1_000, solved=easy, stop_when_solved=False, build=stand_in.build)
     assert full.solved_at is not None
@@ -252,12 +298,16 @@ def test_a_full_training_that_was_confirmed_stops_at_the_next_confirmation_if_it
     assert full.steps < again.solved_at.steps == again.steps < 50_000
 
 
-@pytest.mark.parametrize(("steps", "goal"), [(300_032, 600_000), (500_736, 1_000_000), (600, 1_000), (7_500, 20_000), (1, 2)])
+@pytest.mark.parametrize(
+    ("steps", "goal"), [(300_032, 600_000), (500_736, 1_000_000), (600, 1_000), (7_500, 20_000), (1, 2)]
+)
 def test_suggested_steps_are_round_and_more_than_there_are(steps: int, goal: int) -> None:
     assert longer_goal(steps) == goal
 
 
-def test_a_log_gets_a_line_every_half_minute_and_one_for_an_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_gets_a_line_every_half_minute_and_one_for_an_evaluation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     stream, now = io.StringIO(), 0.0
     monkeypatch.setattr("deepbots_cli.learning.report.time.perf_counter", lambda: now)
     display = ProgressReporter(stream)
@@ -266,7 +316,12 @@ def test_a_log_gets_a_line_every_half_minute_and_one_for_an_evaluation(monkeypat
         now = float(second)
         display.update(TrainingProgress(second * 100, 1_000_000, 0, None, None, evaluations=second // 50))
     steps = [int(line.split()[0].replace(",", "")) for line in stream.getvalue().splitlines()]
-    assert steps == [3_000, 5_000, 8_000, 10_000]  # after 30 s, an evaluation after 50 s, 30 s later, a second evaluation after 100 s
+    assert steps == [
+        3_000,
+        5_000,
+        8_000,
+        10_000,
+    ]  # after 30 s, an evaluation after 50 s, 30 s later, a second evaluation after 100 s
 
 
 def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Path) -> None:
@@ -281,7 +336,12 @@ def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Pa
 def test_a_killed_process_leaves_a_run_that_can_be_evaluated_and_resumed(tmp_path: Path) -> None:
     left = tmp_path / "left"
     runs = tmp_path / "runs"
-    short(runs, total=500, progress=Telling(3, lambda: shutil.copytree(next(runs.iterdir()), left)), build=stand_in.build)
+    short(
+        runs,
+        total=500,
+        progress=Telling(3, lambda: shutil.copytree(next(runs.iterdir()), left)),
+        build=stand_in.build,
+    )
     assert json.loads((left / "run.json").read_text())["status"] == "running"
     assert evaluate(left, episodes=1, build=stand_in.build).episodes == 1
     assert resume(left, build=stand_in.build).steps >= 500
@@ -296,7 +356,9 @@ def test_training_works_outside_the_main_thread(tmp_path: Path) -> None:
 
 
 def test_a_training_that_diverges_says_so_and_keeps_the_last_good_model(tmp_path: Path) -> None:
-    training = Training("PPO", 20_000, environments=2, hyperparameters=hyper(learning_rate=9e29, n_steps=32, batch_size=32))
+    training = Training(
+        "PPO", 20_000, environments=2, hyperparameters=hyper(learning_rate=9e29, n_steps=32, batch_size=32)
+    )
     with pytest.raises(RunError, match="diverged"):
         train(stand_in.compiled(training=training), runs=tmp_path, build=stand_in.build)
     run = next(tmp_path.iterdir())
@@ -323,10 +385,16 @@ LEARNERS: list[tuple[str, bool, dict[str, Any]]] = [
 """Algorithms, each with whether its actions are continuous, and hyperparameters."""
 
 
-@pytest.mark.parametrize("learner", few(LEARNERS, ["A2C-False", "SAC-True"], lambda learner: f"{learner[0]}-{learner[1]}"))
-def test_every_algorithm_trains_resumes_and_is_evaluated(tmp_path: Path, learner: tuple[str, bool, dict[str, Any]]) -> None:
+@pytest.mark.parametrize(
+    "learner", few(LEARNERS, ["A2C-False", "SAC-True"], lambda learner: f"{learner[0]}-{learner[1]}")
+)
+def test_every_algorithm_trains_resumes_and_is_evaluated(
+    tmp_path: Path, learner: tuple[str, bool, dict[str, Any]]
+) -> None:
     algorithm, continuous, settings = learner
-    training = Training(algorithm, 100, environments=2, hyperparameters=hyper(**settings), network=Network((8,), "relu"))
+    training = Training(
+        algorithm, 100, environments=2, hyperparameters=hyper(**settings), network=Network((8,), "relu")
+    )
     compiled = stand_in.compiled(training=training, continuous=continuous)
     result = train(compiled, runs=tmp_path, build=stand_in.build)
     again = resume(result.run, total_timesteps=result.steps + 60, build=stand_in.build)
@@ -335,7 +403,9 @@ def test_every_algorithm_trains_resumes_and_is_evaluated(tmp_path: Path, learner
 
 
 def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
-    training = Training("DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), network=Network((8,), "relu"))
+    training = Training(
+        "DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), network=Network((8,), "relu")
+    )
     result = train(stand_in.compiled(training=training), runs=tmp_path, build=stand_in.build)
     again = resume(result.run, total_timesteps=150, build=stand_in.build)
     last = checkpoints.latest_checkpoint(Run.open(again.run))
@@ -354,9 +424,15 @@ def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
         (Training("PPO", 100, hyperparameters=hyper(batch_size=1)), "PPO does not accept"),
     ],
 )
-def test_settings_that_cannot_be_trained_with_are_refused(tmp_path: Path, training: Training, reason: str) -> None:
+def test_settings_that_cannot_be_trained_with_are_refused(
+    tmp_path: Path, training: Training, reason: str
+) -> None:
     with pytest.raises(UsageError, match=reason) as caught:
-        train(stand_in.altered(stand_in.compiled(), policy={"training": training}), runs=tmp_path, build=stand_in.build)
+        train(
+            stand_in.altered(stand_in.compiled(), policy={"training": training}),
+            runs=tmp_path,
+            build=stand_in.build,
+        )
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
@@ -399,7 +475,9 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_the_table_of_a_terminal_fits_80_columns_and_shows_a_success_rate_of_0(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_table_of_a_terminal_fits_80_columns_and_shows_a_success_rate_of_0(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("TERM", "xterm")
     stream, solved = Terminal(), Solved(100, mean_return=195.0, success_rate=0.9)
@@ -407,17 +485,25 @@ def test_the_table_of_a_terminal_fits_80_columns_and_shows_a_success_rate_of_0(m
     display = ProgressReporter(stream)
     best = Candidate(steps=12_000, episodes=20, success_rate=0.1, mean_return=31.0)
     display.start(TrainingProgress(0, 20_000, 0, None, 0.0, stage, solved))
-    display.update(TrainingProgress(20_000, 20_000, 300, 26.6, 0.0, stage, solved, best, "success_rate", 0.032))
+    display.update(
+        TrainingProgress(20_000, 20_000, 300, 26.6, 0.0, stage, solved, best, "success_rate", 0.032)
+    )
     display.stop()
     lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue()).splitlines()
     assert max(map(len, lines)) <= 80
     text = " ".join(" ".join(lines).split())
-    results = ("success 0% (needs 90%)", "return 26.6 (needs 195)", "best evaluation 10% success at 12,000 steps")
+    results = (
+        "success 0% (needs 90%)",
+        "return 26.6 (needs 195)",
+        "best evaluation 10% success at 12,000 steps",
+    )
     assert all(part in text for part in (*results, "crowded (2 of 3)", "so far"))
 
 
 def test_the_time_to_go_includes_evaluations_and_the_choice_of_the_best_model() -> None:
-    progress = TrainingProgress(600, 1_000, 9, 1.0, None, evaluation_seconds=40.0, evaluation_seconds_left=30.0)
+    progress = TrainingProgress(
+        600, 1_000, 9, 1.0, None, evaluation_seconds=40.0, evaluation_seconds_left=30.0
+    )
     assert progress.seconds_left(100, elapsed=90.0) == 400 * (90.0 - 40.0) / 500 + 30.0
     assert TrainingProgress(1_000, 1_000, 9, 1.0, None).seconds_left(0, elapsed=90.0) is None
 
@@ -455,7 +541,10 @@ def test_a_missing_extra_is_one_sentence_with_the_command(module: str, tmp_path:
 
 
 def test_importing_the_package_brings_neither_torch_nor_numpy(tmp_path: Path) -> None:
-    code = "import sys, deepbots_cli.learning.report\nprint([name for name in ('torch', 'numpy', 'gymnasium') if name in sys.modules])"
+    code = (
+        "import sys, deepbots_cli.learning.report\nprint([name for name in ('torch', 'numpy',"
+        " 'gymnasium') if name in sys.modules])"
+    )
     assert python(code, folder=tmp_path) == "[]\n"
 
 
@@ -463,11 +552,13 @@ def python(code: str, *arguments: str, folder: Path) -> str:
     """What a fresh interpreter prints."""
     places = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, cwd=folder, env=os.environ | places).stdout
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=True, cwd=folder, env=os.environ | places
+    ).stdout
 
 
 def test_results_are_json_and_text(trained: TrainingResult) -> None:
-    assert json.loads(json.dumps(to_json(trained)))["run"] == str(trained.run)
+    assert json.loads(json.dumps(trained.model_dump(mode="json")))["run"] == str(trained.run)
     assert str(trained.run) in training_text(trained)
 
 
@@ -479,7 +570,9 @@ def test_networks_that_no_memory_holds_are_refused_before_they_are_built() -> No
 
 def test_more_worlds_than_the_memory_holds_are_refused_before_they_are_built() -> None:
     algorithms.check_memory(8, memory=10**9)
-    with pytest.raises(UsageError, match=r"1024 environments need about 29\.7 GB of memory, and this machine has 8\.0 GB"):
+    with pytest.raises(
+        UsageError, match=r"1024 environments need about 29\.7 GB of memory, and this machine has 8\.0 GB"
+    ):
         algorithms.check_memory(1024, memory=8 * 10**9)
 
 
@@ -499,12 +592,18 @@ def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_pat
     assert gone_on.weights_digest == short(tmp_path, build=stand_in.build).weights_digest
 
 
-def test_a_training_that_was_killed_when_it_was_done_is_finished_by_resuming_it(run_copy: Path, trained: TrainingResult) -> None:
+def test_a_training_that_was_killed_when_it_was_done_is_finished_by_resuming_it(
+    run_copy: Path, trained: TrainingResult
+) -> None:
     record = json.loads((run_copy / "run.json").read_text())
     (run_copy / "run.json").write_text(json.dumps(record | {"status": "running", "result": None}))
     events = {path.name: path.read_bytes() for path in (run_copy / "tensorboard").iterdir()}
     result = resume(run_copy, build=stand_in.build)
-    assert (result.status, result.steps, result.weights_digest) == ("finished", trained.steps, trained.weights_digest)
+    assert (result.status, result.steps, result.weights_digest) == (
+        "finished",
+        trained.steps,
+        trained.weights_digest,
+    )
     assert (run_copy / "monitor.csv").read_bytes() == (trained.run / "monitor.csv").read_bytes()
     assert all((run_copy / "tensorboard" / name).read_bytes() == content for name, content in events.items())
     with pytest.raises(UsageError, match="is complete"):
@@ -520,7 +619,9 @@ def test_a_finished_run_without_its_checkpoint_is_damaged_and_not_begun_again(ru
 
 
 @pytest.mark.parametrize("figures", [{"seed": -1}, {"seed": 2**63}, {"total_timesteps": 10**20}])
-def test_a_run_whose_figures_could_not_be_read_back_is_refused_before_it_is_made(tmp_path: Path, figures: dict[str, int]) -> None:
+def test_a_run_whose_figures_could_not_be_read_back_is_refused_before_it_is_made(
+    tmp_path: Path, figures: dict[str, int]
+) -> None:
     with pytest.raises(UsageError, match=str(abs(next(iter(figures.values()))))):
         train(stand_in.compiled(), runs=tmp_path, build=stand_in.build, **figures)
     assert not list(tmp_path.iterdir())
@@ -532,11 +633,15 @@ def test_a_run_that_is_being_trained_is_not_resumed_by_a_second_process(run_copy
     with run_lock(run_copy), pytest.raises(UsageError, match="another process writes to"):
         resume(run_copy, total_timesteps=3_000, build=stand_in.build)
     assert {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()} == before
-    assert resume(run_copy, total_timesteps=2_100, stop_when_solved=False, build=stand_in.build).steps >= 2_100
+    assert (
+        resume(run_copy, total_timesteps=2_100, stop_when_solved=False, build=stand_in.build).steps >= 2_100
+    )
 
 
 def test_a_replay_buffer_with_actions_that_do_not_exist_is_refused(tmp_path: Path) -> None:
-    settings = Training("DQN", 300, environments=1, hyperparameters=hyper(learning_starts=50, buffer_size=500))
+    settings = Training(
+        "DQN", 300, environments=1, hyperparameters=hyper(learning_starts=50, buffer_size=500)
+    )
     done = train(stand_in.compiled(training=settings), runs=tmp_path, build=stand_in.build)
     (segment,) = (done.run / "checkpoints" / "replay").iterdir()
     with zipfile.ZipFile(segment) as archive:

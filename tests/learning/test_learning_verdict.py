@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,6 @@ from deepbots_cli.cli import main
 from deepbots_cli.cli.records import evaluation_text, interval_text, scores
 from deepbots_cli.learning import evaluate
 from deepbots_cli.learning.listing import read_listed
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
 
@@ -21,14 +19,14 @@ from deepbots_cli.learning.verdict import last_episodes, quoted_episodes, quoted
 def test_a_quick_evaluation_does_not_replace_the_one_with_the_most_episodes(run_copy: Path) -> None:
     run = Run.open(run_copy)
     long, quick = (evaluate(run, episodes=count, build=stand_in.build) for count in (12, 3))
-    path = run.write_evaluation(to_json(long))
-    quick_path = run.write_evaluation(to_json(quick))
+    path = run.write_evaluation(long.model_dump(mode="json"))
+    quick_path = run.write_evaluation(quick.model_dump(mode="json"))
     quoted, last = quoted_episodes(run), last_episodes(ModelRef(run))
     assert quoted is not None
     assert last is not None
     assert (quoted[0], len(quoted[1].outcomes), last[0]) == (path, 12, quick_path)
     assert run_verdict(run_copy, run.record).text.startswith(quoted[1].text)
-    latest = run.write_evaluation(to_json(long))
+    latest = run.write_evaluation(long.model_dump(mode="json"))
     assert quoted_episodes(run)[0] == latest  # type: ignore[index]
 
 
@@ -40,21 +38,30 @@ def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:
     found = evaluate(run, episodes=12, build=stand_in.build)
     assert found.solved is True
     assert found.verdict.endswith("(scenario changed since the training)")
-    run.write_evaluation(to_json(found))
+    run.write_evaluation(found.model_dump(mode="json"))
     listed = read_listed(run_copy)
     assert (listed.solved, listed.remarks) == (None, ("scenario changed since the training",))
     # One of the scenario of the training is quoted in its place, however few its episodes.
     few = evaluate(run, episodes=3, build=stand_in.build)
-    run.write_evaluation(to_json(replace(few, digest=run.record.digest)))
+    run.write_evaluation(few.model_copy(update={"digest": run.record.digest}).model_dump(mode="json"))
     assert read_listed(run_copy).evaluated_episodes == 3
 
 
 @pytest.mark.parametrize(
-    "where", [{"stage": "easy"}, {"case": "easy"}, {"set": ["solved=mean_return >= 1 over 9 episodes"]}, {"elsewhere": "easy.yaml"}]
+    "where",
+    [
+        {"stage": "easy"},
+        {"case": "easy"},
+        {"set": ["solved=mean_return >= 1 over 9 episodes"]},
+        {"elsewhere": "easy.yaml"},
+    ],
 )
-def test_an_evaluation_of_an_easy_stage_or_another_scenario_does_not_make_a_run_solved(run_copy: Path, where: dict[str, object]) -> None:
+def test_an_evaluation_of_an_easy_stage_or_another_scenario_does_not_make_a_run_solved(
+    run_copy: Path, where: dict[str, object]
+) -> None:
     run = Run.open(run_copy)
-    run.write_evaluation(to_json(evaluate(run, episodes=12, build=stand_in.build)) | where | {"solved": True, "episodes": 999})
+    found = evaluate(run, episodes=12, build=stand_in.build).model_dump(mode="json")
+    run.write_evaluation(found | where | {"solved": True, "episodes": 999})
     assert run_verdict(run_copy, run.record).solved is None
     assert quoted_evaluation(run_copy, run.record) is None
 
@@ -62,7 +69,7 @@ def test_an_evaluation_of_an_easy_stage_or_another_scenario_does_not_make_a_run_
 def test_an_evaluation_that_a_requirement_stopped_says_so(run_copy: Path) -> None:
     run = Run.open(run_copy)
     found = evaluate(run, episodes=12, build=stand_in.build, until=lambda episodes: len(episodes) == 8)
-    run.write_evaluation(to_json(found))
+    run.write_evaluation(found.model_dump(mode="json"))
     assert (found.episodes, found.planned) == (8, 12)
     assert "(stopped by a requirement after 8 of 12 episodes)" in found.verdict
     assert "(stopped by a requirement after 8 of 12 episodes)" in run_verdict(run_copy, run.record).text
@@ -70,9 +77,16 @@ def test_an_evaluation_that_a_requirement_stopped_says_so(run_copy: Path) -> Non
 
 def test_training_episodes_make_no_run_solved(run_copy: Path) -> None:
     run = Run.open(run_copy)
-    run.write_evaluation(to_json(evaluate(run, episodes=3, build=stand_in.build)))
+    run.write_evaluation(evaluate(run, episodes=3, build=stand_in.build).model_dump(mode="json"))
     record = json.loads((run_copy / "run.json").read_text())
-    at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}
+    at = {
+        "episode": 3,
+        "steps": 90,
+        "simulated_hours": 0.1,
+        "cpu_seconds": 1.0,
+        "mean_return": 200.0,
+        "success_rate": 0.0,
+    }
     record["result"]["solved_at"] = at
     (run_copy / "run.json").write_text(json.dumps(record))
     verdict = run_verdict(run_copy, Run.open(run_copy).record)
@@ -83,27 +97,39 @@ def test_training_episodes_make_no_run_solved(run_copy: Path) -> None:
 def test_a_run_that_is_not_solved_is_not_listed_with_the_steps_until_it_was(run_copy: Path) -> None:
     run = Run.open(run_copy)
     evaluated = evaluate(run, episodes=12, build=stand_in.build)
-    run.write_evaluation(to_json(replace(evaluated, solved=True)))
+    run.write_evaluation(evaluated.model_copy(update={"solved": True}).model_dump(mode="json"))
     record = json.loads((run_copy / "run.json").read_text())
-    at = {"episode": 3, "steps": 90, "simulated_hours": 0.1, "cpu_seconds": 1.0, "mean_return": 200.0, "success_rate": 0.0}
+    at = {
+        "episode": 3,
+        "steps": 90,
+        "simulated_hours": 0.1,
+        "cpu_seconds": 1.0,
+        "mean_return": 200.0,
+        "success_rate": 0.0,
+    }
     record["result"] |= {"solved_at": at, "confirmations": 1}
     (run_copy / "run.json").write_text(json.dumps(record))
     listed = read_listed(run_copy)
     assert (listed.solved, listed.solved_after) == (True, 90)
     # An evaluation of more episodes says otherwise.
-    run.write_evaluation(to_json(replace(evaluated, episodes=300, solved=False)))
+    run.write_evaluation(
+        evaluated.model_copy(update={"episodes": 300, "solved": False}).model_dump(mode="json")
+    )
     listed = read_listed(run_copy)
     assert (listed.solved, listed.solved_after) == (False, None)
 
 
-def test_equal_returns_are_not_shown_as_an_interval_around_them(run_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_equal_returns_are_not_shown_as_an_interval_around_them(
+    run_copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = Run.open(run_copy)
     found = evaluate(run, episodes=3, build=stand_in.build)
-    equal = replace(found, mean_return=0.0, std_return=0.0, least_return=0.0, greatest_return=0.0, return_interval=(-155.8, 155.8))
+    same = {"mean_return": 0.0, "std_return": 0.0, "least_return": 0.0, "greatest_return": 0.0}
+    equal = found.model_copy(update=same | {"return_interval": (-155.8, 155.8)})
     text = evaluation_text(equal)
     assert "mean return         0.00 (95 %: -155.80 .. 155.80; all returns are equal)" in text
     assert scores(equal)["return_95 %"] == "all equal"
-    run.write_evaluation(to_json(equal))
+    run.write_evaluation(equal.model_dump(mode="json"))
     assert main(["runs", str(run_copy)]) == 0
     assert "155.8" not in capsys.readouterr().out
     assert run_verdict(run_copy, run.record).text.startswith("mean return 0 (95 % interval -155.8")

@@ -34,7 +34,9 @@ def private_members(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, name
 
 
-def made(algorithm: str, observations: gym.Space[Any] = RANGES, actions: gym.Space[Any] = RANGES, **settings: Any) -> Any:
+def made(
+    algorithm: str, observations: gym.Space[Any] = RANGES, actions: gym.Space[Any] = RANGES, **settings: Any
+) -> Any:
     env: Any = VecNormalize(spaces_only(observations, actions), norm_obs=False)
     return algorithms.create(Training(algorithm, 1_000, **settings), env, seed=0, total_timesteps=1_000)
 
@@ -43,7 +45,12 @@ def test_the_library_has_each_private_member() -> None:
     models = [made("PPO"), made("RecurrentPPO"), made("SAC"), made("DDPG", GOALS, replay=Hindsight())]
     models.append(made("DQN", actions=gym.spaces.Discrete(2)))
     parts: list[Any] = [*models, models[0].env]
-    parts += [getattr(model, name) for model in models for name in ("rollout_buffer", "replay_buffer") if hasattr(model, name)]
+    parts += [
+        getattr(model, name)
+        for model in models
+        for name in ("rollout_buffer", "replay_buffer")
+        if hasattr(model, name)
+    ]
     used = {name for _, name in private_members(MODULE)}
     assert len(used) > 15
     assert {name for name in used if not any(hasattr(part, name) for part in parts)} == set()

@@ -1,4 +1,5 @@
-"""Statistics of evaluations against closed forms, published tables and simulated experiments of known truth."""
+"""Statistics of evaluations against closed forms, published tables and simulated experiments of known
+truth."""
 
 from __future__ import annotations
 
@@ -32,22 +33,33 @@ def test_the_wilson_bounds_are_where_the_score_test_just_rejects(trials: int, sh
     low, high = stats.wilson(successes, trials)
     assert 0 <= low <= observed <= high <= 1
     for bound in (low, high):
-        assert (observed - bound) ** 2 == pytest.approx(z * z * bound * (1 - bound) / trials, rel=1e-6, abs=1e-12)
+        assert (observed - bound) ** 2 == pytest.approx(
+            z * z * bound * (1 - bound) / trials, rel=1e-6, abs=1e-12
+        )
 
 
 def test_an_interval_of_a_mean_is_students():
     # t at 0.975 with 4 degrees of freedom is 2.776445.
     low, high = stats.mean_interval([1.0, 2.0, 3.0, 4.0, 5.0])
-    assert (low, high) == pytest.approx((3 - 2.776445 * math.sqrt(2.5 / 5), 3 + 2.776445 * math.sqrt(2.5 / 5)), abs=1e-5)
+    assert (low, high) == pytest.approx(
+        (3 - 2.776445 * math.sqrt(2.5 / 5), 3 + 2.776445 * math.sqrt(2.5 / 5)), abs=1e-5
+    )
     assert stats.mean_interval([1.0]) is None
     assert stats.mean_interval([3.0, 3.0, 3.0]) is None
     # At most the share 1 - 0.05^(1/5) = 0.451 of all values differs from five equal ones.
-    assert stats.mean_interval([200.0] * 5, (1.0, 200.0)) == pytest.approx((200 - 0.4507 * 199, 200.0), abs=0.01)
+    assert stats.mean_interval([200.0] * 5, (1.0, 200.0)) == pytest.approx(
+        (200 - 0.4507 * 199, 200.0), abs=0.01
+    )
 
 
 @pytest.mark.parametrize(
     ("values", "expected"),
-    [([1, 2, 3, 4], 2.5), ([0, 10, 20, 30, 40, 50, 60, 1000], 35.0), ([7], 7.0), ([0, 3, 9], (0 * 0.25 + 3 + 9 * 0.25) / 1.5)],
+    [
+        ([1, 2, 3, 4], 2.5),
+        ([0, 10, 20, 30, 40, 50, 60, 1000], 35.0),
+        ([7], 7.0),
+        ([0, 3, 9], (0 * 0.25 + 3 + 9 * 0.25) / 1.5),
+    ],
 )
 def test_the_interquartile_mean_weighs_the_edges_in_part(values, expected):
     assert stats.interquartile_mean(values) == pytest.approx(expected)
@@ -65,7 +77,9 @@ def test_an_interval_of_a_mean_is_cut_at_the_bounds_of_its_values():
 def test_the_interquartile_mean_moves_with_its_values_and_ignores_their_order(values, shift):
     center = stats.interquartile_mean(values)
     assert min(values) - 1e-6 <= center <= max(values) + 1e-6
-    assert stats.interquartile_mean([value + shift for value in reversed(values)]) == pytest.approx(center + shift, abs=1e-6)
+    assert stats.interquartile_mean([value + shift for value in reversed(values)]) == pytest.approx(
+        center + shift, abs=1e-6
+    )
 
 
 @given(st.integers(1, 300), st.data())
@@ -85,7 +99,8 @@ def test_the_evidence_on_a_rate_is_the_ratio_of_likelihoods():
 
 
 def test_the_evidence_on_a_mean_is_the_capital_of_its_bets():
-    # Gains of 1 where at most 2 can be lost: no bet on the first, then the largest, which loses three quarters of the capital on -2.
+    # Gains of 1 where at most 2 can be lost: no bet on the first, then the largest, which loses three
+    # quarters of the capital on -2.
     above, below = stats.mean_evidence(2.0, [3.0] * 5, (0.0, 10.0))
     assert above == pytest.approx(4 * math.log(1 + 0.75 / 2))
     assert below == 0
@@ -121,7 +136,12 @@ RETURNS = {
     "even": lambda generator: generator.uniform(0, 200, 100),
     "skewed": lambda generator: 200 * generator.beta(0.2, 2, 100),
 }
-MEANS = {"mostly the largest return": 191.0, "half the largest return": 110.0, "even": 100.0, "skewed": 200 * 0.2 / 2.2}
+MEANS = {
+    "mostly the largest return": 191.0,
+    "half the largest return": 110.0,
+    "even": 100.0,
+    "skewed": 200 * 0.2 / 2.2,
+}
 
 
 @pytest.mark.parametrize("returns", few(RETURNS, ["mostly the largest return", "skewed"]))
@@ -130,8 +150,14 @@ def test_at_most_one_gate_in_twenty_on_a_mean_decides_wrongly(returns, off):
     generator, wrong = np.random.default_rng(2), 0
     for _ in range(200):
         done = RETURNS[returns](generator).tolist()
-        verdicts = (stats.gate_mean(MEANS[returns] + off, done[:count], 100, (0.0, 200.0)) for count in range(5, 100, 5))
-        decided = next((verdict.met for verdict in verdicts if verdict.met is not None and "sequence" in verdict.reason), None)
+        verdicts = (
+            stats.gate_mean(MEANS[returns] + off, done[:count], 100, (0.0, 200.0))
+            for count in range(5, 100, 5)
+        )
+        decided = next(
+            (verdict.met for verdict in verdicts if verdict.met is not None and "sequence" in verdict.reason),
+            None,
+        )
         wrong += decided is (off > 0)
     assert wrong / 200 <= stats.ALPHA
 
@@ -175,7 +201,9 @@ def test_an_interval_of_a_difference_covers_it_in_93_percent_of_comparisons(seed
 def test_the_probability_of_improvement_is_that_of_normal_scores():
     generator = np.random.default_rng(0)
     first, second = generator.normal(0, 1, 1500), generator.normal(1, 1, 1500)
-    assert stats.probability_of_improvement(first, second) == pytest.approx(NormalDist().cdf(1 / math.sqrt(2)), abs=0.02)
+    assert stats.probability_of_improvement(first, second) == pytest.approx(
+        NormalDist().cdf(1 / math.sqrt(2)), abs=0.02
+    )
     assert stats.probability_of_improvement([1, 1], [1, 1]) == 0.5
 
 
@@ -196,6 +224,7 @@ def test_one_run_each_has_a_difference_without_an_interval():
 
 @pytest.mark.parametrize("rate", [0.5, 0.9, 0.95])
 def test_so_many_successes_are_needed_to_be_above_a_rate(rate: float) -> None:
-    """`robustness --episodes 20` called every level "not significant" for 90 %, and did not say that 35 are needed."""
+    """`robustness --episodes 20` called every level "not significant" for 90 %, and did not say that 35 are
+    needed."""
     count = stats.episodes_above(rate)
     assert stats.wilson(count, count)[0] >= rate > stats.wilson(count - 1, count - 1)[0]

@@ -1,4 +1,5 @@
-"""Rewards that a cycle of states exploits are found in the text, whatever the term looks like; rewards that sum to zero are not."""
+"""Rewards that a cycle of states exploits are found in the text, whatever the term looks like; rewards that
+sum to zero are not."""
 
 from __future__ import annotations
 
@@ -251,7 +252,9 @@ def write(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("name", EXPLOITED)
-def test_a_reward_that_pays_more_for_avoiding_the_success_is_found_before_training(name: str, folder: Path) -> None:
+def test_a_reward_that_pays_more_for_avoiding_the_success_is_found_before_training(
+    name: str, folder: Path
+) -> None:
     findings = api.lint(write(folder, EXPLOITED[name]))
     assert len(findings) == 1, findings
     assert findings[0].code in ("DB708", "DB716")
@@ -287,7 +290,8 @@ def test_a_term_that_pays_while_the_success_is_held_is_interrupted_just_in_time(
     ],
 )
 def test_the_pay_of_a_step_that_a_finding_names_can_be_reached(name: str, rate: str, folder: Path) -> None:
-    """A bonus of 4 at each entry was said to pay 9.99 per step, where a visit takes two; 4 per second, 80 per step of 40 ms."""
+    """A bonus of 4 at each entry was said to pay 9.99 per step, where a visit takes two; 4 per second, 80 per
+    step of 40 ms."""
     (finding,) = api.lint(write(folder, EXPLOITED[name]))
     assert f"earns up to {rate} per step" in finding.headline
     assert " stays " not in finding.notes[0] or "time" in name
@@ -313,13 +317,20 @@ train: {algorithm: PPO, total_timesteps: 1000}
         ("20 * max(0 m, -delta(ground_distance(epuck, post))) / m", 20 * 20 * 0.1256),
     ],
 )
-def test_a_required_return_beyond_the_limits_of_speed_is_out_of_reach(term: str, highest: float, folder: Path) -> None:
-    """200 steps of 0.1 s, and wheels that drive at 6.28 rad/s times 2 cm: 10 % above that the bound allows for tilting."""
+def test_a_required_return_beyond_the_limits_of_speed_is_out_of_reach(
+    term: str, highest: float, folder: Path
+) -> None:
+    """200 steps of 0.1 s, and wheels that drive at 6.28 rad/s times 2 cm: 10 % above that the bound allows
+    for tilting."""
     text = FORWARD.replace("velocity(epuck).x / (m/s)", f'"{term}"')
     program = api.compile(write(folder, text)).program
     bound = highest_return(Analysis(program))
     assert highest <= bound <= 1.101 * highest + 0.1
-    (out,) = [finding for finding in api.lint(write(folder, text.replace(">= 60", f">= {1.01 * bound:.4f}"))) if finding.code == "DB810"]
+    (out,) = [
+        finding
+        for finding in api.lint(write(folder, text.replace(">= 60", f">= {1.01 * bound:.4f}")))
+        if finding.code == "DB810"
+    ]
     assert "limits of speed" in out.headline
     within = api.lint(write(folder, text.replace(">= 60", f">= {0.99 * bound:.4f}")))
     assert "DB810" not in {finding.code for finding in within}

@@ -16,7 +16,11 @@ from deepbots_cli.program.task import idle_action
 
 pytestmark = pytest.mark.usefixtures("simulated_here")
 
-CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+CARTPOLE = (
+    shipped.scenario_path("cartpole")
+    .read_text(encoding="utf-8")
+    .replace("../robots/urdf/cartpole.urdf", "cartpole")
+)
 CARTPOLE = CARTPOLE.replace("world:\n", "world:\n  engine: mujoco\n", 1)  # steps it four times as fast
 ARM = Path(__file__).parents[1] / "data" / "scenarios" / "arm.yaml"
 Probed = Callable[[str], list[Finding]]
@@ -37,7 +41,9 @@ def probed(tmp_path: Path) -> Probed:
 def test_findings_are_the_same_on_every_run(probed: Probed) -> None:
     text = "augment: {height: position(cart.tip).z}\nobservation: {height: 0 .. 30 cm}\n"
     first, second = probed(text), probed(text)
-    assert [(found.headline, found.notes) for found in first] == [(found.headline, found.notes) for found in second]
+    assert [(found.headline, found.notes) for found in first] == [
+        (found.headline, found.notes) for found in second
+    ]
     assert first
 
 
@@ -71,7 +77,8 @@ def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(pr
         "world: {engine: pybullet}\nrobots:\n  cart:\n    actuators:\n"
         f"      spring: {{type: position_motor, joint: pole_hinge, {strong}}}\n"
         "    apply: {spring: 5 deg}\n"
-        "  arm:\n    urdf: package://pybullet_data/kuka_iiwa/model.urdf\n    base: fixed\n    pose: {y: 2 m}\n    emit: []\n"
+        "  arm:\n    urdf: package://pybullet_data/kuka_iiwa/model.urdf\n    base: fixed\n    pose: {y: 2"
+        " m}\n    emit: []\n"
         "    actuators: {hand: {type: cartesian, link: lbr_iiwa_link_7, joints: [lbr_iiwa_joint_*]}}\n"
         '    apply: {hand: "vector(5 m, 2 m, 0.4 m)"}\n'
     )
@@ -102,16 +109,26 @@ def wheeled(skids: tuple[float, ...], height: float) -> str:
     def link(name: str, mass: float, *shapes: str) -> str:
         moment = 2e-3 * mass
         inertia = (
-            f'<inertial><mass value="{mass}"/><inertia ixx="{moment}" iyy="{moment}" izz="{moment}" ixy="0" ixz="0" iyz="0"/></inertial>'
+            f'<inertial><mass value="{mass}"/><inertia ixx="{moment}" iyy="{moment}" izz="{moment}"'
+            ' ixy="0" ixz="0" iyz="0"/></inertial>'
         )
-        return f'<link name="{name}">{inertia}' + "".join(f"<collision>{shape}</collision>" for shape in shapes) + "</link>"
+        return (
+            f'<link name="{name}">{inertia}'
+            + "".join(f"<collision>{shape}</collision>" for shape in shapes)
+            + "</link>"
+        )
 
     def wheel(name: str, y: float) -> str:
         place = f'<parent link="body"/><child link="{name}"/><origin xyz="-0.03 {y} 0"/><axis xyz="0 1 0"/>'
         tire = '<origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.035" length="0.02"/></geometry>'
-        return link(name, 0.05, tire) + f'<joint name="{name}" type="continuous">{place}<limit effort="0.5" velocity="12"/></joint>'
+        return (
+            link(name, 0.05, tire)
+            + f'<joint name="{name}" type="continuous">{place}<limit effort="0.5" velocity="12"/></joint>'
+        )
 
-    spheres = [f'<origin xyz="{x} 0 -0.02"/><geometry><sphere radius="{0.015 + height}"/></geometry>' for x in skids]
+    spheres = [
+        f'<origin xyz="{x} 0 -0.02"/><geometry><sphere radius="{0.015 + height}"/></geometry>' for x in skids
+    ]
     box = '<geometry><box size="0.14 0.1 0.04"/></geometry>'
     return f'<robot name="car">{link("body", 0.5, box, *spheres)}{wheel("left", 0.06)}{wheel("right", -0.06)}</robot>'
 
@@ -144,11 +161,14 @@ def test_of_a_group_one_pair_is_told(probed: Probed) -> None:
 def test_a_robot_that_the_engine_cannot_hold_is_a_finding_at_its_name(probed: Probed, tmp_path: Path) -> None:
     pytest.importorskip("pybullet")
     links = "".join(
-        f'<link name="l{number}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        f'<link name="l{number}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"'
+        ' iyz="0"/></inertial></link>'
         for number in range(130)
     )
     joints = "".join(
-        f'<joint name="j{number}" type="fixed"><parent link="l{number}"/><child link="l{number + 1}"/></joint>' for number in range(129)
+        f'<joint name="j{number}" type="fixed"><parent link="l{number}"/><child'
+        f' link="l{number + 1}"/></joint>'
+        for number in range(129)
     )
     (tmp_path / "long.urdf").write_text(f'<robot name="long">{links}{joints}</robot>')
     (found,) = probed("world: {engine: pybullet}\nrobots: {snake: {urdf: long.urdf}}\n")
@@ -163,9 +183,14 @@ def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_ze
 
 
 def test_costly_scenarios_are_given_fewer_steps() -> None:
-    usual, costly = (simulation_plan(api.load("pit_escape", overrides=overrides).program) for overrides in ([], ["world.substeps=100"]))
+    usual, costly = (
+        simulation_plan(api.load("pit_escape", overrides=overrides).program)
+        for overrides in ([], ["world.substeps=100"])
+    )
     assert costly.min_random_steps < usual.min_random_steps
-    assert max(rollout.steps for rollout in costly.rollouts) < max(rollout.steps for rollout in usual.rollouts)
+    assert max(rollout.steps for rollout in costly.rollouts) < max(
+        rollout.steps for rollout in usual.rollouts
+    )
 
 
 def test_a_wall_of_one_piece_goes_by_its_own_name(probed: Probed) -> None:

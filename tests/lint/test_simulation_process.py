@@ -1,4 +1,5 @@
-"""What becomes of the process that simulates: killed, crashed, hanging, out of memory, slow; in each case lint goes on."""
+"""What becomes of the process that simulates: killed, crashed, hanging, out of memory, slow; in each case
+lint goes on."""
 
 from __future__ import annotations
 
@@ -21,7 +22,11 @@ from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.lint import Limits, SimulationFindings, simulate
 from deepbots_cli.lint.simulation import measure
 
-CARTPOLE = shipped.scenario_path("cartpole").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+CARTPOLE = (
+    shipped.scenario_path("cartpole")
+    .read_text(encoding="utf-8")
+    .replace("../robots/urdf/cartpole.urdf", "cartpole")
+)
 CARTPOLE = CARTPOLE.replace("world:\n", "world:\n  engine: mujoco\n", 1)  # steps it four times as fast
 MODULE = """\
 import ctypes
@@ -52,7 +57,10 @@ def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
     def make(function: str = "") -> CheckedScenario:
-        text = CARTPOLE.replace("  alive: 1\n", f"  alive: 1\n  odd: {{python: 'hostile:{function}'}}\n" if function else "  alive: 1\n")
+        text = CARTPOLE.replace(
+            "  alive: 1\n",
+            f"  alive: 1\n  odd: {{python: 'hostile:{function}'}}\n" if function else "  alive: 1\n",
+        )
         (tmp_path / "cartpole.yaml").write_text(text)
         return api.load(tmp_path / "cartpole.yaml", permissions=Permissions(code=True))
 
@@ -117,7 +125,8 @@ def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> N
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are found by way of /proc")
 @pytest.mark.parametrize(
-    ("number", "said"), [(signal.SIGKILL, "another process ended the simulation (SIGKILL)"), (signal.SIGBUS, "crashes (SIGBUS)")]
+    ("number", "said"),
+    [(signal.SIGKILL, "another process ended the simulation (SIGKILL)"), (signal.SIGBUS, "crashes (SIGBUS)")],
 )
 def test_a_process_that_is_killed_is_a_finding(checked, number: signal.Signals, said: str) -> None:
     """As the system does when memory runs out, or an engine that reads past its arrays."""
@@ -135,18 +144,27 @@ def test_a_process_that_is_killed_is_a_finding(checked, number: signal.Signals, 
 def test_the_linter_itself_imports_no_simulator(tmp_path: Path) -> None:
     (tmp_path / "cartpole.yaml").write_text(CARTPOLE)
     program = (
-        "import sys; from deepbots_cli.cli import main; code = main(['lint', 'cartpole.yaml', '--deep', '--preview']);"
+        "import sys; from deepbots_cli.cli import main; code = main(['lint', 'cartpole.yaml', '--deep',"
+        " '--preview']);"
         "print(code, sorted({'numpy', 'pybullet', 'gymnasium', 'torch'} & set(sys.modules)))"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(api.__file__).parents[1])}
     ran = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True, timeout=300
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=300,
     )
     assert ran.stdout == "cartpole.yaml: no findings, including the simulation\n0 []\n"
     assert ran.stderr == ""
 
 
-def test_modules_in_the_working_directory_are_not_run(checked, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modules_in_the_working_directory_are_not_run(
+    checked, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scenario = checked()
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")

@@ -17,7 +17,13 @@ CHEAP = ("balancer", "quadrotor")
 """Wheels and thrusters; the others are marked as slow (1 to 7 s of CPU each)."""
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in CHEAP else pytest.mark.slow) for name in shipped.scenario_names()])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in CHEAP else pytest.mark.slow)
+        for name in shipped.scenario_names()
+    ],
+)
 def test_a_shipped_scenario_is_silent_when_it_is_simulated(name: str) -> None:
     checked = api.load(name)
     probed = simulate(checked, preview=True)
@@ -25,7 +31,9 @@ def test_a_shipped_scenario_is_silent_when_it_is_simulated(name: str) -> None:
     assert all_findings(checked, preview=True, measured=probed.findings) == []
 
 
-@pytest.mark.parametrize("template", [pytest.param(name, marks=() if name == "wheeled" else pytest.mark.slow) for name in Template])
+@pytest.mark.parametrize(
+    "template", [pytest.param(name, marks=() if name == "wheeled" else pytest.mark.slow) for name in Template]
+)
 def test_a_template_is_silent_when_it_is_simulated(template: str, tmp_path: Path) -> None:
     for name, data in from_template(template, "mine").items():
         (tmp_path / name).write_bytes(data)

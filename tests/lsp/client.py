@@ -1,4 +1,5 @@
-"""A client of a language server: starts it as an editor would, and speaks JSON-RPC with it over its standard streams."""
+"""A client of a language server: starts it as an editor would, and speaks JSON-RPC with it over its standard
+streams."""
 
 from __future__ import annotations
 
@@ -22,13 +23,19 @@ OURS = (sys.executable, "-m", "deepbots_cli", "lsp")
 
 
 class Client:
-    """One server and the documents that are open in it; use it as a context, at the end of which the server has to leave.
+    """One server and the documents that are open in it; use it as a context, at the end of which the server
+    has to leave.
 
     `settings` are those of the user, by section, for servers that ask for them.
     """
 
     def __init__(
-        self, folder: Path, *, capabilities: Message | None = None, command: Sequence[str] = OURS, settings: Message | None = None
+        self,
+        folder: Path,
+        *,
+        capabilities: Message | None = None,
+        command: Sequence[str] = OURS,
+        settings: Message | None = None,
     ) -> None:
         self.folder = folder
         self.command = command
@@ -55,7 +62,9 @@ class Client:
             stderr=subprocess.PIPE,
         )
         threading.Thread(target=self._listen, daemon=True).start()
-        self.server = self.request("initialize", {"processId": None, "rootUri": None, "capabilities": self.capabilities})
+        self.server = self.request(
+            "initialize", {"processId": None, "rootUri": None, "capabilities": self.capabilities}
+        )
         self.notify("initialized", {})
         if self.settings:
             self.notify("workspace/didChangeConfiguration", {"settings": self.settings})
@@ -75,7 +84,9 @@ class Client:
         """Open a file, by default as it is on the disk, and return its address."""
         uri = path.as_uri()
         self.texts[uri] = path.read_text(encoding="utf-8") if text is None else text
-        self.versions[uri] = self.versions.get(uri, 0) + 1  # what was published before it was closed is of another version
+        self.versions[uri] = (
+            self.versions.get(uri, 0) + 1
+        )  # what was published before it was closed is of another version
         document = {"uri": uri, "languageId": "yaml", "version": self.versions[uri], "text": self.texts[uri]}
         self.notify("textDocument/didOpen", {"textDocument": document})
         return uri
@@ -121,7 +132,9 @@ class Client:
 
     def ask(self, method: str, uri: str, around: str, **more: Any) -> Any:
         """The answer to a request about a place."""
-        return self.request(f"textDocument/{method}", {"textDocument": {"uri": uri}, "position": self.at(uri, around), **more})
+        return self.request(
+            f"textDocument/{method}", {"textDocument": {"uri": uri}, "position": self.at(uri, around), **more}
+        )
 
     def labels(self, uri: str, around: str) -> list[str]:
         return [item["label"] for item in self.ask("completion", uri, around)["items"]]
@@ -192,7 +205,10 @@ class Client:
 def position(text: str, offset: int) -> Message:
     """Line and column of an offset, both from 0, columns in units of UTF-16."""
     line_start = text.rfind("\n", 0, offset) + 1
-    return {"line": text.count("\n", 0, offset), "character": len(text[line_start:offset].encode("utf-16-le")) // 2}
+    return {
+        "line": text.count("\n", 0, offset),
+        "character": len(text[line_start:offset].encode("utf-16-le")) // 2,
+    }
 
 
 def offset(text: str, place: Message) -> int:
@@ -205,7 +221,9 @@ def offset(text: str, place: Message) -> int:
 def place_of(file: str, marked: str) -> tuple[str, int, int]:
     """The name of a shipped file, with the line and the column of the mark `¦` in its text."""
     before, after = marked.split("¦")
-    text = next(path for top in ("scenarios", "robots") for path in (ROOT / top).rglob(file)).read_text(encoding="utf-8")
+    text = next(path for top in ("scenarios", "robots") for path in (ROOT / top).rglob(file)).read_text(
+        encoding="utf-8"
+    )
     assert text.count(before + after) == 1, marked
     lines = text[: text.index(before + after) + len(before)].split("\n")
     return file, len(lines) - 1, len(lines[-1])
@@ -214,5 +232,9 @@ def place_of(file: str, marked: str) -> tuple[str, int, int]:
 def edited(text: str, edits: list[Message]) -> str:
     """The text with edits made."""
     for edit in sorted(edits, key=lambda edit: offset(text, edit["range"]["start"]), reverse=True):
-        text = text[: offset(text, edit["range"]["start"])] + edit["newText"] + text[offset(text, edit["range"]["end"]) :]
+        text = (
+            text[: offset(text, edit["range"]["start"])]
+            + edit["newText"]
+            + text[offset(text, edit["range"]["end"]) :]
+        )
     return text

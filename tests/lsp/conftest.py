@@ -1,4 +1,5 @@
-"""A project with copies of the shipped scenarios and robots, and one server for all tests that leave its settings alone."""
+"""A project with copies of the shipped scenarios and robots, and one server for all tests that leave its
+settings alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What can be done about findings: fixes as they are, guesses called so, suppressions, all safe fixes at once; formatting and outline."""
+"""What can be done about findings: fixes as they are, guesses called so, suppressions, all safe fixes at
+once; formatting and outline."""
 
 from __future__ import annotations
 
@@ -46,13 +47,17 @@ def made(client, uri, action):
         ("timestep: 32 ms", "timestep: 32 mil¦liseconds", "Replace `milliseconds` with `ms`", True),
     ],
 )
-def test_a_fix_is_offered_where_its_finding_is_and_puts_it_right(client, pit, changed, right, wrong, title, safe):
+def test_a_fix_is_offered_where_its_finding_is_and_puts_it_right(
+    client, pit, changed, right, wrong, title, safe
+):
     original = client.texts[pit]
     changed((right, wrong.replace("¦", "")))
     (action,) = client.actions(pit, wrong)
     assert (action["title"], action["kind"], action.get("isPreferred", False)) == (title, "quickfix", safe)
     assert made(client, pit, action) == original
-    assert [finding["code"] for finding in action["diagnostics"]] == [finding["code"] for finding in client.diagnostics[pit]["diagnostics"]]
+    assert [finding["code"] for finding in action["diagnostics"]] == [
+        finding["code"] for finding in client.diagnostics[pit]["diagnostics"]
+    ]
     assert client.actions(pit, "sum¦mary") == []
 
 
@@ -64,7 +69,9 @@ def test_a_fix_behind_an_emoji_replaces_just_its_word(client, pit, changed):
 
 def test_a_warning_can_be_suppressed_on_its_line_and_is_gone_then(client, pit, changed):
     changed(("signals:\n", "signals:\n  spare: time  # not yet\n"))
-    (action,) = [found for found in client.actions(pit, "spa¦re: time") if found["title"].startswith("Suppress")]
+    (action,) = [
+        found for found in client.actions(pit, "spa¦re: time") if found["title"].startswith("Suppress")
+    ]
     assert action["title"] == "Suppress DB205 (unused-definition) on this line"
     client.change(pit, made(client, pit, action))
     assert "  spare: time  # not yet  # deepbots: ignore[DB205]\n" in client.texts[pit]
@@ -79,7 +86,9 @@ def test_a_second_code_goes_into_the_comment_that_is_there(client, pit, changed)
 
 def test_an_error_cannot_be_suppressed(client, pit, changed):
     changed(("timestep: 32", "timestop: 32"))
-    assert [found["title"] for found in client.actions(pit, "time¦stop") if "Suppress" in found["title"]] == []
+    assert [
+        found["title"] for found in client.actions(pit, "time¦stop") if "Suppress" in found["title"]
+    ] == []
 
 
 def test_a_suppression_that_would_become_part_of_a_text_is_not_offered(client, pit, changed):
@@ -90,12 +99,21 @@ def test_a_suppression_that_would_become_part_of_a_text_is_not_offered(client, p
 
 def test_all_safe_fixes_are_one_action_and_guesses_are_left(client, pit, changed):
     original = client.texts[pit]
-    changed(("timestep: 32", "timestop: 32"), ("{type: gyro,", "{type: gyros,"), ("delta(metric)", "delta(metrik)"))
+    changed(
+        ("timestep: 32", "timestop: 32"),
+        ("{type: gyro,", "{type: gyros,"),
+        ("delta(metric)", "delta(metrik)"),
+    )
     (action,) = client.actions(pit, "time¦stop", only=FIX_ALL)
     assert made(client, pit, action) == original.replace("delta(metric)", "delta(metrik)")
     (edit,) = action["edit"]["changes"][pit]
-    first, last = (client.texts[pit].count("\n", 0, client.texts[pit].index(word)) for word in ("timestop", "gyros"))
-    assert (edit["range"]["start"]["line"], edit["range"]["end"]["line"]) == (first, last)  # the cursor elsewhere stays where it is
+    first, last = (
+        client.texts[pit].count("\n", 0, client.texts[pit].index(word)) for word in ("timestop", "gyros")
+    )
+    assert (edit["range"]["start"]["line"], edit["range"]["end"]["line"]) == (
+        first,
+        last,
+    )  # the cursor elsewhere stays where it is
     assert client.actions(pit, "time¦stop", only=["refactor"]) == []
 
 
@@ -151,11 +169,21 @@ def test_formatting_makes_what_fmt_makes_and_leaves_broken_text_alone(client, pi
 
 
 @pytest.mark.parametrize(
-    "text", ["name:  a\r\nsummary: b\n", "name: a  \nsummary: b   \n\n\n\r\n", "name: a\r\n\r\n\r\n\r\nsummary: b", "a: 1\nb: 2\r\n"]
+    "text",
+    [
+        "name:  a\r\nsummary: b\n",
+        "name: a  \nsummary: b   \n\n\n\r\n",
+        "name: a\r\n\r\n\r\n\r\nsummary: b",
+        "a: 1\nb: 2\r\n",
+    ],
 )
 def test_an_edit_never_begins_or_ends_within_a_line_end(text):
     document = Document("untitled:a", 1, f"deepbots: 1\r\n{text}", Path("a.yaml"))
-    for after in (canonical_text(document.text), document.text.replace("\r\n", "\n"), document.text.replace("\r\n", "\r\n\r\n")):
+    for after in (
+        canonical_text(document.text),
+        document.text.replace("\r\n", "\n"),
+        document.text.replace("\r\n", "\r\n\r\n"),
+    ):
         for edit in minimal_edits(document, after):
             start, end = document.lines.offset(edit.range.start), document.lines.offset(edit.range.end)
             assert document.text[:start] + edit.new_text + document.text[end:] == after
@@ -171,7 +199,11 @@ def test_the_outline_shows_sections_and_the_names_in_them(client, pit):
 
 def test_the_server_writes_nothing(project, tmp_path):
     def state() -> dict[str, str]:
-        return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(Path(project).rglob("*")) if path.is_file()}
+        return {
+            str(path): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in sorted(Path(project).rglob("*"))
+            if path.is_file()
+        }
 
     before = state()
     with Client(project) as own:
@@ -179,5 +211,8 @@ def test_the_server_writes_nothing(project, tmp_path):
         uri = own.open(path, path.read_text().replace("timestep: 32", "timestop: 32"))
         own.findings(uri)
         own.actions(uri, "time¦stop", only=FIX_ALL)
-        own.request("textDocument/formatting", {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}})
+        own.request(
+            "textDocument/formatting",
+            {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}},
+        )
     assert state() == before

@@ -1,4 +1,5 @@
-"""Completion: keys, words, names, parts of the world, functions, units and files, also where the text is broken at the moment."""
+"""Completion: keys, words, names, parts of the world, functions, units and files, also where the text is
+broken at the moment."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from tests.lsp.client import edited
 
 @pytest.fixture
 def typing(client, pit, project):
-    """Puts a piece of PitEscape in the place of another, asks for completion at the mark, and puts it back."""
+    """Puts a piece of PitEscape in the place of another, asks for completion at the mark, and puts it
+    back."""
     original = (project / "scenarios" / "pit_escape.yaml").read_text(encoding="utf-8")
 
     def labels(old: str, new: str) -> list[str]:
@@ -26,12 +28,32 @@ def typing(client, pit, project):
 @pytest.mark.parametrize(
     ("old", "new", "offered", "not_offered"),
     [
-        ("timestep: 32 ms, substeps", "timestep: 32 ms, gr¦, substeps", {"gravity", "ground", "arena"}, {"timestep", "substeps", "gyro"}),
+        (
+            "timestep: 32 ms, substeps",
+            "timestep: 32 ms, gr¦, substeps",
+            {"gravity", "ground", "arena"},
+            {"timestep", "substeps", "gyro"},
+        ),
         ("{max_time: time_limit}", "{max¦}", {"max_time", "max_steps"}, {"truncation", "episodes"}),
         ("  n_steps: 64\n", "  n_¦\n", {"n_steps", "n_epochs", "clip_range"}, {"buffer_size", "algorithm"}),
-        ("signals:\n", "augment: {at: {value: position(roller).x, ¦}}\nsignals:\n", {"noise"}, {"value", "range"}),
-        ("signals:\n", "mes¦\nsignals:\n", {"messages", "goal", "disturbances"}, {"world", "robots", "timestep"}),
-        ("    apply: {pitch", "    ¦\n    apply: {pitch", {"receive", "groups", "emit"}, {"apply", "urdf", "world"}),
+        (
+            "signals:\n",
+            "augment: {at: {value: position(roller).x, ¦}}\nsignals:\n",
+            {"noise"},
+            {"value", "range"},
+        ),
+        (
+            "signals:\n",
+            "mes¦\nsignals:\n",
+            {"messages", "goal", "disturbances"},
+            {"world", "robots", "timestep"},
+        ),
+        (
+            "    apply: {pitch",
+            "    ¦\n    apply: {pitch",
+            {"receive", "groups", "emit"},
+            {"apply", "urdf", "world"},
+        ),
     ],
 )
 def test_keys_are_those_of_the_place_that_are_not_there_yet(typing, old, new, offered, not_offered):
@@ -76,10 +98,25 @@ def test_names_of_the_scenario_and_of_its_robot_file_are_offered_where_one_is_du
 @pytest.mark.parametrize(
     ("old", "new", "offered", "not_offered"),
     [
-        ("delta(metric)", "delta(me¦", {"metric", "reach", "radius", "delta(", "running_max(", "when"}, {"gyro", "uniform(", "m"}),
-        ("{pitch_motor: pitch * speed", "{pitch_motor: pi¦ * speed", {"pitch", "speed", "gyro"}, {"reach", "roller.gyro", "position("}),
+        (
+            "delta(metric)",
+            "delta(me¦",
+            {"metric", "reach", "radius", "delta(", "running_max(", "when"},
+            {"gyro", "uniform(", "m"},
+        ),
+        (
+            "{pitch_motor: pitch * speed",
+            "{pitch_motor: pi¦ * speed",
+            {"pitch", "speed", "gyro"},
+            {"reach", "roller.gyro", "position("},
+        ),
         ("norm(position(roller).xy)", "norm(position(¦", {"roller", "roller.ball"}, {"radius", "norm(", "m"}),
-        ("roller.gyro.y < 0 rad/s", "roller.gyro.¦", {"roller.gyro.x", "roller.gyro.z", "roller.gyro.xy"}, {"gyro"}),
+        (
+            "roller.gyro.y < 0 rad/s",
+            "roller.gyro.¦",
+            {"roller.gyro.x", "roller.gyro.z", "roller.gyro.xy"},
+            {"gyro"},
+        ),
         ("radius: 2.7 m", "radius: 2.7 ¦", {"m", "deg", "N"}, {"speed", "uniform("}),
         ("8.72 rad/s", "8.72 rad/¦", {"s", "ms"}, {"radius", "when"}),
         ("max_torque: 10 N*m}\n      yaw", "max_torque: 10 N*¦}\n      yaw", {"m", "mm"}, {"N*m"}),
@@ -116,7 +153,9 @@ def test_a_document_that_is_no_yaml_at_the_moment_is_completed_from_what_was_kno
 
 def test_a_name_that_was_never_compiled_is_not_offered_but_the_language_is(client, project):
     uri = client.open(project / "scenarios" / "new.yaml", "deepbots: 1\nworld: {")
-    found = client.request("textDocument/completion", {"textDocument": {"uri": uri}, "position": {"line": 1, "character": 8}})
+    found = client.request(
+        "textDocument/completion", {"textDocument": {"uri": uri}, "position": {"line": 1, "character": 8}}
+    )
     assert {"timestep", "gravity"} <= {item["label"] for item in found["items"]}
     client.change(uri, "deepbots: 1\nparameters: {radius: 2 ")
     assert "m" in client.labels(uri, "radius: 2 ¦")
@@ -130,12 +169,16 @@ def test_an_item_says_what_it_is_and_writes_no_more_than_is_missing(client, pit)
     assert "Duration of one control step" in timestep["documentation"]["value"]
     assert "timestep: 32 ms" in timestep["documentation"]["value"]
     assert timestep["textEdit"]["newText"] == "timestep"
-    assert edited(client.texts[pit], [timestep["textEdit"]]) == client.texts[pit].replace("timestep: 32", "timesteptep: 32")
+    assert edited(client.texts[pit], [timestep["textEdit"]]) == client.texts[pit].replace(
+        "timestep: 32", "timesteptep: 32"
+    )
     (gravity,) = [item for item in items if item["label"] == "gravity"]
     assert gravity["textEdit"]["newText"] == "gravity"  # the colon is there
 
 
-@pytest.mark.parametrize(("around", "inserted"), [("progress: delta¦(metric)", "delta"), ("progress: de¦lta(metric)", "delta(")])
+@pytest.mark.parametrize(
+    ("around", "inserted"), [("progress: delta¦(metric)", "delta"), ("progress: de¦lta(metric)", "delta(")]
+)
 def test_a_function_brings_its_bracket_unless_it_is_there(client, pit, around, inserted):
     (delta,) = [item for item in client.ask("completion", pit, around)["items"] if item["label"] == "delta("]
     assert delta["textEdit"]["newText"] == inserted
@@ -143,7 +186,11 @@ def test_a_function_brings_its_bracket_unless_it_is_there(client, pit, around, i
 
 def test_behind_an_emoji_the_right_letters_are_replaced(typing, client, pit):
     assert "accelerometer" in typing("gyro: {type: gyro, link: ball}", '"😀": {noise: 0, type: acc¦}')
-    (item,) = [item for item in client.ask("completion", pit, "type: acc¦}")["items"] if item["label"] == "accelerometer"]
+    (item,) = [
+        item
+        for item in client.ask("completion", pit, "type: acc¦}")["items"]
+        if item["label"] == "accelerometer"
+    ]
     assert '"😀": {noise: 0, type: accelerometer}' in edited(client.texts[pit], [item["textEdit"]])
 
 
@@ -224,7 +271,10 @@ def test_a_scenario_that_was_never_whole_offers_the_names_that_stand_in_it(clien
     assert client.labels_at(uri, len(client.texts[uri])) == ["pole_angle"]
     client.change(uri, BEGUN + "    apply:\n      ")
     assert "wheels" in client.labels_at(uri, len(client.texts[uri]))
-    client.change(uri, BEGUN + "action: {go: {range: -1 .. 1, each: cart.wheels}}\nsignals: {far: 1 m}\nreward:\n  near: f")
+    client.change(
+        uri,
+        BEGUN + "action: {go: {range: -1 .. 1, each: cart.wheels}}\nsignals: {far: 1 m}\nreward:\n  near: f",
+    )
     assert "far" in client.labels_at(uri, len(client.texts[uri]))
     client.close(uri)
 
@@ -257,22 +307,41 @@ scripts:
 @pytest.mark.parametrize(
     ("changes", "offered", "not_offered"),
     [
-        ([("{old: 1 m}", "{far: 1 m, old: 1 m}"), ("reward: {time: 1", "reward: {time: f¦")], {"far", "old", "delta("}, {"wheels"}),
-        ([("{old: 1 m}", "{old: 1 m, far: f¦}")], {"old"}, {"far"}),
-        ([("name: Begun\n", "name: Begun\nparameters: {wide: 1 s}\nsignals: {far: 1 s}\n"), ("20 ms", "w¦")], {"wide"}, {"far", "old"}),
         (
-            [("pole_hinge}}", "pole_hinge}, tilt: {type: joint_velocity, joint: pole_hinge}}"), ("{wheels: go}", "{wheels: t¦}")],
+            [("{old: 1 m}", "{far: 1 m, old: 1 m}"), ("reward: {time: 1", "reward: {time: f¦")],
+            {"far", "old", "delta("},
+            {"wheels"},
+        ),
+        ([("{old: 1 m}", "{old: 1 m, far: f¦}")], {"old"}, {"far"}),
+        (
+            [
+                ("name: Begun\n", "name: Begun\nparameters: {wide: 1 s}\nsignals: {far: 1 s}\n"),
+                ("20 ms", "w¦"),
+            ],
+            {"wide"},
+            {"far", "old"},
+        ),
+        (
+            [
+                ("pole_hinge}}", "pole_hinge}, tilt: {type: joint_velocity, joint: pole_hinge}}"),
+                ("{wheels: go}", "{wheels: t¦}"),
+            ],
             {"tilt", "pole_angle", "go"},
             {"old"},
         ),
         (
-            [("action:", "objects: {crate: {shape: box, size: 1 1 1 m}}\naction:"), ("{time: 1", "{time: clearance(cr¦")],
+            [
+                ("action:", "objects: {crate: {shape: box, size: 1 1 1 m}}\naction:"),
+                ("{time: 1", "{time: clearance(cr¦"),
+            ],
             {"crate", "cart"},
             {"old", "time"},
         ),
     ],
 )
-def test_names_written_since_the_last_analysis_are_offered_where_they_have_a_value(tmp_path, changes, offered, not_offered):
+def test_names_written_since_the_last_analysis_are_offered_where_they_have_a_value(
+    tmp_path, changes, offered, not_offered
+):
     path = tmp_path / "a.yaml"
     workspace = Workspace()
     known = Document(uri_of(path), 1, WHOLE, path)

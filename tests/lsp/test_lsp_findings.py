@@ -1,4 +1,5 @@
-"""Findings as one types: the same as of `deepbots lint`, at places of the protocol, of the newest text only."""
+"""Findings as one types: the same as of `deepbots lint`, at places of the protocol, of the newest text
+only."""
 
 from __future__ import annotations
 
@@ -62,7 +63,11 @@ def test_a_finding_has_its_code_its_severity_and_its_exact_place(client, world, 
 
 def test_columns_count_units_of_utf_16_behind_emoji_and_other_letters(client, world):
     summary = 'summary: "Ä 😀", parameters'
-    uri = client.open(world("pit_escape", ("parameters: {radius: 2.7 m,", "parameters: {radius: 2.7 m,  # 😀\n  ü😀: 1 m, ")))
+    uri = client.open(
+        world(
+            "pit_escape", ("parameters: {radius: 2.7 m,", "parameters: {radius: 2.7 m,  # 😀\n  ü😀: 1 m, ")
+        )
+    )
     (only,) = client.findings(uri)
     assert marked(client, uri, only) == "ü😀"
     assert only["range"]["end"] == {"line": 4, "character": 5}
@@ -71,7 +76,9 @@ def test_columns_count_units_of_utf_16_behind_emoji_and_other_letters(client, wo
 
 
 def test_a_finding_behind_an_emoji_of_its_line_is_where_the_editor_shows_it(client, world):
-    uri = client.open(world("pit_escape", ("gyro: {type: gyro, link: ball}", 'gyro: {type: "😀😀", link: bal}')))
+    uri = client.open(
+        world("pit_escape", ("gyro: {type: gyro, link: ball}", 'gyro: {type: "😀😀", link: bal}'))
+    )
     found = client.findings(uri)
     assert "DB104" in codes(found)
     assert marked(client, uri, next(finding for finding in found if finding["code"] == "DB104")) == '"😀😀"'
@@ -128,7 +135,11 @@ def test_yaml_that_is_neither_a_scenario_nor_a_piece_of_an_open_one_is_left_alon
     assert client.ask("hover", uri, "o¦n: [push]") is None
     assert client.actions(uri, "o¦n: [push]") == []
     assert (
-        client.request("textDocument/formatting", {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}}) is None
+        client.request(
+            "textDocument/formatting",
+            {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}},
+        )
+        is None
     )
     client.close(uri)
 
@@ -180,7 +191,9 @@ def test_settings_that_mean_nothing_are_told_once_and_the_file_is_linted_without
 
 def test_a_client_that_counts_in_bytes_is_answered_in_bytes(project, world):
     capabilities = {"general": {"positionEncodings": ["utf-8", "utf-16"]}}
-    path = world("pit_escape", ("parameters: {radius: 2.7 m,", "parameters: {radius: 2.7 m,  # 😀\n  ü😀: 1 m, "))
+    path = world(
+        "pit_escape", ("parameters: {radius: 2.7 m,", "parameters: {radius: 2.7 m,  # 😀\n  ü😀: 1 m, ")
+    )
     with Client(project, capabilities=capabilities) as own:
         assert own.server["capabilities"]["positionEncoding"] == "utf-8"
         (only,) = own.findings(own.open(path))
@@ -189,7 +202,12 @@ def test_a_client_that_counts_in_bytes_is_answered_in_bytes(project, world):
 
 def test_what_is_no_file_yet_is_linted_where_the_editor_stands(client):
     uri = "untitled:Untitled-1"
-    document = {"uri": uri, "languageId": "yaml", "version": 1, "text": "deepbots: 1\nname: New\nrobots: {cart: {urdf: cartpole}}\n"}
+    document = {
+        "uri": uri,
+        "languageId": "yaml",
+        "version": 1,
+        "text": "deepbots: 1\nname: New\nrobots: {cart: {urdf: cartpole}}\n",
+    }
     client.notify("textDocument/didOpen", {"textDocument": document})
     client.versions[uri] = 1
     assert "DB102" in codes(client.findings(uri))
@@ -199,16 +217,26 @@ def test_what_is_no_file_yet_is_linted_where_the_editor_stands(client):
 def test_two_documents_that_are_no_files_yet_have_findings_of_their_own(client):
     texts = {"untitled:One": "deepbots: 1\nwrold: {}\n", "untitled:Two": "deepbots: 1\nrobot: {}\n"}
     for uri, text in texts.items():
-        client.notify("textDocument/didOpen", {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": text}})
+        client.notify(
+            "textDocument/didOpen",
+            {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": text}},
+        )
         client.texts[uri], client.versions[uri] = text, 1
     for uri, key in zip(texts, ("wrold", "robot"), strict=True):
-        assert [marked(client, uri, found) for found in client.findings(uri) if found["code"] == "DB101"] == [key]
+        assert [marked(client, uri, found) for found in client.findings(uri) if found["code"] == "DB101"] == [
+            key
+        ]
     for uri in texts:
         client.close(uri)
 
 
 @pytest.mark.parametrize(
-    "text", ['"deepbots": 1\nwrold: {}\n', "{deepbots: 1, wrold: {}}\n", "# JSON\n{\n  'deepbots': 1,\n  wrold: {}}\n"]
+    "text",
+    [
+        '"deepbots": 1\nwrold: {}\n',
+        "{deepbots: 1, wrold: {}}\n",
+        "# JSON\n{\n  'deepbots': 1,\n  wrold: {}}\n",
+    ],
 )
 def test_a_scenario_whose_first_key_is_quoted_or_in_brackets_has_findings_too(client, project, text):
     uri = client.open(project / "scenarios" / "odd.yaml", text)
@@ -225,7 +253,9 @@ def test_findings_of_a_closed_document_are_taken_back(client, world):
 
 def test_a_robot_file_that_changes_on_the_disk_is_read_again(project, world):
     path = world("pit_escape")
-    with Client(project, capabilities={"workspace": {"didChangeWatchedFiles": {"dynamicRegistration": True}}}) as own:
+    with Client(
+        project, capabilities={"workspace": {"didChangeWatchedFiles": {"dynamicRegistration": True}}}
+    ) as own:
         uri = own.open(path)
         assert own.findings(uri) == []
         (registered,) = own.registered

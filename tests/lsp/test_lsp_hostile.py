@@ -1,4 +1,5 @@
-"""Whatever a document holds and a client asks: there is an answer, without a word in the log, and nothing heavy is imported."""
+"""Whatever a document holds and a client asks: there is an answer, without a word in the log, and nothing
+heavy is imported."""
 
 from __future__ import annotations
 
@@ -36,7 +37,11 @@ def answer_all(workspace: Workspace, document: Document, position: Position) -> 
         assert not document.is_scenario
         return
     for item in completion(view).items:
-        assert item.text_edit.range.start.line == item.text_edit.range.end.line == view.document.lines.position(view.offset).line
+        assert (
+            item.text_edit.range.start.line
+            == item.text_edit.range.end.line
+            == view.document.lines.position(view.offset).line
+        )
     hover(view)
     definitions(view, workspace.open_uris)
     CodeActions(workspace, document, versioned=True).at(Range(position, position))
@@ -76,7 +81,9 @@ def test_a_scenario_with_random_slips_is_answered_for(seed):
                 answer_all(workspace, document, document.lines.position(drawn.randrange(len(slips))))
 
 
-@pytest.mark.parametrize("step", [pytest.param(4 * STEP, id="few"), pytest.param(STEP, id="all", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "step", [pytest.param(4 * STEP, id="few"), pytest.param(STEP, id="all", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("method", [*ASKED_OF_A_PLACE, "codeAction"])
 def test_the_server_answers_at_every_place_of_a_scenario_and_of_what_is_left_of_it(client, pit, method, step):
     text = client.texts[pit]
@@ -85,19 +92,23 @@ def test_the_server_answers_at_every_place_of_a_scenario_and_of_what_is_left_of_
             client.change(pit, document)
             place = position(document, end)
             where = (
-                {"range": {"start": place, "end": place}, "context": {"diagnostics": []}} if method == "codeAction" else {"position": place}
+                {"range": {"start": place, "end": place}, "context": {"diagnostics": []}}
+                if method == "codeAction"
+                else {"position": place}
             )
             client.request(f"textDocument/{method}", {"textDocument": {"uri": pit}, **where})
 
 
 HOSTILE = {
-    "an alias bomb": "deepbots: 1\na: &a [x, x]\n" + "".join(f"a{n}: &a{n} [*a{'' if n == 0 else n - 1}, *a]\n" for n in range(60)),
+    "an alias bomb": "deepbots: 1\na: &a [x, x]\n"
+    + "".join(f"a{n}: &a{n} [*a{'' if n == 0 else n - 1}, *a]\n" for n in range(60)),
     "deep nesting": "deepbots: 1\nworld: " + "{a: " * 5000,
     "a long line": "deepbots: 1\nsummary: " + "x" * 900_000,
     "a long expression": "deepbots: 1\nreward: {x: " + "1 + " * 2400 + "1}",
     "lone surrogates": "deepbots: 1\nname: \ud800\nsummary: \udfff",
     "control characters": "deepbots: 1\nname: \0\x1b[31m\x85\u2028\r a: {",
-    "paths outside of the project": "deepbots: 1\nextends: /etc/passwd\nrobots: {a: {include: ../../../../etc/passwd, urdf: /dev/zero}}",
+    "paths outside of the project": "deepbots: 1\nextends: /etc/passwd\nrobots: {a: {include:"
+    " ../../../../etc/passwd, urdf: /dev/zero}}",
     "nothing": "",
     "a mark of byte order": "\ufeffdeepbots: 1\nworld: {timestop: 1}",
 }
@@ -109,40 +120,69 @@ def test_a_hostile_document_is_answered_for(client, project, name):
     client.findings(uri)
     for line, character in [(0, 0), (1, 9), (2, 30), (10**6, 10**6)]:
         for method in ASKED_OF_A_PLACE:
-            client.request(f"textDocument/{method}", {"textDocument": {"uri": uri}, "position": {"line": line, "character": character}})
+            client.request(
+                f"textDocument/{method}",
+                {"textDocument": {"uri": uri}, "position": {"line": line, "character": character}},
+            )
     client.request("textDocument/documentSymbol", {"textDocument": {"uri": uri}})
-    client.request("textDocument/formatting", {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}})
+    client.request(
+        "textDocument/formatting",
+        {"textDocument": {"uri": uri}, "options": {"tabSize": 2, "insertSpaces": True}},
+    )
     everything = {"start": {"line": 0, "character": 0}, "end": {"line": 10**6, "character": 0}}
-    client.request("textDocument/codeAction", {"textDocument": {"uri": uri}, "range": everything, "context": {"diagnostics": []}})
+    client.request(
+        "textDocument/codeAction",
+        {"textDocument": {"uri": uri}, "range": everything, "context": {"diagnostics": []}},
+    )
     client.close(uri)
 
 
 def test_what_lies_outside_of_the_project_is_told_and_not_opened(client, project):
     uri = client.open(project / "scenarios" / "curious.yaml", HOSTILE["paths outside of the project"])
     found = client.findings(uri)
-    assert all("lies outside the project" in finding["message"] for finding in found if finding["code"] == "DB204")
+    assert all(
+        "lies outside the project" in finding["message"] for finding in found if finding["code"] == "DB204"
+    )
     assert [finding["code"] for finding in found][:1] == ["DB204"]
     assert client.definition(uri, "extends: /etc/pas¦swd") == []
     client.close(uri)
 
 
 @pytest.mark.parametrize(
-    "uri", ["file:///%00", "file://", "http://example.org/a.yaml", "file:///" + "a" * 5000, "nonsense", "file:///proc/self/mem"]
+    "uri",
+    [
+        "file:///%00",
+        "file://",
+        "http://example.org/a.yaml",
+        "file:///" + "a" * 5000,
+        "nonsense",
+        "file:///proc/self/mem",
+    ],
 )
 def test_an_odd_address_is_a_document_like_any_other(client, uri):
     client.notify(
-        "textDocument/didOpen", {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": "deepbots: 1\nworld: {"}}
+        "textDocument/didOpen",
+        {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": "deepbots: 1\nworld: {"}},
     )
     client.versions[uri] = 1
     client.findings(uri)
-    found = client.request("textDocument/completion", {"textDocument": {"uri": uri}, "position": {"line": 1, "character": 8}})
+    found = client.request(
+        "textDocument/completion", {"textDocument": {"uri": uri}, "position": {"line": 1, "character": 8}}
+    )
     assert "timestep" in {item["label"] for item in found["items"]}
     client.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
 
 
 def test_a_document_that_is_not_open_has_no_answers(client, project):
-    where = {"textDocument": {"uri": (project / "scenarios" / "cartpole.yaml").as_uri()}, "position": {"line": 3, "character": 3}}
-    assert [client.request(f"textDocument/{method}", where) for method in ASKED_OF_A_PLACE] == [None, None, None]
+    where = {
+        "textDocument": {"uri": (project / "scenarios" / "cartpole.yaml").as_uri()},
+        "position": {"line": 3, "character": 3},
+    }
+    assert [client.request(f"textDocument/{method}", where) for method in ASKED_OF_A_PLACE] == [
+        None,
+        None,
+        None,
+    ]
 
 
 def test_neither_simulator_nor_learner_is_imported(client, pit):
@@ -167,7 +207,12 @@ def test_over_a_port_it_serves_this_machine_and_answers_the_same(project):
     command = [sys.executable, "-m", "deepbots_cli", "lsp", "--tcp", str(port)]
     server = subprocess.Popen(command, cwd=project, env=environment, stderr=subprocess.PIPE)
     body = json.dumps(
-        {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": {"processId": None, "rootUri": None, "capabilities": {}}}
+        {
+            "jsonrpc": "2.0",
+            "id": 1,
+            "method": "initialize",
+            "params": {"processId": None, "rootUri": None, "capabilities": {}},
+        }
     )
     with connected(port) as line:
         line.sendall(f"Content-Length: {len(body)}\r\n\r\n{body}".encode())
@@ -180,10 +225,15 @@ def test_a_port_that_is_taken_and_a_folder_that_is_not_there_are_told_in_a_line(
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         calls = [["lsp", "--tcp", str(port)], ["lsp", "--allow-path", "missing"]]
-        program = f"from deepbots_cli.cli import main; import sys; sys.exit([main(words) for words in {calls}] != [2, 2])"
+        program = (
+            "from deepbots_cli.cli import main; import sys; sys.exit([main(words) for words in"
+            f" {calls}] != [2, 2])"
+        )
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         command = [sys.executable, "-c", program]
-        ran = subprocess.run(command, cwd=tmp_path, env=environment, input="", capture_output=True, text=True, check=False)
+        ran = subprocess.run(
+            command, cwd=tmp_path, env=environment, input="", capture_output=True, text=True, check=False
+        )
     assert (ran.returncode, ran.stdout) == (0, "")
     busy, missing = ran.stderr.splitlines()
     assert busy == f"error: cannot listen on port {port}: address already in use"
@@ -201,9 +251,13 @@ def connected(port: int) -> socket.socket:
 
 
 def test_without_the_extra_one_line_says_what_to_install():
-    program = "import sys; sys.modules['pygls'] = None; from deepbots_cli.cli import main; sys.exit(main(['lsp']))"
+    program = (
+        "import sys; sys.modules['pygls'] = None; from deepbots_cli.cli import main; sys.exit(main(['lsp']))"
+    )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False)
+    ran = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
+    )
     assert (ran.returncode, ran.stdout) == (2, "")
     assert f"the language server needs the 'editor' extra; {install_hint('editor')}" in ran.stderr
     assert "Traceback" not in ran.stderr

@@ -57,11 +57,15 @@ def test_functions_tell_their_signature_and_meaning(client, pit, around):
 
 def test_a_code_in_a_comment_tells_its_page(client, pit):
     text = client.texts[pit]
-    client.change(pit, text.replace("# one action every 256 ms", "# deepbots: ignore[DB205] one action every 256 ms"))
+    client.change(
+        pit, text.replace("# one action every 256 ms", "# deepbots: ignore[DB205] one action every 256 ms")
+    )
     assert "unused-definition" in client.hover(pit, "ignore[DB2¦05]")
 
 
-@pytest.mark.parametrize("around", ["# one ac¦tion every 256 ms", "  # ou¦t: the sooner", "signals:¦\n  reach", "# that is¦ \n"])
+@pytest.mark.parametrize(
+    "around", ["# one ac¦tion every 256 ms", "  # ou¦t: the sooner", "signals:¦\n  reach", "# that is¦ \n"]
+)
 def test_nothing_is_made_up_about_comments_and_what_is_empty(client, pit, around):
     if "that is" in around:
         client.change(pit, client.texts[pit] + "# that is \n")
@@ -70,7 +74,9 @@ def test_nothing_is_made_up_about_comments_and_what_is_empty(client, pit, around
 
 def test_the_range_of_a_hover_is_the_piece_that_it_is_about_also_behind_an_emoji(client, pit):
     text = client.texts[pit]
-    client.change(pit, text.replace("  metric: |\n", "  metric: |\n    # 😀 ü 𝄞\n").replace("inside\n", "😀 inside\n"))
+    client.change(
+        pit, text.replace("  metric: |\n", "  metric: |\n    # 😀 ü 𝄞\n").replace("inside\n", "😀 inside\n")
+    )
     client.findings(pit)
     found = client.ask("hover", pit, "0.5 * re¦ach / radius")["range"]
     now = client.texts[pit]
@@ -111,14 +117,20 @@ def test_a_name_leads_to_its_definition(client, pit, around, place):
         ("include: ../rob¦ots/epuck.yaml", ("epuck.yaml", "¦# A robot file is")),
         ("clearance(epuck, obst¦acle)", ("find_ball_random.yaml", "¦obstacle:\n    count")),
         (
-            "few:  {set: {reset.layout: scattered, obstacles: integer(1 .. 3),  objects.obstacle.one_of: *uns¦een}}",
+            "few:  {set: {reset.layout: scattered, obstacles: integer(1 .. 3),  objects.obstacle.one_of:"
+            " *uns¦een}}",
             ("find_ball_random.yaml", "one_of: ¦&unseen"),
         ),
-        ("none:\n      set:\n        reset.lay¦out: scattered", ("find_ball_random.yaml", "reset:\n  ¦layout: {")),
+        (
+            "none:\n      set:\n        reset.lay¦out: scattered",
+            ("find_ball_random.yaml", "reset:\n  ¦layout: {"),
+        ),
         ("layout: {scat¦tered: 88 %", ("find_ball_random.yaml", "layouts:\n    ¦scattered:")),
     ],
 )
-def test_definitions_are_found_in_included_files_by_aliases_and_by_paths_of_settings(client, ball, around, place):
+def test_definitions_are_found_in_included_files_by_aliases_and_by_paths_of_settings(
+    client, ball, around, place
+):
     assert client.definition(ball, around) == [place_of(*place)]
 
 
@@ -131,7 +143,10 @@ def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client
 
 
 def test_a_shipped_name_leads_to_the_robot_file_or_the_scenario_that_it_names(client, project):
-    uri = client.open(project / "scenarios" / "mine.yaml", "deepbots: 1\nextends: cartpole\nrobots: {cart: {urdf: cartpole}}\n")
+    uri = client.open(
+        project / "scenarios" / "mine.yaml",
+        "deepbots: 1\nextends: cartpole\nrobots: {cart: {urdf: cartpole}}\n",
+    )
     assert client.definition(uri, "extends: cart¦pole") == [("cartpole.yaml", 0, 0)]
     assert client.definition(uri, "urdf: cart¦pole") == [("cartpole.urdf", 0, 0)]
     client.close(uri)

@@ -1,4 +1,5 @@
-"""What docs/editors.md says of the language server: each example does what its row says, and the settings can be read."""
+"""What docs/editors.md says of the language server: each example does what its row says, and the settings can
+be read."""
 
 from __future__ import annotations
 
@@ -69,7 +70,9 @@ def test_the_settings_of_editors_can_be_read_and_start_the_server():
     (toml,) = re.findall(r"^```toml\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     helix = tomllib.loads(toml)["language-server"]["deepbots"]
     assert [helix["command"], *helix["args"]] == ["deepbots", "lsp"]
-    settings = [json.loads(text) for text in re.findall(r"^```json\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)]
+    settings = [
+        json.loads(text) for text in re.findall(r"^```json\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    ]
     (code,) = [found for found in settings if "glspc.serverCommand" in found]
     assert [code["glspc.serverCommand"], *code["glspc.serverCommandArguments"]] == ["deepbots", "lsp"]
     assert 'cmd = { "deepbots", "lsp" }' in PAGE

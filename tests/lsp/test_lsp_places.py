@@ -27,7 +27,10 @@ TEXTS = st.text(st.sampled_from("ab\n\r😀𝄞ü \t")) | st.text()
 ENCODINGS = {"utf-8": 1, "utf-16": 2, "utf-32": 4}
 
 
-@given(TEXTS.filter(lambda text: not any("\ud800" <= letter <= "\udfff" for letter in text)), st.sampled_from(sorted(ENCODINGS)))
+@given(
+    TEXTS.filter(lambda text: not any("\ud800" <= letter <= "\udfff" for letter in text)),
+    st.sampled_from(sorted(ENCODINGS)),
+)
 def test_each_offset_has_a_position_that_leads_back_to_it(text, encoding):
     lines, mark = Lines(text, PositionCodec(encoding)), text.startswith("\ufeff")
     for index in range(mark, len(text) + 1):
@@ -44,7 +47,14 @@ def test_each_offset_has_a_position_that_leads_back_to_it(text, encoding):
 
 @pytest.mark.parametrize(
     ("position", "offset"),
-    [(Position(0, 2), 1), (Position(0, 3), 2), (Position(0, 99), 3), (Position(1, 99), 5), (Position(99, 0), 5), (Position(1, 0), 4)],
+    [
+        (Position(0, 2), 1),
+        (Position(0, 3), 2),
+        (Position(0, 99), 3),
+        (Position(1, 99), 5),
+        (Position(99, 0), 5),
+        (Position(1, 0), 4),
+    ],
 )
 def test_what_lies_inside_of_a_character_or_beyond_a_line_is_taken_to_the_nearest_place(position, offset):
     assert Lines("a😀b\nc").offset(position) == offset
@@ -56,7 +66,9 @@ def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
     root = parse(Source(file.name, text), Findings())
     seen = set()
     for path, node in walk(root):
-        if isinstance(node, ScalarNode) and node.span not in seen:  # what an alias repeats stands in one place
+        if (
+            isinstance(node, ScalarNode) and node.span not in seen
+        ):  # what an alias repeats stands in one place
             seen.add(node.span)
             found = place_at(text, node.span.end)
             assert found.path == path
@@ -99,7 +111,9 @@ def test_any_text_whatever_has_a_path(text, offset):
     assert found.start <= max(len(text), 0)
 
 
-@pytest.mark.parametrize("piece", ["[", "{a: ", "- ", "a:\n", "\n", '"', " ", ":", "# ", "[x ", "'", "a: |\n"])
+@pytest.mark.parametrize(
+    "piece", ["[", "{a: ", "- ", "a:\n", "\n", '"', " ", ":", "# ", "[x ", "'", "a: |\n"]
+)
 def test_a_hostile_text_is_read_to_its_end(piece):
     text = piece * 50_000
     assert len(place_at(text, len(text)).path) <= 100

@@ -23,7 +23,8 @@ TOGETHER = ("arena.yaml", "maze.yaml", "rover_part.yaml", "wireless.yaml", "bala
 
 @pytest.fixture(autouse=True)
 def _frozen() -> None:
-    """As the command does: the server collects garbage between analyses, and a look at all that other tests have imported takes 0.5 s."""
+    """As the command does: the server collects garbage between analyses, and a look at all that other tests
+    have imported takes 0.5 s."""
     gc.freeze()
 
 
@@ -50,10 +51,17 @@ class Process:
         self.server.protocol.handle_message(self.server.protocol.structure_message(message))
 
     def open(self, uri: str, text: str) -> None:
-        self.tell("textDocument/didOpen", textDocument={"uri": uri, "languageId": "yaml", "version": 1, "text": text})
+        self.tell(
+            "textDocument/didOpen",
+            textDocument={"uri": uri, "languageId": "yaml", "version": 1, "text": text},
+        )
 
     def change(self, uri: str, version: int, text: str) -> None:
-        self.tell("textDocument/didChange", textDocument={"uri": uri, "version": version}, contentChanges=[{"text": text}])
+        self.tell(
+            "textDocument/didChange",
+            textDocument={"uri": uri, "version": version},
+            contentChanges=[{"text": text}],
+        )
 
     async def rest(self) -> None:
         """Until everything has been looked at."""
@@ -64,7 +72,10 @@ class Process:
         message = json.loads(data.partition(b"\r\n\r\n")[2])
         if message.get("method") == "textDocument/publishDiagnostics":
             told = message["params"]
-            self.shown[told["uri"]] = (told.get("version"), {json.dumps(found, sort_keys=True) for found in told["diagnostics"]})
+            self.shown[told["uri"]] = (
+                told.get("version"),
+                {json.dumps(found, sort_keys=True) for found in told["diagnostics"]},
+            )
 
     def close(self) -> None: ...
 
@@ -134,7 +145,9 @@ def damaged(text: str, drawn: random.Random) -> str:
 
 def test_what_is_written_in_is_looked_at_before_what_waits_already():
     workspace, looked = Workspace(), []
-    documents = [Document(f"untitled:{name}", 1, "deepbots: 1\n", path_of(f"untitled:{name}")) for name in "abc"]
+    documents = [
+        Document(f"untitled:{name}", 1, "deepbots: 1\n", path_of(f"untitled:{name}")) for name in "abc"
+    ]
 
     def noted(document: Document, drafts: Any) -> DocumentAnalysis:
         looked.append(document.uri)
@@ -142,7 +155,9 @@ def test_what_is_written_in_is_looked_at_before_what_waits_already():
 
     async def work() -> None:
         done = asyncio.Event()
-        checker = Checker(workspace, noted, lambda uri, *_: done.set() if uri == documents[1].uri else None, lambda _: None)
+        checker = Checker(
+            workspace, noted, lambda uri, *_: done.set() if uri == documents[1].uri else None, lambda _: None
+        )
         for document in documents:
             workspace.put(document)
         checker.schedule(*workspace.documents)

@@ -10,15 +10,18 @@ A change that must not change behavior is recorded before and after, with the sa
     python -m tests.oracle record build/oracle/after
     python -m tests.oracle compare build/oracle/before build/oracle/after
 
-`--source` is the checkout whose package is recorded, by default the working directory. `--inputs` is the folder of the files that are
-linted, by default `inputs` beside DIR. The first recording writes them, and later ones read them, so that all versions lint the same
-text: the golden inputs, the shipped scenarios, and 2000 of the scenarios of tests/faults with one mistake each.
+`--source` is the checkout whose package is recorded, by default the working directory. `--inputs` is the
+folder of the files that are linted, by default `inputs` beside DIR. The first recording writes them, and
+later ones read them, so that all versions lint the same text: the golden inputs, the shipped scenarios, and
+2000 of the scenarios of tests/faults with one mistake each.
 
-`motion.json` holds spaces, layouts of messages and every step of the shipped scenarios of the checkout under random actions, and of a
-few steps of each golden input without findings. `findings.json` holds the findings of each input, rules in preview included.
+`motion.json` holds spaces, layouts of messages and every step of the shipped scenarios of the checkout under
+random actions, and of a few steps of each golden input without findings. `findings.json` holds the findings
+of each input, rules in preview included.
 
-`compare` exits with 0 if every motion is identical and at least 99 % of the files have identical findings. `accepted.yaml` beside this
-file maps files to the reason why their findings may differ; they are shown apart and do not count. A recording takes about two minutes.
+`compare` exits with 0 if every motion is identical and at least 99 % of the files have identical findings.
+`accepted.yaml` beside this file maps files to the reason why their findings may differ; they are shown apart
+and do not count. A recording takes about two minutes.
 """
 
 from __future__ import annotations
@@ -43,7 +46,8 @@ FAULTS = 2000
 
 
 def write_inputs(folder: Path) -> None:
-    """Write the inputs, and the list of those that are linted; a folder that holds them already stays as it is."""
+    """Write the inputs, and the list of those that are linted; a folder that holds them already stays as it
+    is."""
     if folder.exists():
         return
     made = folder.with_name(f"{folder.name}.part")
@@ -76,7 +80,11 @@ def drawn(cases: list[Injected], count: int) -> list[Injected]:
 def write_case(folder: Path, case: Injected) -> None:
     """Write the files of a case, and those shipped or crafted files that they mention."""
     folder.mkdir()
-    beside = {path.relative_to(top).as_posix(): path for top in (ROOT / "scenarios", CRAFTED) for path in top.rglob("*.*")}
+    beside = {
+        path.relative_to(top).as_posix(): path
+        for top in (ROOT / "scenarios", CRAFTED)
+        for path in top.rglob("*.*")
+    }
     texts = list(case.files.values())
     for text in texts:  # grows while it is read
         for name, path in beside.items():
@@ -92,17 +100,29 @@ def record(target: Path, source: Path, inputs: Path, parts: tuple[str, ...]) -> 
     """Record the parts of a checkout, each in a process of its own."""
     write_inputs(inputs)
     target.mkdir(parents=True, exist_ok=True)
-    settings = {**os.environ, "PYTHONPATH": str(source), "PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "1"}
+    settings = {
+        **os.environ,
+        "PYTHONPATH": str(source),
+        "PYTHONHASHSEED": "0",
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     script = Path(__file__).with_name("recorder.py")
     for part in parts:
         began, file = time.monotonic(), target / f"{part}.json"
-        subprocess.run([sys.executable, "-P", str(script), part, str(inputs), str(file)], cwd=source, env=settings, check=True)
+        subprocess.run(
+            [sys.executable, "-P", str(script), part, str(inputs), str(file)],
+            cwd=source,
+            env=settings,
+            check=True,
+        )
         count = len(json.loads(file.read_text(encoding="utf-8")))
         print(f"{file}: {count} entries in {time.monotonic() - began:.0f} s")
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.oracle", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.oracle", description=(__doc__ or "").partition("\n")[0]
+    )
     verbs = parser.add_subparsers(dest="verb", required=True)
     recorded = verbs.add_parser("record", help="record what the package of a checkout does")
     recorded.add_argument("target", type=Path, metavar="DIR")

@@ -15,7 +15,8 @@ Record = dict[str, Any]
 
 
 def compare(before: Path, after: Path) -> bool:
-    """Print all differences. True if every motion is identical and at least 99 % of the files have identical findings."""
+    """Print all differences. True if every motion is identical and at least 99 % of the files have identical
+    findings."""
     parts = {"motion": _compare_motion, "findings": _compare_findings}
     good = True
     for name, compared in parts.items():
@@ -24,7 +25,10 @@ def compare(before: Path, after: Path) -> bool:
         if all(there):
             good = compared(*(json.loads(path.read_text(encoding="utf-8")) for path in files)) and good
         else:
-            print(f"{name}: not compared, since {' and '.join(str(path) for path in files if not path.is_file())} is missing")
+            print(
+                f"{name}: not compared, since"
+                f" {' and '.join(str(path) for path in files if not path.is_file())} is missing"
+            )
             good = good and not any(there)
     return good
 
@@ -67,7 +71,9 @@ def _show_motion(old: Record, new: Record) -> None:
     if old.get("start") != new.get("start"):
         print(f"    the first reset differs: {old.get('start')} -> {new.get('start')}")
     before, after = old.get("steps", []), new.get("steps", [])
-    step = next((index for index, (one, other) in enumerate(zip(before, after, strict=False)) if one != other), None)
+    step = next(
+        (index for index, (one, other) in enumerate(zip(before, after, strict=False)) if one != other), None
+    )
     if step is None:
         if len(before) != len(after):
             print(f"    {len(before)} steps -> {len(after)} steps")
@@ -87,13 +93,17 @@ def _show_motion(old: Record, new: Record) -> None:
 
 
 def _compare_findings(before: Record, after: Record) -> bool:
-    accepted: dict[str, str] = (yaml.safe_load(ACCEPTED.read_text(encoding="utf-8")) if ACCEPTED.is_file() else None) or {}
+    accepted: dict[str, str] = (
+        yaml.safe_load(ACCEPTED.read_text(encoding="utf-8")) if ACCEPTED.is_file() else None
+    ) or {}
     names = sorted(before.keys() | after.keys())
     differing = [name for name in names if before.get(name) != after.get(name)]
     went, came, files = Counter[str](), Counter[str](), Counter[str]()
     for name in (name for name in differing if name not in accepted):
         print(f"{name}:")
-        old, new = (Counter(map(tuple, record.get(name, [["missing", "", 0, 0, ""]]))) for record in (before, after))
+        old, new = (
+            Counter(map(tuple, record.get(name, [["missing", "", 0, 0, ""]]))) for record in (before, after)
+        )
         lost, gained = old - new, new - old
         for sign, changed, counts in (("-", lost, went), ("+", gained, came)):
             for code, severity, line, column, file in sorted(changed.elements()):
@@ -111,5 +121,8 @@ def _compare_findings(before: Record, after: Record) -> bool:
     total = len(names) - len(known)
     identical = len(names) - len(differing)
     share = identical / total if total else 0.0
-    print(f"findings: {identical} of {total} files are identical ({100 * share:.2f} %), beside {len(known)} accepted")
+    print(
+        f"findings: {identical} of {total} files are identical ({100 * share:.2f} %), beside {len(known)}"
+        " accepted"
+    )
     return share >= LEAST_IDENTICAL

@@ -1,7 +1,8 @@
 """Records what one checkout of the package does.
 
-`__main__` runs this file as a script, in a process whose working directory and PYTHONPATH are the checkout. The script uses only the
-command line of deepbots and `deepbots_cli.make`, which older and newer versions share.
+`__main__` runs this file as a script, in a process whose working directory and PYTHONPATH are the checkout.
+The script uses only the command line of deepbots and `deepbots_cli.make`, which older and newer versions
+share.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ LAYOUT = ("messages", "message_fields", "observation", "action", "timing")
 
 
 def command(*arguments: str) -> tuple[Any, str]:
-    """Run `python -m deepbots_cli` in this process. Returns the JSON that it prints and an empty text, or None and what went wrong."""
+    """Run `python -m deepbots_cli` in this process. Returns the JSON that it prints and an empty text, or
+    None and what went wrong."""
     out, errors = io.StringIO(), io.StringIO()
     code: object = None
     sys.argv = ["deepbots", *arguments]
@@ -44,9 +46,12 @@ def command(*arguments: str) -> tuple[Any, str]:
 
 
 def findings(inputs: Path) -> dict[str, Any]:
-    """Each input with its findings: code, severity, line, column, and the file relative to the folder of the input."""
+    """Each input with its findings: code, severity, line, column, and the file relative to the folder of the
+    input."""
     os.chdir(inputs)
-    columns = json.loads(Path("columns.json").read_text(encoding="utf-8")) if Path("columns.json").exists() else {}
+    columns = (
+        json.loads(Path("columns.json").read_text(encoding="utf-8")) if Path("columns.json").exists() else {}
+    )
     record: dict[str, Any] = {}
     for number, name in enumerate(json.loads(Path("inputs.json").read_text(encoding="utf-8"))):
         told, failure = command("lint", "--format", "json", "--preview", "--fail-on", "never", name)
@@ -54,7 +59,12 @@ def findings(inputs: Path) -> dict[str, Any]:
             record[name] = [["exception", failure, 0, 0, ""]]
         else:
             record[name] = sorted(
-                [entry["code"], entry["severity"], *_place(entry["start"], columns.get(entry["file"], {})), _beside(name, entry["file"])]
+                [
+                    entry["code"],
+                    entry["severity"],
+                    *_place(entry["start"], columns.get(entry["file"], {})),
+                    _beside(name, entry["file"]),
+                ]
                 for entry in told["findings"]
             )
         if number % 50 == 0:
@@ -77,7 +87,8 @@ def _beside(name: str, file: str) -> str:
 
 
 def motion(inputs: Path) -> dict[str, Any]:
-    """Each shipped scenario of the checkout, and each golden input without findings, with its spaces, layouts and motion."""
+    """Each shipped scenario of the checkout, and each golden input without findings, with its spaces, layouts
+    and motion."""
     cases = [(f"scenarios/{path.name}", path, STEPS) for path in sorted(Path("scenarios").glob("*.yaml"))]
     golden = sorted((inputs / "golden/lint/ok").glob("*.yaml"))
     cases += [(path.relative_to(inputs).as_posix(), path, STEPS_OF_GOLDEN) for path in golden]
@@ -86,7 +97,9 @@ def motion(inputs: Path) -> dict[str, Any]:
         record[name] = {}
         if steps == STEPS:
             told, failure = command("inspect", str(path), "--json")
-            record[name] = {"error": failure} if failure else {key: told[key] for key in LAYOUT if key in told}
+            record[name] = (
+                {"error": failure} if failure else {key: told[key] for key in LAYOUT if key in told}
+            )
             record[name]["digest"] = "" if failure else told["scenario"].get("digest", "")
         try:
             record[name] |= _moved(name, path, steps)
@@ -122,8 +135,18 @@ def _moved(name: str, path: Path, steps: int) -> dict[str, Any]:
                 episode += 1
                 observation, info = environment.reset(seed=seed + episode)
                 whole.update(exact(observation))
-        spaces = {"observation_space": str(environment.observation_space), "action_space": str(environment.action_space)}
-        return {**spaces, "start": start, "steps": taken, "samples": samples, "episodes_ended": episode, "sha256": whole.hexdigest()}
+        spaces = {
+            "observation_space": str(environment.observation_space),
+            "action_space": str(environment.action_space),
+        }
+        return {
+            **spaces,
+            "start": start,
+            "steps": taken,
+            "samples": samples,
+            "episodes_ended": episode,
+            "sha256": whole.hexdigest(),
+        }
     finally:
         environment.close()
 
@@ -151,7 +174,9 @@ def exact(value: Any) -> bytes:
     import numpy as np
 
     if isinstance(value, Mapping):
-        return b"{%b}" % b",".join(str(key).encode() + b":" + exact(value[key]) for key in sorted(value, key=str))
+        return b"{%b}" % b",".join(
+            str(key).encode() + b":" + exact(value[key]) for key in sorted(value, key=str)
+        )
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}".encode() + value.tobytes()
     return repr(value.item() if isinstance(value, np.generic) else value).encode()

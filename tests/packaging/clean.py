@@ -1,7 +1,9 @@
-"""Builds both sdists, the wheels from the sdists, and uses the wheels in new environments, from an empty folder.
+"""Builds both sdists, the wheels from the sdists, and uses the wheels in new environments, from an empty
+folder.
 
-The first environment has deepbots-cli, trains, and exports a policy once deepbots-robot is there, too. The second one has deepbots-robot
-alone, without any other package of this environment, and answers a robot over ZeroMQ.
+The first environment has deepbots-cli, trains, and exports a policy once deepbots-robot is there, too. The
+second one has deepbots-robot alone, without any other package of this environment, and answers a robot over
+ZeroMQ.
 
 python -m tests.packaging.clean           what the wheels need is lent by this environment; nothing is downloaded
 python -m tests.packaging.clean --fetch   pip installs it, with the extra `export`
@@ -29,7 +31,8 @@ PROJECTS = {"deepbots-cli": ROOT, "deepbots-robot": ROOT / "deepbots_robot"}
 """The folder that builds each distribution."""
 ROBOT_EXTRAS = ("log", "zmq")
 MAX_ROBOT_MB = 15.0
-"""What deepbots-robot takes with the extra `zmq`, beside numpy, onnxruntime and the packages that onnxruntime requires."""
+"""What deepbots-robot takes with the extra `zmq`, beside numpy, onnxruntime and the packages that onnxruntime
+requires."""
 CLIENT = """
 import json, sys, zmq
 bundle, address, steps = json.load(open(sys.argv[1])), sys.argv[2], int(sys.argv[3])
@@ -71,7 +74,8 @@ class Environment:
         _run([sys.executable, "-m", "venv", "--without-pip", str(folder)], folder.parent)
         self.folder = folder
         self.scripts, self.packages = (
-            Path(sysconfig.get_path(name, vars={"base": str(folder), "platbase": str(folder)})) for name in ("scripts", "purelib")
+            Path(sysconfig.get_path(name, vars={"base": str(folder), "platbase": str(folder)}))
+            for name in ("scripts", "purelib")
         )
 
     def install(self, *wheels: str, fetch: bool) -> None:
@@ -80,7 +84,9 @@ class Environment:
         if fetch:
             _run([*pip, *wheels], self.folder)
         else:
-            _run([*pip, "--no-deps", "--no-index", *(wheel.partition("[")[0] for wheel in wheels)], self.folder)
+            _run(
+                [*pip, "--no-deps", "--no-index", *(wheel.partition("[")[0] for wheel in wheels)], self.folder
+            )
 
     def lend_everything(self) -> None:
         """Make all packages of this environment importable."""
@@ -112,7 +118,8 @@ def _files(folder: Path, package: str) -> Iterator[Path]:
 
 
 def required(package: str, extras: Sequence[str] = ()) -> dict[str, None]:
-    """The packages that one requires on this machine, with what they require themselves, by the metadata of this environment."""
+    """The packages that one requires on this machine, with what they require themselves, by the metadata of
+    this environment."""
     found: dict[str, None] = {}
     for requirement in _requirements(package, extras):
         name = re.match(r"[\w.-]+", requirement)
@@ -146,12 +153,16 @@ def train(environment: Environment, folder: Path) -> Path:
     Raises:
         AssertionError: The commands use files outside of the environment, or do not do their work.
     """
-    place = environment.run("python", "-c", "import deepbots_cli; print(deepbots_cli.__file__)", folder=folder)
+    place = environment.run(
+        "python", "-c", "import deepbots_cli; print(deepbots_cli.__file__)", folder=folder
+    )
     assert Path(place.strip()).is_relative_to(environment.folder), place
     shipped = json.loads(environment.run("deepbots", "scenarios", "--json", folder=folder))["scenarios"]
     assert len(shipped) == len(list((ROOT / "scenarios").glob("*.yaml")))
     environment.run("deepbots", "lint", "cartpole", folder=folder)
-    result = json.loads(environment.run("deepbots", "train", "cartpole", "--timesteps", "2_000", "--json", folder=folder))
+    result = json.loads(
+        environment.run("deepbots", "train", "cartpole", "--timesteps", "2_000", "--json", folder=folder)
+    )
     assert result["training"]["status"] == "finished", result
     (run,) = (folder / "runs").iterdir()
     return run
@@ -163,15 +174,26 @@ def serve(environment: Environment, bundle: Path, folder: Path, *, steps: int = 
     Raises:
         AssertionError: The commands use files outside of the environment, or the policy does not answer.
     """
-    place = environment.run("python", "-c", "import deepbots_robot; print(deepbots_robot.__file__)", folder=folder)
+    place = environment.run(
+        "python", "-c", "import deepbots_robot; print(deepbots_robot.__file__)", folder=folder
+    )
     assert Path(place.strip()).is_relative_to(environment.folder), place
-    assert json.loads(environment.run("deepbots-robot", "check", str(bundle), "--json", folder=folder))["scenario"] == "CartPole"
+    assert (
+        json.loads(environment.run("deepbots-robot", "check", str(bundle), "--json", folder=folder))[
+            "scenario"
+        ]
+        == "CartPole"
+    )
     address = f"ipc://{folder}/link"
     arguments = [str(bundle), "--zmq", address, "--lockstep", "--json", "--log", str(folder / "robot.mcap")]
     command = [str(environment.scripts / "deepbots-robot"), "serve", *arguments]
-    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
+    with subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as server:
         try:
-            environment.run("python", "-c", CLIENT, str(bundle / "bundle.json"), address, str(steps), folder=folder)
+            environment.run(
+                "python", "-c", CLIENT, str(bundle / "bundle.json"), address, str(steps), folder=folder
+            )
         finally:
             server.terminate()
             out, err = server.communicate(timeout=30)
@@ -187,7 +209,8 @@ def _run(command: Sequence[str], folder: Path) -> str:
 
 
 def try_wheels(cli: Path, robot: Path, folder: Path, *, fetch: bool) -> None:
-    """Train and export with both wheels, and serve with that of deepbots-robot alone, in new environments in `folder`.
+    """Train and export with both wheels, and serve with that of deepbots-robot alone, in new environments in
+    `folder`.
 
     Raises:
         AssertionError: The commands do not do their work, or deepbots-robot takes more than `MAX_ROBOT_MB`.

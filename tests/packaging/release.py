@@ -1,9 +1,11 @@
-"""Builds what goes to a package index: sdist and wheel of both distributions, checked by twine and tried in new environments.
+"""Builds what goes to a package index: sdist and wheel of both distributions, checked by twine and tried in
+new environments.
 
 python -m tests.packaging.release https://HOST/OWNER/NAME           into `dist`; the argument is the page of the repository
 python -m tests.packaging.release https://HOST/OWNER/NAME --fetch   pip installs what the wheels need
 
-A page on an index has no files beside it. Relative links of README.md become links into the repository, at the tag of the version.
+A page on an index has no files beside it. Relative links of README.md become links into the repository, at
+the tag of the version.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ _PICTURES = (".gif", ".jpg", ".png", ".svg")
 
 
 def with_absolute_links(text: str, repository: str, tag: str) -> str:
-    """A page whose relative links lead into the repository at a tag; pictures are their files, all else is a page."""
+    """A page whose relative links lead into the repository at a tag; pictures are their files, all else is a
+    page."""
 
     def absolute(match: re.Match[str]) -> str:
         kind = "raw" if match["target"].endswith(_PICTURES) else "blob"
@@ -36,13 +39,18 @@ def with_absolute_links(text: str, repository: str, tag: str) -> str:
 
 def copy_sources(folder: Path, repository: str) -> None:
     """Copy the files that git knows, with absolute links in README.md."""
-    names = subprocess.run(["git", "ls-files", "-z"], cwd=clean.ROOT, check=True, capture_output=True, text=True).stdout.split("\0")
+    names = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=clean.ROOT, check=True, capture_output=True, text=True
+    ).stdout.split("\0")
     for name in filter(None, names):
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(clean.ROOT / name, target)
     page = folder / "README.md"
-    page.write_text(with_absolute_links(page.read_text(encoding="utf-8"), repository, f"v{deepbots_cli.__version__}"), encoding="utf-8")
+    page.write_text(
+        with_absolute_links(page.read_text(encoding="utf-8"), repository, f"v{deepbots_cli.__version__}"),
+        encoding="utf-8",
+    )
 
 
 def reasons_against(dist: Path) -> list[str]:
@@ -52,8 +60,13 @@ def reasons_against(dist: Path) -> list[str]:
     first = next(iter(re.findall(r"^## (\S+)", changes, re.MULTILINE)), "")
     reasons = []
     if first != version:
-        reasons.append(f"CHANGELOG.md begins with '{first}', and `__version__` of deepbots_cli is {version}: write `## {version}`")
-    if subprocess.run(["git", "status", "--porcelain"], cwd=clean.ROOT, check=True, capture_output=True, text=True).stdout:
+        reasons.append(
+            f"CHANGELOG.md begins with '{first}', and `__version__` of deepbots_cli is {version}: write `##"
+            f" {version}`"
+        )
+    if subprocess.run(
+        ["git", "status", "--porcelain"], cwd=clean.ROOT, check=True, capture_output=True, text=True
+    ).stdout:
         reasons.append("there are changes that are not committed: commit them, or put them aside")
     if dist.exists() and any(dist.iterdir()):
         reasons.append(f"{dist.name} is not empty: remove it")
@@ -61,14 +74,23 @@ def reasons_against(dist: Path) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="make release", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="make release", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("repository", help="the page of the repository, such as https://HOST/OWNER/NAME")
-    parser.add_argument("--fetch", action="store_true", help="pip installs what the wheels need, instead of lending it")
-    parser.add_argument("--draft", action="store_true", help="build into `dist` although the state is no release")
+    parser.add_argument(
+        "--fetch", action="store_true", help="pip installs what the wheels need, instead of lending it"
+    )
+    parser.add_argument(
+        "--draft", action="store_true", help="build into `dist` although the state is no release"
+    )
     options = parser.parse_args(arguments)
     repository = options.repository.rstrip("/")
     if not re.fullmatch(r"https://[\w.-]+(/[\w.-]+){2,}", repository):
-        print("make release needs the page of the repository: make release REPOSITORY=https://HOST/OWNER/NAME", file=sys.stderr)
+        print(
+            "make release needs the page of the repository: make release REPOSITORY=https://HOST/OWNER/NAME",
+            file=sys.stderr,
+        )
         return 2
     dist = clean.ROOT / "dist"
     reasons = [] if options.draft else reasons_against(dist)

@@ -16,7 +16,9 @@ OTHER_PYTHON = "#!/bin/sh\nexit 1\n"
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="there is no make here")
 @pytest.mark.parametrize("pythons", [(), ("python3",)], ids=["no python at all", "another python"])
-def test_without_a_python_that_fits_make_says_so_in_one_sentence_and_begins_nothing(tmp_path: Path, pythons: tuple[str, ...]) -> None:
+def test_without_a_python_that_fits_make_says_so_in_one_sentence_and_begins_nothing(
+    tmp_path: Path, pythons: tuple[str, ...]
+) -> None:
     tools = tmp_path / "bin"
     tools.mkdir()
     (tools / "sh").symlink_to("/bin/sh")
@@ -29,7 +31,9 @@ def test_without_a_python_that_fits_make_says_so_in_one_sentence_and_begins_noth
     make = shutil.which("make")
     assert make is not None
     command = [make, "-f", str(ROOT / "Makefile"), "train"]
-    done = subprocess.run(command, cwd=tmp_path, env={"PATH": str(tools)}, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env={"PATH": str(tools)}, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     first, *rest = done.stderr.splitlines()
     assert first.startswith("Python 3.11, 3.12 or 3.13 is needed")
@@ -47,7 +51,9 @@ def test_without_node_make_says_what_the_tests_of_editors_need(tmp_path: Path) -
     make = shutil.which("make")
     assert make is not None
     command = [make, "-f", str(ROOT / "Makefile"), "build/editors/installed"]
-    done = subprocess.run(command, cwd=tmp_path, env={"PATH": str(tools)}, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env={"PATH": str(tools)}, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     assert done.stderr.startswith("node and npm are needed")
     assert not (tmp_path / "build").exists()
@@ -68,7 +74,15 @@ def test_files_for_services_fit_the_schema_of_the_service(schema: str, files: li
 
 
 def test_workflows_call_targets_that_exist() -> None:
-    text = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / ".github" / "workflows").glob("*.yml"))
-    called = {target for line in re.findall(r"make ([a-z ]+?)(?: [A-Z]+=.*)?$", text, re.MULTILINE) for target in line.split()}
-    assert called <= set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    text = "\n".join(
+        path.read_text(encoding="utf-8") for path in (ROOT / ".github" / "workflows").glob("*.yml")
+    )
+    called = {
+        target
+        for line in re.findall(r"make ([a-z ]+?)(?: [A-Z]+=.*)?$", text, re.MULTILINE)
+        for target in line.split()
+    }
+    assert called <= set(
+        re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    )
     assert {"docs", "nightly", "release"} <= called

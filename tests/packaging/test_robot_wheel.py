@@ -1,4 +1,5 @@
-"""Two distributions of one version: `deepbots-robot`, which a robot installs alone, and `deepbots-cli`, which needs it only for robots."""
+"""Two distributions of one version: `deepbots-robot`, which a robot installs alone, and `deepbots-cli`, which
+needs it only for robots."""
 
 from __future__ import annotations
 
@@ -28,7 +29,10 @@ NEEDS_ROBOT = {"dev", "export", "robot", "ros", "sign", "zmq"}
 def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, zipfile.ZipFile]:
     """The wheels by distribution, each made of its sdist alone."""
     folder = tmp_path_factory.mktemp("dist")
-    return {project: zipfile.ZipFile(clean.build(sources, folder / project)) for project, sources in clean.PROJECTS.items()}
+    return {
+        project: zipfile.ZipFile(clean.build(sources, folder / project))
+        for project, sources in clean.PROJECTS.items()
+    }
 
 
 def metadata(wheel: zipfile.ZipFile) -> Any:
@@ -49,7 +53,9 @@ def names(requirements: set[str]) -> set[str]:
     return {re.match(r"[\w.-]+", text)[0] for text in requirements}  # type: ignore[index]
 
 
-def test_the_wheel_of_the_robot_holds_its_package_and_no_build_file(wheels: dict[str, zipfile.ZipFile]) -> None:
+def test_the_wheel_of_the_robot_holds_its_package_and_no_build_file(
+    wheels: dict[str, zipfile.ZipFile],
+) -> None:
     files = {name for name in wheels["deepbots-robot"].namelist() if ".dist-info/" not in name}
     modules = {f"deepbots_robot/{path.name}" for path in (ROOT / "deepbots_robot").glob("*.py")}
     assert files == {*modules, "deepbots_robot/py.typed"}
@@ -60,14 +66,19 @@ def test_no_file_is_in_both_wheels(wheels: dict[str, zipfile.ZipFile]) -> None:
     assert not cli & robot
     assert not [name for name in cli if "deepbots_robot" in name]
     commands = {
-        project: wheel.read(name).decode() for project, wheel in wheels.items() for name in wheel.namelist() if "entry_points" in name
+        project: wheel.read(name).decode()
+        for project, wheel in wheels.items()
+        for name in wheel.namelist()
+        if "entry_points" in name
     }
     assert "deepbots = deepbots_cli.cli:main" in commands["deepbots-cli"]
     assert "deepbots-robot =" not in commands["deepbots-cli"]
     assert "deepbots-robot = deepbots_robot.__main__:main" in commands["deepbots-robot"]
 
 
-def test_both_wheels_have_the_version_of_deepbots_and_the_extra_robot_requires_this_version(wheels: dict[str, zipfile.ZipFile]) -> None:
+def test_both_wheels_have_the_version_of_deepbots_and_the_extra_robot_requires_this_version(
+    wheels: dict[str, zipfile.ZipFile],
+) -> None:
     versions = {project: metadata(wheel)["Version"] for project, wheel in wheels.items()}
     assert versions == dict.fromkeys(clean.PROJECTS, deepbots_cli.__version__)
     assert required(wheels["deepbots-cli"])["robot"] == {f"deepbots-robot=={deepbots_cli.__version__}"}
@@ -76,7 +87,9 @@ def test_both_wheels_have_the_version_of_deepbots_and_the_extra_robot_requires_t
 def test_a_robot_installs_numpy_and_onnxruntime_but_nothing_that_commands_training_or_simulation_need(
     wheels: dict[str, zipfile.ZipFile],
 ) -> None:
-    needed = {extra: names(requirements) for extra, requirements in required(wheels["deepbots-robot"]).items()}
+    needed = {
+        extra: names(requirements) for extra, requirements in required(wheels["deepbots-robot"]).items()
+    }
     assert needed == {
         "": {"msgspec", "numpy", "onnxruntime"},
         "log": {"mcap"},
@@ -87,14 +100,27 @@ def test_a_robot_installs_numpy_and_onnxruntime_but_nothing_that_commands_traini
     }
 
 
-def test_deepbots_installs_without_the_robot_what_linting_and_training_need(wheels: dict[str, zipfile.ZipFile]) -> None:
+def test_deepbots_installs_without_the_robot_what_linting_and_training_need(
+    wheels: dict[str, zipfile.ZipFile],
+) -> None:
     """Else `pip install '.[train]'` would fail in a clone: no package index has deepbots-robot."""
     by_extra = required(wheels["deepbots-cli"])
-    assert {extra for extra, requirements in by_extra.items() if "deepbots-robot" in names(requirements)} == NEEDS_ROBOT
-    (line,) = re.findall(r"^The extras (.+) need deepbots-robot", (ROOT / "docs" / "install.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {
+        extra for extra, requirements in by_extra.items() if "deepbots-robot" in names(requirements)
+    } == NEEDS_ROBOT
+    (line,) = re.findall(
+        r"^The extras (.+) need deepbots-robot",
+        (ROOT / "docs" / "install.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
     assert set(re.findall(r"`(\w+)`", line)) == NEEDS_ROBOT
     offered = set(metadata(wheels["deepbots-robot"]).get_all("Provides-Extra"))
-    wanted = {text for requirements in by_extra.values() for text in requirements if text.startswith("deepbots-robot[")}
+    wanted = {
+        text
+        for requirements in by_extra.values()
+        for text in requirements
+        if text.startswith("deepbots-robot[")
+    }
     assert {extra for text in wanted for extra in text.partition("[")[2].rstrip("]").split(",")} <= offered
 
 
@@ -102,10 +128,17 @@ def test_both_licenses_are_the_same_and_the_notices_of_the_robot_name_every_pack
     folder = clean.PROJECTS["deepbots-robot"]
     project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert (folder / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
-    rows = re.findall(r"^\| ([a-z][^|]*) \|", (folder / "NOTICES.md").read_text(encoding="utf-8"), re.MULTILINE)
-    needed = {*project["dependencies"], *(text for texts in project["optional-dependencies"].values() for text in texts)}
+    rows = re.findall(
+        r"^\| ([a-z][^|]*) \|", (folder / "NOTICES.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    needed = {
+        *project["dependencies"],
+        *(text for texts in project["optional-dependencies"].values() for text in texts),
+    }
     assert {name.strip() for row in rows for name in row.split(",")} - {"package"} == names(needed)
-    described = set(re.findall(r"^\| `(\w+)` \|", (folder / "README.md").read_text(encoding="utf-8"), re.MULTILINE))
+    described = set(
+        re.findall(r"^\| `(\w+)` \|", (folder / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    )
     assert described == set(project["optional-dependencies"])
 
 
@@ -119,7 +152,10 @@ def test_an_editable_robot_is_the_package_of_its_clone(tmp_path: Path) -> None:
 
 
 def test_make_and_the_workflow_install_both_from_the_clone() -> None:
-    texts = [path.read_text(encoding="utf-8") for path in (ROOT / "Makefile", ROOT / ".github" / "workflows" / "systems.yml")]
+    texts = [
+        path.read_text(encoding="utf-8")
+        for path in (ROOT / "Makefile", ROOT / ".github" / "workflows" / "systems.yml")
+    ]
     installing = [line for text in texts for line in text.splitlines() if re.search(r"-e ['\"]\.\[", line)]
     assert len(installing) == 5
     assert all("-e ./deepbots_robot " in line for line in installing)
@@ -135,17 +171,24 @@ sys.modules["deepbots_robot"] = None
 from deepbots_cli.cli import main
 sys.exit(main(sys.argv[1:]))
 """
-ROS = "deepbots: 1\nextends: cartpole\nname: Named\nros:\n  cart.pole_angle: {topic: /cart/angle, type: sensor_msgs/JointState}\n"
+ROS = (
+    "deepbots: 1\nextends: cartpole\nname: Named\nros:\n  cart.pole_angle: {topic: /cart/angle, type:"
+    " sensor_msgs/JointState}\n"
+)
 
 
 def without_robot(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", WITHOUT_ROBOT, *words]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
 
 
 @pytest.mark.parametrize(
-    "words", [("lint", "cartpole"), ("inspect", "cartpole"), ("try", "cartpole", "--steps", "5"), ("schema",)], ids=lambda words: words[0]
+    "words",
+    [("lint", "cartpole"), ("inspect", "cartpole"), ("try", "cartpole", "--steps", "5"), ("schema",)],
+    ids=lambda words: words[0],
 )
 def test_without_the_robot_a_scenario_lints_and_runs(words: tuple[str, ...], tmp_path: Path) -> None:
     done = without_robot(tmp_path, *words)
@@ -167,4 +210,6 @@ def test_what_needs_the_robot_names_the_extra(words: tuple[str, ...], what: str,
     (tmp_path / "named.yaml").write_text(ROS, encoding="utf-8")
     done = without_robot(tmp_path, *words)
     assert done.returncode == 2, done.stdout
-    assert re.search(rf"{re.escape(what)} needs the 'robot' extra; install it with: pip install .*\[robot\]'", done.stderr), done.stderr
+    assert re.search(
+        rf"{re.escape(what)} needs the 'robot' extra; install it with: pip install .*\[robot\]'", done.stderr
+    ), done.stderr

@@ -45,12 +45,19 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def deepbots(installed: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(installed)}
     command = [sys.executable, "-m", "deepbots_cli", *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
 
 
 def test_the_wheel_holds_scenarios_robots_and_the_schema(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
-    for wanted in ("data/scenarios/cartpole.yaml", "data/robots/urdf/cartpole.urdf", "data/schemas/deepbots-1.schema.json", "py.typed"):
+    for wanted in (
+        "data/scenarios/cartpole.yaml",
+        "data/robots/urdf/cartpole.urdf",
+        "data/schemas/deepbots-1.schema.json",
+        "py.typed",
+    ):
         assert f"deepbots_cli/{wanted}" in names
     assert {"LICENSE", "NOTICES.md"} <= {Path(name).name for name in names if ".dist-info/licenses/" in name}
     assert not [name for name in names if name.startswith(("tests/", "docs/"))]
@@ -64,7 +71,9 @@ def test_the_wheel_names_its_extras_and_command(wheel: Path) -> None:
         commands = archive.read(entry_points).decode()
     assert f"Version: {deepbots_cli.__version__}\n" in text
     assert "Requires-Python: >=3.11" in text
-    assert {"sim", "train", "dev"} <= {line.split()[1] for line in text.splitlines() if line.startswith("Provides-Extra")}
+    assert {"sim", "train", "dev"} <= {
+        line.split()[1] for line in text.splitlines() if line.startswith("Provides-Extra")
+    }
     assert "pybullet" in text
     assert "python_version < '3.12' and sys_platform != 'win32'" in text
     assert "deepbots = deepbots_cli.cli:main" in commands
@@ -78,7 +87,14 @@ print(shipped.data_dir())
 print([main(words.split()) for words in ("scenarios --json", "lint cartpole", "explain DB402")])
 """
     environment = os.environ | {"PYTHONPATH": str(installed)}
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     lines = done.stdout.splitlines()
     assert Path(lines[0]).is_relative_to(installed)
     assert (lines[-1], done.stderr) == ("[0, 0, 0]", "")
@@ -87,7 +103,10 @@ print([main(words.split()) for words in ("scenarios --json", "lint cartpole", "e
 
 
 def test_a_copied_scenario_runs_from_the_folder_it_was_copied_to(installed: Path, tmp_path: Path) -> None:
-    assert deepbots(installed, tmp_path, "new", "cartpole", "mine", "--from", "cartpole", "--json").returncode == 0
+    assert (
+        deepbots(installed, tmp_path, "new", "cartpole", "mine", "--from", "cartpole", "--json").returncode
+        == 0
+    )
     (scenario,) = (tmp_path / "mine").glob("*.yaml")
     ran = deepbots(installed, tmp_path, "try", str(scenario), "--steps", "20", "--json")
     assert ran.returncode == 0, ran.stderr
@@ -106,24 +125,50 @@ def test_an_editable_install_uses_the_data_of_its_checkout(tmp_path: Path) -> No
         pytest.skip("the tests run on an installed wheel")
     checkout = Path(url2pathname(urlsplit(origin["url"]).path))
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    script = "import deepbots_cli; from deepbots_cli.document import shipped; print(deepbots_cli.__file__, shipped.data_dir(), sep='\\n')"
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    script = (
+        "import deepbots_cli; from deepbots_cli.document import shipped; print(deepbots_cli.__file__,"
+        " shipped.data_dir(), sep='\\n')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     package, data = map(Path, done.stdout.splitlines())
     assert package.parent == checkout / "deepbots_cli"
     assert data == checkout
     command = [Path(sysconfig.get_path("scripts")) / "deepbots", "lint", "cartpole"]
-    assert subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False).returncode == 0
+    assert (
+        subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False).returncode
+        == 0
+    )
 
 
 def test_importing_the_package_loads_nothing_heavy(installed: Path, tmp_path: Path) -> None:
-    script = "import sys, deepbots_cli; print(sorted({'numpy', 'yaml', 'torch', 'gymnasium', 'pybullet'} & set(sys.modules)))"
+    script = (
+        "import sys, deepbots_cli; print(sorted({'numpy', 'yaml', 'torch', 'gymnasium', 'pybullet'} &"
+        " set(sys.modules)))"
+    )
     environment = os.environ | {"PYTHONPATH": str(installed)}
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout.strip() == "[]"
 
 
 def test_notices_name_every_package_that_is_installed_and_the_citation_is_of_this_version() -> None:
-    projects = [tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"] for folder in clean.PROJECTS.values()]
+    projects = [
+        tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        for folder in clean.PROJECTS.values()
+    ]
     project = projects[0]
     required = [text for each in projects for text in each["dependencies"]]
     for each in projects:
@@ -137,6 +182,8 @@ def test_notices_name_every_package_that_is_installed_and_the_citation_is_of_thi
 
 
 def test_the_page_about_the_installation_names_every_extra() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "optional-dependencies"
+    ]
     page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == set(extras)

@@ -15,11 +15,13 @@ G = 9.81
 
 
 def slides(angle: float, crate: float, ramp: float) -> bool:
-    """Whether a crate gets faster within a second on a ramp of so many degrees, given the friction of both."""
+    """Whether a crate gets faster within a second on a ramp of so many degrees, given the friction of
+    both."""
     lean = radians(angle)
     x, z = 0.15 * sin(lean), 3 + 0.15 * cos(lean)
     objects = (
-        f"ramp: {{shape: box, size: 8 2 0.2 m, fixed: true, friction: {ramp}, pose: {{z: 3 m, pitch: {angle!r} deg}}}},"
+        f"ramp: {{shape: box, size: 8 2 0.2 m, fixed: true, friction: {ramp}, pose: {{z: 3 m, pitch:"
+        f" {angle!r} deg}}}},"
         f" crate: {{shape: box, size: 0.2 0.2 0.1 m, mass: 1 kg, friction: {crate},"
         f" pose: {{x: {x!r} m, z: {z!r} m, pitch: {angle!r} deg}}}}"
     )
@@ -47,7 +49,8 @@ def friction() -> Iterator[Row]:
 def rolling() -> Iterator[Row]:
     """Down a slope of angle a, what rolls without slipping gains g sin(a) / (1 + I / m r^2).
 
-    A drum sinks into the ground by what the solver leaves of an overlap, and so rolls on less than its radius; a ball does not.
+    A drum sinks into the ground by what the solver leaves of an overlap, and so rolls on less than its
+    radius; a ball does not.
     """
     angle = radians(10)
     gravity = f"ground: {{}}, gravity: {G * sin(angle)!r} 0 {-G * cos(angle)!r} m/s^2"
@@ -58,21 +61,32 @@ def rolling() -> Iterator[Row]:
         ("drum, physics steps of 2.5 ms (it sinks in a little)", drum, 1 / 2, 8, 1.5),
         ("drum, physics steps of 0.6 ms", drum, 1 / 2, 32, 1.0),
     ):
-        with trial({"v": ("velocity(thing).x", "m/s")}, world=gravity, objects=f"thing: {{{shape}}}", substeps=substeps) as world:
+        with trial(
+            {"v": ("velocity(thing).x", "m/s")},
+            world=gravity,
+            objects=f"thing: {{{shape}}}",
+            substeps=substeps,
+        ) as world:
             v = world.run(50)[-1, 0]
         yield Row(f"speed after rolling down for 1 s: {what}", off(v, G * sin(angle) / (1 + share)), "%", bar)
 
 
 def wheels() -> Iterator[Row]:
-    """The shipped rover drives at radius times rate, and turns at the difference of its wheels over its track.
+    """The shipped rover drives at radius times rate, and turns at the difference of its wheels over its
+    track.
 
-    A tire of 2 cm may grip anywhere across its width. Where both grip on their outer edge of the turn, the turning rate is
-    the same and the middle of the axle faster or slower by that rate times 1 cm, which is 3.7 % in this arc.
+    A tire of 2 cm may grip anywhere across its width. Where both grip on their outer edge of the turn, the
+    turning rate is the same and the middle of the axle faster or slower by that rate times 1 cm, which is 3.7
+    % in this arc.
     """
     track, radius, right = 0.136, 0.04, 5.0
-    for what, left, bar in (("straight on", 5.0, 0.1), ("in an arc (tires 2 cm wide grip anywhere)", 3.0, 4.0)):
+    for what, left, bar in (
+        ("straight on", 5.0, 0.1),
+        ("in an arc (tires 2 cm wide grip anywhere)", 3.0, 4.0),
+    ):
         robot = (
-            "urdf: rover, sensors: {pace: {type: velocity, link: base_link}, gyro: {type: gyro, link: base_link}}, emit: [pace, gyro],"
+            "urdf: rover, sensors: {pace: {type: velocity, link: base_link}, gyro: {type: gyro, link:"
+            " base_link}}, emit: [pace, gyro],"
             " actuators: {left: {type: velocity_motor, joint: left_wheel, max_torque: 1 N*m},"
             " right: {type: velocity_motor, joint: right_wheel, max_torque: 1 N*m}},"
             f" apply: {{left: push * {left} rad/s, right: push * {right} rad/s}}"
@@ -83,25 +97,42 @@ def wheels() -> Iterator[Row]:
         speed, turn = float(np.mean(np.hypot(rows[:, 0], rows[:, 1]))), float(np.mean(rows[:, 5]))
         yield Row(f"wheels that roll {what}: speed", off(speed, radius * (left + right) / 2), "%", bar)
         if left != right:
-            yield Row("wheels that roll in an arc: turning rate", off(turn, radius * (right - left) / track), "%", 0.1)
+            yield Row(
+                "wheels that roll in an arc: turning rate",
+                off(turn, radius * (right - left) / track),
+                "%",
+                0.1,
+            )
 
 
 def restitution() -> Iterator[Row]:
-    """Share of the speed that a ball keeps, of what both bodies state: a little more, the longer the physics step."""
+    """Share of the speed that a ball keeps, of what both bodies state: a little more, the longer the physics
+    step."""
     for share, step, bar in ((0.5, 1, 2.0), (0.8, 1, 2.0), (0.8, 4, 5.0)):
         ball = f"ball: {{shape: sphere, radius: 5 cm, mass: 100 g, restitution: {share}, pose: {{z: 30 cm}}}}"
         with trial(
-            {"v": ("velocity(ball).z", "m/s")}, timestep=step / 1000, substeps=1, world="ground: {restitution: 1}", objects=ball
+            {"v": ("velocity(ball).z", "m/s")},
+            timestep=step / 1000,
+            substeps=1,
+            world="ground: {restitution: 1}",
+            objects=ball,
         ) as world:
             v = world.run(400 // step)[:, 0]
         left = share * sqrt(2 * G * 0.25)
-        yield Row(f"a ball that keeps {share:g} of its speed, physics steps of {step} ms", off(float(v.max()), left), "%", bar)
+        yield Row(
+            f"a ball that keeps {share:g} of its speed, physics steps of {step} ms",
+            off(float(v.max()), left),
+            "%",
+            bar,
+        )
 
 
 def heights() -> Iterator[Row]:
-    """Where rays downwards meet the ground: of hills as their formula says, and of a pit, h g (1 - g) with g = 2^-(r/R)^2."""
+    """Where rays downwards meet the ground: of hills as their formula says, and of a pit, h g (1 - g) with g
+    = 2^-(r/R)^2."""
     robot = (
-        "urdf: brick.urdf, base: fixed, sensors: {eye: {type: laser, link: brick, pose: {pitch: 90 deg}, range: 0 .. 20 m}}, emit: [eye]"
+        "urdf: brick.urdf, base: fixed, sensors: {eye: {type: laser, link: brick, pose: {pitch: 90 deg},"
+        " range: 0 .. 20 m}}, emit: [eye]"
     )
 
     def hills(x: float, y: float) -> float:
@@ -112,7 +143,12 @@ def heights() -> Iterator[Row]:
         return 3.2 * bell * (1 - bell)
 
     for what, terrain, tall, expected in (
-        ("hills of 0.5 m", "formula, heights: 0.5 m * sin(x / m * 60 deg) * cos(y / m * 45 deg), size: 8 8 m", 0.5, hills),
+        (
+            "hills of 0.5 m",
+            "formula, heights: 0.5 m * sin(x / m * 60 deg) * cos(y / m * 45 deg), size: 8 8 m",
+            0.5,
+            hills,
+        ),
         ("a pit of 0.8 m", "pit, height: 3.2 m, radius: 2.7 m", 0.8, pit),
     ):
         worst = 0.0

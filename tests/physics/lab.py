@@ -1,4 +1,5 @@
-"""Small scenarios whose motion has a closed form: from text to what the policy sees, so that a figure is what a user gets."""
+"""Small scenarios whose motion has a closed form: from text to what the policy sees, so that a figure is what
+a user gets."""
 
 from __future__ import annotations
 
@@ -40,7 +41,8 @@ BYSTANDER = (
 
 @dataclass(frozen=True)
 class Trial:
-    """A scenario that is running; its rows are in the units that the scenario names, one column for each thing seen."""
+    """A scenario that is running; its rows are in the units that the scenario names, one column for each
+    thing seen."""
 
     environment: Supervisor
     timestep: float
@@ -80,16 +82,21 @@ def trial(
 ) -> Iterator[Trial]:
     """Opens a scenario with a robot `subject`, or without one.
 
-    `see` gives each thing that is seen its expression and unit; one whose name has a dot is a field of a message.
+    `see` gives each thing that is seen its expression and unit; one whose name has a dot is a field of a
+    message.
     """
     text = TEXT.format(
         timestep=f"{timestep!r} s",
         substeps=substeps,
         world=world and f", {world}",
         objects=objects,
-        robots=", ".join([*([f"subject: {{{robot}}}"] if robot else []), *([] if "apply:" in robot else [BYSTANDER])]),
+        robots=", ".join(
+            [*([f"subject: {{{robot}}}"] if robot else []), *([] if "apply:" in robot else [BYSTANDER])]
+        ),
         augment=flow({name: f"'{expression}'" for name, (expression, _) in see.items() if "." not in name}),
-        observation=flow({name: f"{{range: -1 .. 1{unit and ' ' + unit}, clip: false}}" for name, (_, unit) in see.items()}),
+        observation=flow(
+            {name: f"{{range: -1 .. 1{unit and ' ' + unit}, clip: false}}" for name, (_, unit) in see.items()}
+        ),
         reset=reset,
         disturbances=disturbances,
     )

@@ -1,4 +1,5 @@
-"""What is written in a scenario happens as the textbooks say, on every engine; docs/reference/measurements.md has the errors."""
+"""What is written in a scenario happens as the textbooks say, on every engine; docs/reference/measurements.md
+has the errors."""
 
 from __future__ import annotations
 

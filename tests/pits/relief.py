@@ -1,10 +1,11 @@
-"""Two more pits like that of PitEscape, as files: a picture of heights with other lumps, and a smooth bowl of triangles.
+"""Two more pits like that of PitEscape, as files: a picture of heights with other lumps, and a smooth bowl of
+triangles.
 
     python tests/pits/relief.py
 
-writes `pit.png` and `pit.obj` beside this file. Both follow the formula of the paper's world (Kirtas et al., AIAI 2020),
-`height * g * (1 - g)` with a bell g of width 2.7 m around the origin, and are as high on average as the terrain `pit` is with
-a height of 2.5 m and a noise of 0.15.
+writes `pit.png` and `pit.obj` beside this file. Both follow the formula of the paper's world (Kirtas et al.,
+AIAI 2020), `height * g * (1 - g)` with a bell g of width 2.7 m around the origin, and are as high on average
+as the terrain `pit` is with a height of 2.5 m and a noise of 0.15.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ RINGS, SECTORS, REACH = 24, 48, 3.6
 """Of the mesh: its triangles are up to 0.47 m wide, and meet at other lines than a grid of squares has."""
 
 
-def profile(x: NDArray[np.float64], y: NDArray[np.float64], lumps: NDArray[np.float64] | float = 0.5) -> NDArray[np.float64]:
+def profile(
+    x: NDArray[np.float64], y: NDArray[np.float64], lumps: NDArray[np.float64] | float = 0.5
+) -> NDArray[np.float64]:
     """Heights (m) at places (m); `lumps`, from 0 to 1, say how much of the noise there is."""
     bell = np.exp(-(x**2 + y**2) / (2 * WIDTH**2))
     return np.asarray(HEIGHT * bell * (1 - bell) * (1 - NOISE + NOISE * lumps))
@@ -40,7 +43,9 @@ def lumps(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]
     rng = np.random.default_rng(1)
     waves = [
         np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / length + shift)
-        for angle, length, shift in zip(rng.uniform(0, np.pi, 6), rng.uniform(1, 3, 6), rng.uniform(0, 2 * np.pi, 6), strict=True)
+        for angle, length, shift in zip(
+            rng.uniform(0, np.pi, 6), rng.uniform(1, 3, 6), rng.uniform(0, 2 * np.pi, 6), strict=True
+        )
     ]
     return np.clip(0.5 + sum(waves) / 6, 0.0, 1.0)
 
@@ -53,7 +58,10 @@ def picture() -> bytes:
     rows = b"".join(b"\x00" + row.tobytes() for row in gray)
     header = struct.pack(">IIBBBBB", CELLS + 1, CELLS + 1, 16, 0, 0, 0, 0)
     parts = ((b"IHDR", header), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b""))
-    chunks = (struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts)
+    chunks = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in parts
+    )
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 
 

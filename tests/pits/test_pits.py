@@ -1,4 +1,5 @@
-"""PitEscape as shipped, in other pits and with finer physics: nobody drives out of them, and rocking leads out."""
+"""PitEscape as shipped, in other pits and with finer physics: nobody drives out of them, and rocking leads
+out."""
 
 from contextlib import closing
 from pathlib import Path
@@ -10,17 +11,23 @@ from deepbots_cli.geometry import picture_pixels
 from tests.pits import relief
 
 HERE = Path(__file__).parent
-PITS = ("pit_escape", *(HERE / f"pit_escape_{variant}.yaml" for variant in ("heightfield", "mesh", "half_step")))
+PITS = (
+    "pit_escape",
+    *(HERE / f"pit_escape_{variant}.yaml" for variant in ("heightfield", "mesh", "half_step")),
+)
 
 
 def test_the_files_are_what_the_generator_writes() -> None:
-    assert picture_pixels((HERE / "pit.png").read_bytes()).tolist() == picture_pixels(relief.picture()).tolist()
+    assert (
+        picture_pixels((HERE / "pit.png").read_bytes()).tolist() == picture_pixels(relief.picture()).tolist()
+    )
     assert (HERE / "pit.obj").read_text(encoding="utf-8") == relief.mesh()
 
 
 @pytest.mark.parametrize("pit", PITS, ids=lambda pit: Path(pit).stem)
 def test_rocking_leaves_every_pit_and_driving_forward_none(pit: str | Path) -> None:
-    """What makes the pit a task: no motor holds the ball on its wall, and swinging with the gyro's sign gets it out."""
+    """What makes the pit a task: no motor holds the ball on its wall, and swinging with the gyro's sign gets
+    it out."""
     with closing(api.make(pit)) as environment:
 
         def escapes(script: str, seed: int) -> bool:

@@ -34,7 +34,10 @@ def make() -> Iterator[Callable[..., Supervisor]]:
 def seen(observation: Any) -> dict[str, float]:
     """The observation in the units of the scenario."""
     scale = {"crates": 5.0, "things": 5.0, "nearest": 5.0, "room": 5.0}
-    return {name: (value + 1.0) * scale[name] if name in scale else value for name, value in zip(NAMES, observation.tolist(), strict=True)}
+    return {
+        name: (value + 1.0) * scale[name] if name in scale else value
+        for name, value in zip(NAMES, observation.tolist(), strict=True)
+    }
 
 
 def place(environment: Supervisor, body: str) -> tuple[float, float, float]:
@@ -64,7 +67,10 @@ def test_absent_copies_touch_nothing_and_are_no_gap(make: Callable[..., Supervis
     observation, _ = environment.reset(seed=0)
     assert seen(observation)["things"] == pytest.approx(0.0, abs=1e-6)
     assert environment.engine.clearance(("cart", None), ("thing#1", None))() == math.inf
-    assert [place(environment, f"crate#{number}")[:2] for number in (1, 2)] == [pytest.approx((0.1, -0.5)), pytest.approx((0.3, -0.5))]
+    assert [place(environment, f"crate#{number}")[:2] for number in (1, 2)] == [
+        pytest.approx((0.1, -0.5)),
+        pytest.approx((0.3, -0.5)),
+    ]
 
 
 def test_layouts_are_drawn_in_their_shares(make: Callable[..., Supervisor]) -> None:
@@ -85,7 +91,9 @@ def test_layouts_are_drawn_in_their_shares(make: Callable[..., Supervisor]) -> N
         assert abs(drawn[name] - share * total) < 4 * math.sqrt(share * (1 - share) * total)
 
 
-def test_a_map_puts_each_letter_on_its_cell_and_draws_which_where_there_are_more(make: Callable[..., Supervisor]) -> None:
+def test_a_map_puts_each_letter_on_its_cell_and_draws_which_where_there_are_more(
+    make: Callable[..., Supervisor],
+) -> None:
     environment = make("reset.layout=drawn", "parameters.crates=2")
     environment.reset(seed=0)
     cells = {(-0.8, 0.8), (0.4, 0.0), (0.8, 0.0), (0.4, -0.4), (0.4, -0.8)}
@@ -94,10 +102,15 @@ def test_a_map_puts_each_letter_on_its_cell_and_draws_which_where_there_are_more
         environment.reset()
         assert place(environment, "cart") == pytest.approx((-0.4, -0.8, 0.0), abs=1e-9)
         assert place(environment, "flag") == pytest.approx((0.0, 0.8, 0.1), abs=1e-9)
-        crates = [tuple(round(at, 6) for at in place(environment, f"crate#{number}")[:2]) for number in (1, 2)]
+        crates = [
+            tuple(round(at, 6) for at in place(environment, f"crate#{number}")[:2]) for number in (1, 2)
+        ]
         assert crates[0] != crates[1]
         used.update(crates)
-        walls = {tuple(round(at, 6) + 0.0 for at in place(environment, f"drawn wall#{number}")[:2]) for number in (1, 2, 3)}
+        walls = {
+            tuple(round(at, 6) + 0.0 for at in place(environment, f"drawn wall#{number}")[:2])
+            for number in (1, 2, 3)
+        }
         assert walls == {(-0.8, 0.4), (-0.8, 0.0), (-0.4, 0.0)}
     assert used == cells
 
@@ -118,7 +131,10 @@ def test_every_copy_draws_its_own_mass_and_kind(make: Callable[..., Supervisor])
     masses: list[tuple[float, ...]] = []
     set_parameter = environment.engine.set_parameter
     heard: list[float] = []
-    environment.engine.set_parameter = lambda parameter, owner, mass: (heard.append(mass), set_parameter(parameter, owner, mass))
+    environment.engine.set_parameter = lambda parameter, owner, mass: (
+        heard.append(mass),
+        set_parameter(parameter, owner, mass),
+    )
     kinds: Counter[str] = Counter()
     environment.reset(seed=0)
     for _ in range(50):

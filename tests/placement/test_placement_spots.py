@@ -51,13 +51,17 @@ def patches(environment: Supervisor) -> dict[str, Patch]:
     for name in ("ball", "plank", "hunter", "prey", "mark"):
         ((x, y, _), yaw) = poses(environment, name)[0]
         radius = RADIUS.get(name, 0.037)
-        laid[name] = (Footprint((0, 0), math.hypot(0.05, 0.25), (0.05, 0.25)) if name == "plank" else Footprint((0, 0), radius)).at(
-            x, y, yaw
-        )
+        laid[name] = (
+            Footprint((0, 0), math.hypot(0.05, 0.25), (0.05, 0.25))
+            if name == "plank"
+            else Footprint((0, 0), radius)
+        ).at(x, y, yaw)
     return laid
 
 
-def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_walls(make: Callable[..., Supervisor]) -> None:
+def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_walls(
+    make: Callable[..., Supervisor],
+) -> None:
     environment = make()
     clearances = {"ball": 0.04, "plank": 0.0, "hunter": 0.05, "prey": 0.05, "mark": 0.0}
     environment.reset(seed=3)
@@ -67,12 +71,19 @@ def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_wa
         for one, patch in laid.items():
             for other, clearance in clearances.items():
                 if one < other:
-                    assert patch_distance(patch, laid[other]) >= max(clearance, clearances[one]) - 1e-6, (one, other)
+                    assert patch_distance(patch, laid[other]) >= max(clearance, clearances[one]) - 1e-6, (
+                        one,
+                        other,
+                    )
             for at, reach, half in zip((patch.x, patch.y), patch.half_extents, HALF, strict=True):
-                assert abs(at) + reach + (clearances[one] if one in ("hunter", "prey") else 0.0) <= half + 1e-6, one
+                assert (
+                    abs(at) + reach + (clearances[one] if one in ("hunter", "prey") else 0.0) <= half + 1e-6
+                ), one
 
 
-def test_objects_without_a_height_rest_on_the_ground_and_robots_stand_on_it(make: Callable[..., Supervisor]) -> None:
+def test_objects_without_a_height_rest_on_the_ground_and_robots_stand_on_it(
+    make: Callable[..., Supervisor],
+) -> None:
     environment = make()
     environment.reset(seed=0)
     heights = [position[2] for position, _ in poses(environment, "ball", "plank", "mark", "hunter")]
@@ -135,7 +146,8 @@ def test_spots_are_uniform_over_what_is_free(make: Callable[..., Supervisor]) ->
         place()
         (x, y, _), _ = poses(environment, "disc")[0]
         cells[int((x + 0.9) // 0.45), int((y + 0.9) // 0.45)] += 1
-    # The disc's middle keeps out of the post grown by a radius: of each inner cell a quarter of that, its corner being round.
+    # The disc's middle keeps out of the post grown by a radius: of each inner cell a quarter of that, its
+    # corner being round.
     cell, grown = 0.45**2, 0.2 * 0.2 + 2 * 0.2 * 0.1 + math.pi * 0.1**2 / 4
     free = np.full((4, 4), cell)
     free[1:3, 1:3] -= grown
@@ -147,7 +159,9 @@ def test_spots_are_uniform_over_what_is_free(make: Callable[..., Supervisor]) ->
     assert chi < 36.1, "beyond the 0.1 % point of chi-square with 14 degrees of freedom"
 
 
-def test_a_body_at_coordinates_is_placed_before_those_that_look_for_a_place(make: Callable[..., Supervisor]) -> None:
+def test_a_body_at_coordinates_is_placed_before_those_that_look_for_a_place(
+    make: Callable[..., Supervisor],
+) -> None:
     environment = make("reset.place.hunter={x: 0.3 m, y: 0 m}", "reset.require=true")
     environment.reset(seed=0)
     for _ in range(30):
@@ -158,7 +172,9 @@ def test_a_body_at_coordinates_is_placed_before_those_that_look_for_a_place(make
 
 def test_a_start_that_is_never_found_names_the_body_and_the_seed(make: Callable[..., Supervisor]) -> None:
     environment = make("reset.place.plank.clearance=90 cm", "reset.attempts=3")
-    with pytest.raises(EvaluationError, match=r"3 attempts \(seed 7\): there is no free position for '(hunter|prey|plank)'"):
+    with pytest.raises(
+        EvaluationError, match=r"3 attempts \(seed 7\): there is no free position for '(hunter|prey|plank)'"
+    ):
         environment.reset(seed=7)
     environment = make("reset.require=ground_distance(hunter, prey) > 5 m", "reset.attempts=3")
     with pytest.raises(EvaluationError, match=r"no start met `reset.require`"):

@@ -103,8 +103,12 @@ def test_a_region_is_cut_to_the_top(make: Callable[..., Supervisor]) -> None:
         assert z == pytest.approx(0.05, abs=1e-9)
 
 
-def test_a_table_that_is_drawn_is_placed_first_and_takes_what_stands_on_it_along(make: Callable[..., Supervisor]) -> None:
-    environment = make("reset.place.table={region: {x: -1 .. 1 m, y: -1 .. 1 m}, yaw: any}", "reset.place.mug={on: table}")
+def test_a_table_that_is_drawn_is_placed_first_and_takes_what_stands_on_it_along(
+    make: Callable[..., Supervisor],
+) -> None:
+    environment = make(
+        "reset.place.table={region: {x: -1 .. 1 m, y: -1 .. 1 m}, yaw: any}", "reset.place.mug={on: table}"
+    )
     environment.reset(seed=3)
     where = set()
     for _ in range(10):
@@ -133,8 +137,11 @@ def test_a_height_counts_from_the_top(make: Callable[..., Supervisor]) -> None:
     assert on_the_table(environment, "block")[2] == pytest.approx(0.3, abs=1e-9)
 
 
-def test_a_body_on_a_table_keeps_clear_of_what_rises_beside_it_and_not_of_what_lies_below(make: Callable[..., Supervisor]) -> None:
-    """The crate stands on the ground beside the table, where a body as high as the table would be in nobody's way."""
+def test_a_body_on_a_table_keeps_clear_of_what_rises_beside_it_and_not_of_what_lies_below(
+    make: Callable[..., Supervisor],
+) -> None:
+    """The crate stands on the ground beside the table, where a body as high as the table would be in nobody's
+    way."""
     environment = make("reset.place.crate={x: 0.5 m, y: -0.2 m, z: 0.05 m}", "reset.place.coin={on: table}")
     environment.reset(seed=6)
     spots = []

@@ -32,7 +32,9 @@ def test_where_nothing_is_in_the_way_it_is_the_straight_line() -> None:
         assert field.reaches(x, y)
 
 
-def around(start: tuple[float, float], end: tuple[float, float], corner: tuple[float, float], radius: float) -> float:
+def around(
+    start: tuple[float, float], end: tuple[float, float], corner: tuple[float, float], radius: float
+) -> float:
     """The length of a taut string from `start` to `end` around a disc at `corner`, above which it goes."""
 
     def tangent(point: tuple[float, float]) -> tuple[float, float]:
@@ -54,7 +56,9 @@ def test_around_a_disc_it_is_a_taut_string() -> None:
     disc = Footprint((0.0, 0.0), 0.15).at(0.0, 0.0, 0.0)
     field = DistanceField(ARENA, RADIUS, [disc], (0.4, 0.0), 0.0)
     for x in (-0.45, -0.4, -0.3, -0.25):
-        assert field.length(x, 0.0) == pytest.approx(around((x, 0.0), (0.4, 0.0), (0.0, 0.0), 0.15 + RADIUS), rel=0.03)
+        assert field.length(x, 0.0) == pytest.approx(
+            around((x, 0.0), (0.4, 0.0), (0.0, 0.0), 0.15 + RADIUS), rel=0.03
+        )
 
 
 def test_the_points_of_a_path_go_around_a_disc_and_are_as_long_as_it_is_said_to_be() -> None:
@@ -70,22 +74,28 @@ def test_the_points_of_a_path_go_around_a_disc_and_are_as_long_as_it_is_said_to_
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5, math.pi / 2])
 def test_around_a_box_it_is_a_taut_string_about_its_rounded_corners(yaw: float) -> None:
-    """A wall from the lower edge upwards, turned about its upper end, so that there is one way: over that end."""
+    """A wall from the lower edge upwards, turned about its upper end, so that there is one way: over that
+    end."""
     half = 0.4
     solid = box(half * math.sin(yaw), -half * math.cos(yaw), 1e-3, 2 * half, yaw)
     field = DistanceField(ARENA, RADIUS, [solid], (0.35, 0.1 - 0.4 * math.cos(yaw)), 0.0)
     if yaw == 0.0:
-        assert field.length(-0.35, -0.3) == pytest.approx(around((-0.35, -0.3), (0.35, -0.3), (0.0, 0.0), RADIUS), rel=0.03)
+        assert field.length(-0.35, -0.3) == pytest.approx(
+            around((-0.35, -0.3), (0.35, -0.3), (0.0, 0.0), RADIUS), rel=0.03
+        )
     for x, y in np.random.default_rng(1).uniform(-0.45, 0.45, (300, 2)):
         assert field.length(x, y) >= 0.98 * math.dist((x, y), (0.35, 0.1 - 0.4 * math.cos(yaw))) - 0.003
 
 
 def test_lengths_do_not_jump_beside_a_node_that_no_way_reaches() -> None:
-    """A mean with such a node is nearly right where its weight is small: a place 0.4 % of a cell beside one was 40 m away."""
+    """A mean with such a node is nearly right where its weight is small: a place 0.4 % of a cell beside one
+    was 40 m away."""
     solid = box(0.0, 0.0, 0.1, 0.1, 0.3)
     at_the_goal = DistanceField(ARENA, RADIUS, [solid], (0.3, 0.0), 0.05)
     for angle in np.linspace(0.0, 2 * math.pi, 60):
-        field = DistanceField(ARENA, RADIUS, [solid], (0.3, 0.0), 0.05)  # a new one: what is not known is filled in once
+        field = DistanceField(
+            ARENA, RADIUS, [solid], (0.3, 0.0), 0.05
+        )  # a new one: what is not known is filled in once
         way = [field.length(r * math.cos(angle), r * math.sin(angle)) for r in np.arange(0.2, 0.07, -1e-4)]
         assert max(map(abs, np.diff(way))) < 0.01
         assert max(way) < at_the_goal.length(-0.2, 0.0) + 0.1
@@ -100,7 +110,12 @@ def test_a_gap_is_a_way_if_the_disc_fits_through() -> None:
 
 
 def test_where_there_is_no_way_the_length_is_finite() -> None:
-    cage = [box(-0.25, 0.0, 0.02, 0.4), box(0.0, -0.2, 0.5, 0.02), box(0.0, 0.2, 0.5, 0.02), box(0.25, 0.0, 0.02, 0.4)]
+    cage = [
+        box(-0.25, 0.0, 0.02, 0.4),
+        box(0.0, -0.2, 0.5, 0.02),
+        box(0.0, 0.2, 0.5, 0.02),
+        box(0.25, 0.0, 0.02, 0.4),
+    ]
     field = DistanceField(ARENA, RADIUS, cage, (0.4, 0.4), 0.05)
     assert not field.reaches(0.0, 0.0)
     assert all(0.0 < field.length(x, 0.0) < 2.0 for x in np.linspace(-0.5, 0.5, 1001))
@@ -190,7 +205,11 @@ def test_a_scenario_measures_ways_between_bodies(make: Callable[..., Supervisor]
 
 def test_what_moves_changes_the_ways(make: Callable[..., Supervisor]) -> None:
     """A gap beside the wall that a jar shuts."""
-    environment = make("objects.wall.size=2 180 20 cm", "reset.place.jar={x: 0.02 m, y: -0.9 m}", "reset.place.wall={x: 0 m, y: 10 cm}")
+    environment = make(
+        "objects.wall.size=2 180 20 cm",
+        "reset.place.jar={x: 0.02 m, y: -0.9 m}",
+        "reset.place.wall={x: 0 m, y: 10 cm}",
+    )
     observation, _ = environment.reset(seed=0)
     assert observation[1] == 0.0
     assert math.isfinite(path(observation))
@@ -201,7 +220,9 @@ def test_what_moves_changes_the_ways(make: Callable[..., Supervisor]) -> None:
 
 def test_a_start_may_be_required_to_have_a_way(make: Callable[..., Supervisor]) -> None:
     environment = make(
-        "reset.place.wall={x: 0 m, y: uniform(-0.7 .. 0.7 m)}", "objects.wall.size=2 140 20 cm", "reset.require=reachable(cart, goal)"
+        "reset.place.wall={x: 0 m, y: uniform(-0.7 .. 0.7 m)}",
+        "objects.wall.size=2 140 20 cm",
+        "reset.require=reachable(cart, goal)",
     )
     observation, _ = environment.reset(seed=0)
     for _ in range(10):
@@ -209,8 +230,11 @@ def test_a_start_may_be_required_to_have_a_way(make: Callable[..., Supervisor]) 
         observation, _ = environment.reset()
 
 
-def test_an_episode_has_the_ways_of_its_own_world_whatever_the_one_before_had(make: Callable[..., Supervisor]) -> None:
-    """The wall is in one of three places; the field of an episode may only be kept for one that has it in the same."""
+def test_an_episode_has_the_ways_of_its_own_world_whatever_the_one_before_had(
+    make: Callable[..., Supervisor],
+) -> None:
+    """The wall is in one of three places; the field of an episode may only be kept for one that has it in the
+    same."""
     draws = ("reset.place.wall={x: 0 m, y: choice(0 cm | 5 cm | 10 cm)}",)
     environment = make(*draws)
     lengths = [path(environment.reset(seed=seed)[0]) for seed in range(12)]

@@ -20,7 +20,11 @@ def installed(folder: Path, groups: dict[str, dict[str, str]], name: str = "acme
     info = folder / f"{name}-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    lines = [line for group, entries in groups.items() for line in (f"[{group}]", *(f"{key} = {value}" for key, value in entries.items()))]
+    lines = [
+        line
+        for group, entries in groups.items()
+        for line in (f"[{group}]", *(f"{key} = {value}" for key, value in entries.items()))
+    ]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
 
 
@@ -36,7 +40,9 @@ def python(folder, *arguments):
     """Runs Python in the folder, with the package and its metadata on the path."""
     path = os.pathsep.join(map(str, (folder, PACKAGE, ROOT)))
     environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, cwd=folder, env=environment, check=False)
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, cwd=folder, env=environment, check=False
+    )
     assert "Traceback" not in done.stderr, done.stderr
     return done
 
@@ -57,7 +63,8 @@ for line in sys.argv[1:]:
 
 @pytest.fixture(scope="module")
 def answers(site):
-    """The exit code, stdout and stderr of each command line of this module that changes nothing, all from one process."""
+    """The exit code, stdout and stderr of each command line of this module that changes nothing, all from one
+    process."""
     lines = [
         *(("lint", name) for name in ("acme_spin", "acme_throttle")),
         ("inspect", "acme_spin"),
@@ -87,7 +94,10 @@ def test_a_scenario_of_a_plugin_is_inspected_and_listed(answers):
 
 
 def test_lint_of_a_plugin_imports_no_simulator(site):
-    script = "import sys; from deepbots_cli.api import lint; lint('acme_spin'); print({'numpy', 'pybullet', 'torch'} & sys.modules.keys())"
+    script = (
+        "import sys; from deepbots_cli.api import lint; lint('acme_spin'); print({'numpy', 'pybullet',"
+        " 'torch'} & sys.modules.keys())"
+    )
     assert python(site, "-c", script).stdout == "set()\n"
 
 
@@ -133,13 +143,19 @@ def test_a_finding_of_a_plugin_is_explained_and_can_be_ignored(answers):
 
 
 def test_the_schema_knows_the_kinds_and_their_parameters(site):
-    schema = json.loads(python(site, "-c", "from deepbots_cli.scenario.json_schema import schema_text; print(schema_text())").stdout)
+    schema = json.loads(
+        python(
+            site, "-c", "from deepbots_cli.scenario.json_schema import schema_text; print(schema_text())"
+        ).stdout
+    )
     tachometer = schema["$defs"]["acme.sensors.Tachometer"]
     assert "The way between two pulses." in tachometer["properties"]["spacing"]["description"]
     assert tachometer["properties"]["direction"]["enum"] == ["both", "forward"]
     throttle = schema["$defs"]["acme.actuators.Throttle"]
     assert "without a load" in throttle["properties"]["idle_speed"]["description"]
-    assert {"joint", "joints", "max_torque", "strength", "delay", "time_constant"} < set(throttle["properties"])
+    assert {"joint", "joints", "max_torque", "strength", "delay", "time_constant"} < set(
+        throttle["properties"]
+    )
     text = json.dumps(schema)
     assert "A DC motor whose torque falls" in text
     assert "Counts the pulses of a disc on a joint" in text
@@ -226,8 +242,9 @@ def driven(site):
 @pytest.mark.parametrize(("strength", "delay"), DRIVES)
 def test_an_actuator_of_a_plugin_drives_with_strength_and_delay(driven, strength, delay):
     speeds = driven[strength, delay]
-    # The wheel follows the law: inertia * dw/dt = strength * stall * (share - w / idle), so with w = share * idle in the end,
-    # and a time constant of inertia * idle / (strength * stall) = 0.001 * 10.47 / 0.2 = 52 ms at full strength.
+    # The wheel follows the law: inertia * dw/dt = strength * stall * (share - w / idle), so with w = share *
+    # idle in the end, and a time constant of inertia * idle / (strength * stall) = 0.001 * 10.47 / 0.2 = 52
+    # ms at full strength.
     late = 5 if delay != "0 ms" else 0
     assert all(abs(speed) < 1e-9 for speed in speeds[:late])
     assert speeds[-1] == pytest.approx(0.5 * 10.472, rel=0.02)
@@ -252,7 +269,9 @@ except UsageError as error:
 """
     first, second, refusal = python(site, "-c", script).stdout.splitlines()
     assert (first, second) == ("{'n_epochs': 3} None", "[3]")
-    assert refusal.startswith("NoTensors (acme.training:Elsewhere) does not keep its networks as PPO of Stable-Baselines3 does")
+    assert refusal.startswith(
+        "NoTensors (acme.training:Elsewhere) does not keep its networks as PPO of Stable-Baselines3 does"
+    )
     assert not (site / "refused").exists()
 
 
@@ -277,11 +296,21 @@ def test_a_learner_of_a_plugin_is_trained_evaluated_killed_and_resumed_by_the_sa
     from deepbots_cli.learning.episodes import read_log
 
     task = site / "cem.yaml"
-    train = "train: {algorithm: CrossEntropy, total_timesteps: 2_500, environments: 4}\nevaluation: {episodes: 10}\n"
-    shipped = (ROOT / "scenarios" / "cartpole.yaml").read_text().replace("../robots/urdf/cartpole.urdf", "cartpole")
+    train = (
+        "train: {algorithm: CrossEntropy, total_timesteps: 2_500, environments: 4}\nevaluation:"
+        " {episodes: 10}\n"
+    )
+    shipped = (
+        (ROOT / "scenarios" / "cartpole.yaml").read_text().replace("../robots/urdf/cartpole.urdf", "cartpole")
+    )
     shipped = shipped.replace("world:\n", "world:\n  engine: mujoco\n", 1)  # steps it four times as fast
     task.write_text(shipped[: shipped.index("train:\n")] + train)
-    assert python(site, "-c", KILLED, "train", "cem.yaml", "--run", "parts", "--full", "--logger", "csv").returncode == -9
+    assert (
+        python(
+            site, "-c", KILLED, "train", "cem.yaml", "--run", "parts", "--full", "--logger", "csv"
+        ).returncode
+        == -9
+    )
     lines = [
         ("resume", "parts"),
         ("train", "cem.yaml", "--run", "whole", "--full", "--logger", "csv"),
@@ -300,7 +329,11 @@ def test_a_learner_of_a_plugin_is_trained_evaluated_killed_and_resumed_by_the_sa
     logs = [[row | {"t": ""} for row in read_log(site / name / "monitor.csv")] for name in ("whole", "parts")]
     assert logs[0] == logs[1]
     scalars = [
-        [line for line in (site / name / "logs" / "scalars.csv").read_text().splitlines() if ",time/" not in line]
+        [
+            line
+            for line in (site / name / "logs" / "scalars.csv").read_text().splitlines()
+            if ",time/" not in line
+        ]
         for name in ("whole", "parts")
     ]
     assert scalars[0] == scalars[1]
@@ -309,17 +342,28 @@ def test_a_learner_of_a_plugin_is_trained_evaluated_killed_and_resumed_by_the_sa
     assert returns[0] == returns[1] > 40  # random actions come to about 20
     assert "CrossEntropy does not normalize rewards" in normalizing[2]
     assert "CrossEntropy does not support shards; leave out `shards` under `train`" in sharded[2]
-    assert "callbacks work only with the built-in algorithms; leave out --callback to train with CrossEntropy" in calling[2]
+    assert (
+        "callbacks work only with the built-in algorithms; leave out --callback to train with CrossEntropy"
+        in calling[2]
+    )
     assert not (site / "refused").exists()
 
 
 BROKEN = [
     ("deepbots.sensors", "pulse = no_such_module:Pulse", "No module named 'no_such_module'"),
-    ("deepbots.sensors", "pulse = json:loads", "is not a subclass of JointSensor, LinkSensor or ContactSensor"),
+    (
+        "deepbots.sensors",
+        "pulse = json:loads",
+        "is not a subclass of JointSensor, LinkSensor or ContactSensor",
+    ),
     ("deepbots.sensors", "pulse = acme.sensors:Tachometer", 'needs the field `type: Literal["pulse"]`'),
     ("deepbots.sensors", "gyro = deepbots_cli.scenario.sensors:Gyro", "the name 'gyro' is taken"),
     ("deepbots.actuators", "jet = json:loads", "is not a subclass of JointActuator"),
-    ("deepbots.actuators", "jet = deepbots_cli.scenario.actuators:TorqueMotor", 'needs the field `type: Literal["jet"]`'),
+    (
+        "deepbots.actuators",
+        "jet = deepbots_cli.scenario.actuators:TorqueMotor",
+        'needs the field `type: Literal["jet"]`',
+    ),
     ("deepbots.formats", "pipe = json:loads", "is not a MessageFormat"),
     ("deepbots.rules", "pipe = json:loads", "TypeError"),
     ("deepbots.algorithms", "Mine = json:loads", "is derived from none of PPO"),
@@ -335,7 +379,8 @@ UNKNOWN = (
 
 @pytest.fixture(scope="module")
 def warnings(tmp_path_factory):
-    """The lines about plug-ins that are not available, where all broken ones are installed; rules run where nothing else is wrong."""
+    """The lines about plug-ins that are not available, where all broken ones are installed; rules run where
+    nothing else is wrong."""
     lines = []
     for rules in (False, True):
         folder = tmp_path_factory.mktemp("broken")
@@ -343,7 +388,12 @@ def warnings(tmp_path_factory):
             if (group == "deepbots.rules") is rules:
                 key, _, value = entry.partition(" = ")
                 installed(folder, {group: {key: value}}, f"acme{number}")
-        done = deepbots(folder, "lint", "cartpole", *(word for change in UNKNOWN if not rules for word in ("--set", change)))
+        done = deepbots(
+            folder,
+            "lint",
+            "cartpole",
+            *(word for change in UNKNOWN if not rules for word in ("--set", change)),
+        )
         assert done.returncode == (0 if rules else 1)
         lines += [line for line in done.stderr.splitlines() if "are not available" in line]
     return lines
@@ -364,7 +414,13 @@ def test_a_broken_plugin_is_told_in_one_line_and_left_out(warnings, group, entry
 def test_a_broken_engine_is_told_in_one_line(tmp_path):
     installed(tmp_path, {"deepbots.engines": {"odd": "no_such_module:Odd"}})
     done = python(
-        tmp_path, "-c", "import deepbots_cli\ntry:\n    deepbots_cli.make('cartpole', engine='odd')\nexcept Exception as e:\n    print(e)"
+        tmp_path,
+        "-c",
+        "import deepbots_cli\ntry:\n    deepbots_cli.make('cartpole', engine='odd')\nexcept Exception as"
+        " e:\n    print(e)",
     )
-    expected = "the engines 'odd' (no_such_module:Odd) are not available: ModuleNotFoundError: No module named 'no_such_module'\n"
+    expected = (
+        "the engines 'odd' (no_such_module:Odd) are not available: ModuleNotFoundError: No module"
+        " named 'no_such_module'\n"
+    )
     assert done.stdout == expected

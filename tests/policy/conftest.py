@@ -1,4 +1,5 @@
-"""A small world on a rail, written per test; the exact engine moves it, so that every figure can be worked out by hand."""
+"""A small world on a rail, written per test; the exact engine moves it, so that every figure can be worked
+out by hand."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ truncation: {max_steps: 1000}
 
 @pytest.fixture
 def small(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
-    """Makes an environment of that world with further sections and assignments, and closes it after the test."""
+    """Makes an environment of that world with further sections and assignments, and closes it after the
+    test."""
     opened: list[Supervisor] = []
 
     def make(sections: str, *overrides: str, engine: str = "exact") -> Supervisor:

@@ -29,7 +29,10 @@ def broken(supervisor):
     return 1 / 0
 thing = 3
 """
-TERMS = "reward: {pay: drive, tall: {python: 'students.terms:height'}}\ntermination: {success: {late: {python: 'students.terms:late'}}}\n"
+TERMS = (
+    "reward: {pay: drive, tall: {python: 'students.terms:height'}}\ntermination: {success: {late:"
+    " {python: 'students.terms:late'}}}\n"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -63,7 +66,9 @@ def test_a_term_in_python_is_refused_at_its_place(written: Callable[[str], Path]
         api.compile(file)
 
 
-def test_with_permission_it_is_a_warning_and_nothing_is_imported_to_compile(written: Callable[[str], Path]) -> None:
+def test_with_permission_it_is_a_warning_and_nothing_is_imported_to_compile(
+    written: Callable[[str], Path],
+) -> None:
     compiled = api.compile(written(TERMS), permissions=Permissions(code=True))
     assert {finding.code for finding in compiled.findings} >= {"DB410"}
     assert not [name for name in sys.modules if name.startswith("students")]
@@ -90,9 +95,13 @@ def test_a_compiled_scenario_runs_no_code_unless_allowed(written: Callable[[str]
     api.build(program, engine="exact", permissions=Permissions(code=True)).close()
 
 
-@pytest.mark.parametrize("place", ["students.none:height", "students.terms:none", "students.terms:thing", "students.bad:x"])
+@pytest.mark.parametrize(
+    "place", ["students.none:height", "students.terms:none", "students.terms:thing", "students.bad:x"]
+)
 def test_a_function_that_is_not_there_is_told_by_its_name(written: Callable[[str], Path], place: str) -> None:
-    compiled = api.compile(written(f"reward: {{tall: {{python: '{place}'}}}}\n"), permissions=Permissions(code=True))
+    compiled = api.compile(
+        written(f"reward: {{tall: {{python: '{place}'}}}}\n"), permissions=Permissions(code=True)
+    )
     with pytest.raises(UsageError, match=f"reward term 'tall' in Python .{place}"):
         api.make(compiled, engine="exact")
 
@@ -100,10 +109,14 @@ def test_a_function_that_is_not_there_is_told_by_its_name(written: Callable[[str
 @pytest.mark.parametrize("function", ["word", "truth", "broken"])
 def test_what_goes_wrong_in_a_function_names_the_term(written: Callable[[str], Path], function: str) -> None:
     environment = api.make(
-        written(f"reward: {{tall: {{python: 'students.terms:{function}'}}}}\n"), permissions=Permissions(code=True), engine="exact"
+        written(f"reward: {{tall: {{python: 'students.terms:{function}'}}}}\n"),
+        permissions=Permissions(code=True),
+        engine="exact",
     )
     environment.reset(seed=0)
-    with pytest.raises(EvaluationError, match=f"step 1: the reward term 'tall' in Python .students.terms:{function}."):
+    with pytest.raises(
+        EvaluationError, match=f"step 1: the reward term 'tall' in Python .students.terms:{function}."
+    ):
         environment.step(np.zeros(1, np.float32))
     environment.close()
 

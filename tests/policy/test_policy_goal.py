@@ -19,7 +19,9 @@ goal: {achieved: position(cart.cart).x, desired: mark, tolerance: 5 cm, range: -
 reset: {joints: {cart.slider: uniform(-0.3 .. 0.3 m)}}
 """
 SPARSE = "reward: {miss: -1 when not goal_reached}\n"
-DENSE = "reward: {near: exp(-abs(achieved - desired) / 10 cm), miss: -0.5 when not goal_reached, alive: 0.1}\n"
+DENSE = (
+    "reward: {near: exp(-abs(achieved - desired) / 10 cm), miss: -0.5 when not goal_reached, alive: 0.1}\n"
+)
 NOISY = GOAL.replace("range: -0.4 .. 0.4 m}", "range: -0.4 .. 0.4 m, noise: 2 cm}")
 MEASURED = """\
 parameters: {mark: uniform(-0.3 .. 0.3 m)}
@@ -54,17 +56,25 @@ def test_a_goal_makes_the_observation_a_dict(small: Small) -> None:
     environment = small(GOAL + SPARSE)
     observation, _ = environment.reset(seed=0)
     assert environment.observation_space.contains(observation)
-    assert {key: value.shape for key, value in observation.items()} == {"observation": (1,), "achieved_goal": (1,), "desired_goal": (1,)}
+    assert {key: value.shape for key, value in observation.items()} == {
+        "observation": (1,),
+        "achieved_goal": (1,),
+        "desired_goal": (1,),
+    }
     truth = environment.engine.pose("cart", "cart")()[0][0]
     assert observation["achieved_goal"].item() == pytest.approx(truth / 0.4, abs=1e-6)
 
 
-@pytest.mark.parametrize("sections", [GOAL + SPARSE, GOAL + DENSE, PLANE, NOISY + SPARSE, NOISY + DENSE, MEASURED + DENSE])
+@pytest.mark.parametrize(
+    "sections", [GOAL + SPARSE, GOAL + DENSE, PLANE, NOISY + SPARSE, NOISY + DENSE, MEASURED + DENSE]
+)
 def test_the_reward_of_a_step_is_what_compute_reward_says(small: Small, sections: str) -> None:
     environment = small(sections, "world.timestep=100 ms")
     for seed in range(4):
         for observation, reward, _, _, info in episode(environment, seed):
-            again = environment.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+            again = environment.compute_reward(
+                observation["achieved_goal"], observation["desired_goal"], info
+            )
             assert again == pytest.approx(reward, rel=1e-14)
             assert isinstance(again, float)
 
@@ -76,7 +86,9 @@ def test_noise_on_what_is_achieved_is_what_the_policy_sees_of_it(small: Small) -
         if not errors:
             environment.reset(seed=3)
         observation, *_ = environment.step(np.zeros(1, np.float32))
-        errors.append(0.4 * observation["achieved_goal"].item() - environment.engine.pose("cart", "cart")()[0][0])
+        errors.append(
+            0.4 * observation["achieved_goal"].item() - environment.engine.pose("cart", "cart")()[0][0]
+        )
     assert np.mean(errors) == pytest.approx(0, abs=4 * 0.02 / 2000**0.5)
     assert np.std(errors) == pytest.approx(0.02, rel=0.06)
 
@@ -89,7 +101,9 @@ def test_noise_on_what_is_achieved_changes_no_other_draw(small: Small) -> None:
 
 
 def test_one_measurement_with_noise_is_the_same_in_observation_goal_and_reward(small: Small) -> None:
-    environment = small(MEASURED + "reward: {at: achieved / m}\n", "observation={at: -0.4 .. 0.4 m, left: -0.8 .. 0.8 m}")
+    environment = small(
+        MEASURED + "reward: {at: achieved / m}\n", "observation={at: -0.4 .. 0.4 m, left: -0.8 .. 0.8 m}"
+    )
     for observation, reward, *_ in episode(environment, 0):
         at, left = observation["observation"].astype(float)
         assert observation["achieved_goal"].item() == at
@@ -143,7 +157,9 @@ def test_an_episode_that_is_cut_short_succeeds_if_the_goal_is_reached_then(small
 
 def test_reaching_the_goal_may_end_the_task(small: Small) -> None:
     environment = small(
-        GOAL + SPARSE + "termination: {success: {there: goal_reached}}\n", "world.timestep=1 s", "reset.joints={cart.slider: 0.39 m}"
+        GOAL + SPARSE + "termination: {success: {there: goal_reached}}\n",
+        "world.timestep=1 s",
+        "reset.joints={cart.slider: 0.39 m}",
     )
     environment.reset(seed=0)
     for _ in range(60):
@@ -162,9 +178,19 @@ def test_what_lies_beyond_the_range_counts_as_its_end(small: Small) -> None:
 
 @pytest.mark.parametrize(
     "reward",
-    ["drive", "position(cart.cart).x / m", "time / s", "mark / m", "delta(achieved) / m", "1 when ended", "cart.place / m"],
+    [
+        "drive",
+        "position(cart.cart).x / m",
+        "time / s",
+        "mark / m",
+        "delta(achieved) / m",
+        "1 when ended",
+        "cart.place / m",
+    ],
 )
-def test_a_reward_that_hindsight_cannot_recompute_is_refused(tmp_path: Path, small: Small, reward: str) -> None:
+def test_a_reward_that_hindsight_cannot_recompute_is_refused(
+    tmp_path: Path, small: Small, reward: str
+) -> None:
     with pytest.raises(ScenarioError, match="DB709"):
         small(GOAL + f"reward: {{odd: {reward}}}\n")
 
@@ -175,7 +201,12 @@ def test_stable_baselines_learns_from_hindsight(small: Small) -> None:
     environment = small(GOAL + SPARSE, "truncation.max_steps=20")
     buffer = stable_baselines3.HerReplayBuffer
     model = stable_baselines3.SAC(
-        "MultiInputPolicy", environment, replay_buffer_class=buffer, learning_starts=40, seed=0, policy_kwargs={"net_arch": [8]}
+        "MultiInputPolicy",
+        environment,
+        replay_buffer_class=buffer,
+        learning_starts=40,
+        seed=0,
+        policy_kwargs={"net_arch": [8]},
     )
     model.learn(60)
     assert model.replay_buffer.size() == 60

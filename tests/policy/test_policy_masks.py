@@ -12,7 +12,10 @@ from deepbots_cli.runtime import Supervisor
 
 Small = Callable[..., Supervisor]
 REWARD = "reward: {pay: drive}\n"
-THREE = "action.drive={choices: {ahead: 1, back: -1, stay: 0}, forbid: {ahead: step >= 2, stay: previous_action.stay}}"
+THREE = (
+    "action.drive={choices: {ahead: 1, back: -1, stay: 0}, forbid: {ahead: step >= 2, stay:"
+    " previous_action.stay}}"
+)
 
 
 def test_masks_follow_what_was_known_after_the_last_step(small: Small) -> None:
@@ -36,7 +39,10 @@ def test_samples_with_the_mask_of_the_info_are_allowed(small: Small) -> None:
 
 
 def test_several_choices_have_their_masks_in_a_row(small: Small) -> None:
-    pair = "action={drive: {choices: {ahead: 1, back: -1}, forbid: {back: lamp_off}}, lamp: {choices: {on: 1, off: 0}}}"
+    pair = (
+        "action={drive: {choices: {ahead: 1, back: -1}, forbid: {back: lamp_off}}, lamp: {choices: {on:"
+        " 1, off: 0}}}"
+    )
     environment = small("augment: {lamp_off: previous_action.lamp_off}\nreward: {pay: drive + lamp}\n", pair)
     _, info = environment.reset(seed=0)
     assert environment.action_masks().tolist() == [True, True, True, True]
@@ -60,7 +66,9 @@ def test_ranges_have_no_masks(small: Small) -> None:
 
 
 def test_a_state_in_which_nothing_is_allowed_is_an_error_that_names_the_options(small: Small) -> None:
-    environment = small(REWARD, "action.drive={choices: {ahead: 1, back: -1}, forbid: {ahead: step > 1, back: step > 1}}")
+    environment = small(
+        REWARD, "action.drive={choices: {ahead: 1, back: -1}, forbid: {ahead: step > 1, back: step > 1}}"
+    )
     environment.reset(seed=0)
     environment.step(0)
     with pytest.raises(EvaluationError, match="every option of 'drive' is forbidden: ahead, back"):

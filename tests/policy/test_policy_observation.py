@@ -19,7 +19,11 @@ CHOICES = ("action.drive={choices: {ahead: 1, back: -1, stay: 0}}",)
 
 
 def observe(
-    small: Small, observation: str, *overrides: str, sections: str = "reward: {pay: drive}\n", steps: Any = (1.0, -0.5, 0.25)
+    small: Small,
+    observation: str,
+    *overrides: str,
+    sections: str = "reward: {pay: drive}\n",
+    steps: Any = (1.0, -0.5, 0.25),
 ) -> Any:
     """The observations of the reset and of one step per action, as lists."""
     environment = small(sections, f"observation={observation}", *overrides)
@@ -45,13 +49,21 @@ def test_a_history_of_a_vector_keeps_its_components_together(small: Small) -> No
 
 def test_a_stack_repeats_whole_frames_oldest_first(small: Small) -> None:
     sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
-    seen = observe(small, "{at: {range: 0 .. 10, history: 2}, previous_action: auto}", "agent={frame_stack: 2}", sections=sections)
+    seen = observe(
+        small,
+        "{at: {range: 0 .. 10, history: 2}, previous_action: auto}",
+        "agent={frame_stack: 2}",
+        sections=sections,
+    )
     assert seen[0] == [-1, -1, 0, -1, -1, 0]
     assert seen[3] == [-0.8, -0.6, -0.5, -0.6, -0.4, 0.25]
 
 
 def test_histories_do_not_reach_over_a_reset(small: Small) -> None:
-    environment = small("reward: {pay: drive}\n", "observation={cart.place: {range: -1 .. 1 m, history: 5}, previous_action: auto}")
+    environment = small(
+        "reward: {pay: drive}\n",
+        "observation={cart.place: {range: -1 .. 1 m, history: 5}, previous_action: auto}",
+    )
     first, _ = environment.reset(seed=3)
     for _ in range(7):
         environment.step(np.array([1.0], np.float32))
@@ -72,7 +84,9 @@ def test_a_previous_choice_is_one_hot_and_nothing_before_the_first(small: Small)
 def test_several_choices_are_one_hots_in_a_row(small: Small) -> None:
     pair = "action={drive: {choices: {ahead: 1, back: -1}}, lamp: {choices: {on: 1, off: 0}}}"
     sections = "reward: {pay: drive + lamp}\n"
-    seen = observe(small, "{previous_action: auto}", pair, sections=sections, steps=(np.array([0, 1]), np.array([1, 0])))
+    seen = observe(
+        small, "{previous_action: auto}", pair, sections=sections, steps=(np.array([0, 1]), np.array([1, 0]))
+    )
     assert seen == [[0, 0, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0]]
 
 
@@ -87,7 +101,9 @@ def test_an_expression_may_use_the_previous_action(small: Small) -> None:
     assert environment.step(np.array([0.5], np.float32))[1] == 1.5
 
 
-def test_the_previous_reward_is_that_of_this_step_when_it_is_observed_and_else_that_of_the_last(small: Small) -> None:
+def test_the_previous_reward_is_that_of_this_step_when_it_is_observed_and_else_that_of_the_last(
+    small: Small,
+) -> None:
     sections = "signals: {last: previous_reward}\naugment: [last]\nreward: {pay: drive}\n"
     seen = observe(small, "{previous_reward: -1 .. 1, last: -1 .. 1}", sections=sections)
     assert seen == [[0, 0], [1, 0], [-0.5, 1], [0.25, -0.5]]
@@ -97,7 +113,11 @@ def test_the_return_of_an_episode_is_summed_and_begins_anew(small: Small) -> Non
     environment = small("reward: {pay: drive}\n", "observation={episode_return: -4 .. 4}")
     for _ in range(2):
         assert environment.reset(seed=0)[0] == [0.0]
-        assert [environment.step(np.array([1.0], np.float32))[0].item() for _ in range(3)] == [0.25, 0.5, 0.75]
+        assert [environment.step(np.array([1.0], np.float32))[0].item() for _ in range(3)] == [
+            0.25,
+            0.5,
+            0.75,
+        ]
 
 
 def test_time_and_steps_can_be_seen(small: Small) -> None:
@@ -139,19 +159,28 @@ def test_noise_is_the_same_for_the_same_seed(small: Small) -> None:
 
 def test_noise_on_one_value_changes_no_other_draw(small: Small) -> None:
     sections = "reward: {pay: drive}\nreset: {joints: {cart.slider: uniform(-0.1 .. 0.1 m)}}\n"
-    plain = observe(small, "{cart.place: -1 .. 1 m, cart.lean: {range: -1 .. 1 rad, noise: 0.01 rad}}", sections=sections)
+    plain = observe(
+        small, "{cart.place: -1 .. 1 m, cart.lean: {range: -1 .. 1 rad, noise: 0.01 rad}}", sections=sections
+    )
     more = observe(
         small,
-        "{cart.place: -1 .. 1 m, cart.lean: {range: -1 .. 1 rad, noise: 0.01 rad}, cart.rate: {range: -1 .. 1 m/s, noise: 5 %}}",
+        "{cart.place: -1 .. 1 m, cart.lean: {range: -1 .. 1 rad, noise: 0.01 rad}, cart.rate: {range: -1 .."
+        " 1 m/s, noise: 5 %}}",
         sections=sections,
     )
     assert [row[:2] for row in more] == plain
 
 
 def measured(small: Small, noise: str, count: int = 1000, seed: int = 1) -> Any:
-    """Half a meter that the supervisor measures with noise, twice that, and the exact value by its function; once per step."""
-    sections = f"augment:\n  at: {{value: 0.5 m + 0 m * step, noise: {noise}}}\n  twice: 2 * at\nreward: {{pay: at / m}}\n"
-    environment = small(sections, "observation={at: {range: -1 .. 1 m, clip: false}, twice: {range: -1 .. 1 m, clip: false}}")
+    """Half a meter that the supervisor measures with noise, twice that, and the exact value by its function;
+    once per step."""
+    sections = (
+        f"augment:\n  at: {{value: 0.5 m + 0 m * step, noise: {noise}}}\n  twice: 2 * at\nreward:"
+        f" {{pay: at / m}}\n"
+    )
+    environment = small(
+        sections, "observation={at: {range: -1 .. 1 m, clip: false}, twice: {range: -1 .. 1 m, clip: false}}"
+    )
     rows = [[*environment.reset(seed=seed)[0].tolist(), 0.0]]
     for _ in range(count):
         observation, reward, *_ = environment.step(np.zeros(1, np.float32))
@@ -168,7 +197,9 @@ def test_whatever_uses_the_name_of_a_noisy_measurement_sees_one_draw(small: Smal
 
 
 @pytest.mark.parametrize("noise", ["4 %", "uniform(0.02 .. 0.02001 m)"])
-def test_noise_of_a_measurement_is_a_share_or_drawn_as_that_of_an_observation(small: Small, noise: str) -> None:
+def test_noise_of_a_measurement_is_a_share_or_drawn_as_that_of_an_observation(
+    small: Small, noise: str
+) -> None:
     assert measured(small, noise)[:, 0].std() == pytest.approx(0.02, rel=0.1)
 
 
@@ -178,13 +209,18 @@ def test_noise_of_a_measurement_is_the_same_for_the_same_seed(small: Small) -> N
 
 
 def test_what_uses_the_function_instead_of_the_noisy_name_stays_exact(small: Small) -> None:
-    sections = "augment:\n  at: {value: position(cart.cart).x, noise: 5 cm}\n  exact: position(cart.cart).x\nreward: {pay: drive}\n"
+    sections = (
+        "augment:\n  at: {value: position(cart.cart).x, noise: 5 cm}\n  exact:"
+        " position(cart.cart).x\nreward: {pay: drive}\n"
+    )
     seen = observe(small, "{cart.place: -1 .. 1 m, exact: -1 .. 1 m, at: -1 .. 1 m}", sections=sections)
     assert all(place == exact != at for place, exact, at in seen)
 
 
 def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: Small) -> None:
-    environment = small("reward: {pay: drive}\n", "observation={step: {range: 0 .. 1, clip: false}, time: 0 .. 1 s}")
+    environment = small(
+        "reward: {pay: drive}\n", "observation={step: {range: 0 .. 1, clip: false}, time: 0 .. 1 s}"
+    )
     assert environment.observation_space.low.tolist() == [-np.inf, -1]
     environment.reset(seed=0)
     for _ in range(3):
@@ -194,7 +230,8 @@ def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: 
 
 def test_an_unbounded_value_that_is_not_finite_is_an_error_and_no_observation(small: Small) -> None:
     environment = small(
-        "signals: {wild: exp(400 * step)}\naugment: [wild]\nreward: {pay: drive}\n", "observation={wild: {range: 0 .. 1, clip: false}}"
+        "signals: {wild: exp(400 * step)}\naugment: [wild]\nreward: {pay: drive}\n",
+        "observation={wild: {range: 0 .. 1, clip: false}}",
     )
     environment.reset(seed=0)
     with pytest.raises(EvaluationError, match="observation of"):
@@ -204,7 +241,11 @@ def test_an_unbounded_value_that_is_not_finite_is_an_error_and_no_observation(sm
 def test_a_goal_policy_observes_without_an_environment_what_the_environment_observes() -> None:
     observer = Observer(api.compile("panda_reach").program)
     joints, axes = [f"panda.joints.panda_joint{number}" for number in range(1, 8)], "xyz"
-    assert set(observer.values) == {*joints, *(f"miss.{axis}" for axis in axes), *(f"panda.tip.{axis}" for axis in axes)}
+    assert set(observer.values) == {
+        *joints,
+        *(f"miss.{axis}" for axis in axes),
+        *(f"panda.tip.{axis}" for axis in axes),
+    }
     with closing(api.make("panda_reach")) as env:
         seen, info = env.reset(seed=2)
         desired = [info["drawn"][f"target.{axis}"] for axis in axes]
@@ -213,10 +254,14 @@ def test_a_goal_policy_observes_without_an_environment_what_the_environment_obse
         for _ in range(51):
             tip = read_tip()[0]
             values = {name: state[0] for name, state in zip(joints, read_joints(), strict=True)}
-            values |= {f"miss.{axis}": wanted - at for axis, wanted, at in zip(axes, desired, tip, strict=True)}
+            values |= {
+                f"miss.{axis}": wanted - at for axis, wanted, at in zip(axes, desired, tip, strict=True)
+            }
             values |= {f"panda.tip.{axis}": at for axis, at in zip(axes, tip, strict=True)}
             made = observer.observe(values, desired)
-            assert {key: part.tobytes() for key, part in made.items()} == {key: part.tobytes() for key, part in seen.items()}
+            assert {key: part.tobytes() for key, part in made.items()} == {
+                key: part.tobytes() for key, part in seen.items()
+            }
             if env.truncated:
                 break
             seen = env.step(env.action_space.sample())[0]
@@ -239,11 +284,21 @@ def test_a_goal_policy_observes_without_an_environment_what_the_environment_obse
             (0.5, 0.0),
             r"missing: achieved\.y \(no message holds it; the scenario computes `position\(block\)\.xy`\)",
         ),
-        ("panda_reach", None, None, r"this policy has a goal; give it as `desired`: 3 numbers \(x, y, z\) in m$"),
+        (
+            "panda_reach",
+            None,
+            None,
+            r"this policy has a goal; give it as `desired`: 3 numbers \(x, y, z\) in m$",
+        ),
         ("panda_reach", None, (0.5, 0.0), r"`desired` is \(0\.5, 0\.0\); give 3 numbers"),
         ("panda_reach", None, (0.5, 0.0, float("nan")), r"all of them finite"),
         ("cartpole", None, (0.5,), r"this policy has no goal; leave out `desired`"),
-        ("see_ball", None, None, r"this policy sees the image 'epuck_camera'; take observations from the environment"),
+        (
+            "see_ball",
+            None,
+            None,
+            r"this policy sees the image 'epuck_camera'; take observations from the environment",
+        ),
     ],
 )
 def test_an_observation_that_cannot_be_made_names_what_is_lacking(
@@ -251,4 +306,6 @@ def test_an_observation_that_cannot_be_made_names_what_is_lacking(
 ) -> None:
     observer = Observer(api.compile(name).program)
     with pytest.raises(UsageError, match=said):
-        observer.observe(dict.fromkeys((value for value in observer.values if value != lacking), 0.0), desired)
+        observer.observe(
+            dict.fromkeys((value for value in observer.values if value != lacking), 0.0), desired
+        )

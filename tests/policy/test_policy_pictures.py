@@ -15,7 +15,10 @@ SECTIONS = """\
 reward: {pay: drive}
 objects: {ball: {shape: sphere, radius: 10 cm, color: red, fixed: true, pose: {x: 1 m, z: 0.6 m}}}
 """
-EYE = "robots.cart.sensors.eye={type: camera, link: cart, pose: {x: 0.3 m, z: 0.2 m}, resolution: 24 16, fov: 60 deg}"
+EYE = (
+    "robots.cart.sensors.eye={type: camera, link: cart, pose: {x: 0.3 m, z: 0.2 m}, resolution: 24 16,"
+    " fov: 60 deg}"
+)
 SEND = "robots.cart.emit=[place, eye]"
 PUSH = "robots.cart.apply={motor: drive * 2 m/s}"
 
@@ -53,7 +56,9 @@ def test_a_history_of_pictures_stands_side_by_side_the_newest_last(small: Small)
 
 
 def test_a_stack_holds_for_pictures_too(small: Small) -> None:
-    environment = look(small, "{cart.eye: auto, cart.place: -2 .. 2 m}", "agent={frame_stack: 2, action_repeat: 2}")
+    environment = look(
+        small, "{cart.eye: auto, cart.place: -2 .. 2 m}", "agent={frame_stack: 2, action_repeat: 2}"
+    )
     assert environment.observation_space["cart_eye"].shape == (16, 24, 6)
     environment.reset(seed=0)
     first = environment.step(np.ones(1, np.float32))[0]["cart_eye"]
@@ -75,8 +80,13 @@ def test_what_is_no_use_for_a_picture_is_a_finding(small: Small, entry: str) -> 
         look(small, f"{{cart.place: -2 .. 2 m, cart.eye: {entry}}}", "agent={frame_stack: 20}")
 
 
-@pytest.mark.parametrize(("seen", "shade"), [("0.5 m .. 2.5 m", 64), ("0 m .. 4 m", 64), ("1.2 m .. 2 m", 0), ("0.1 m .. 0.8 m", 255)])
-def test_a_picture_of_depth_grows_evenly_from_the_near_end_of_its_range_to_the_far_end(small: Small, seen: str, shade: int) -> None:
+@pytest.mark.parametrize(
+    ("seen", "shade"),
+    [("0.5 m .. 2.5 m", 64), ("0 m .. 4 m", 64), ("1.2 m .. 2 m", 0), ("0.1 m .. 0.8 m", 255)],
+)
+def test_a_picture_of_depth_grows_evenly_from_the_near_end_of_its_range_to_the_far_end(
+    small: Small, seen: str, shade: int
+) -> None:
     box = "objects.box={shape: box, size: 20 40 400 cm, fixed: true, pose: {x: 1.4 m, z: 2 m}}"
     overrides = (box, "robots.cart.sensors.eye.channels=depth", f"robots.cart.sensors.eye.range={seen}")
     environment = look(small, "{cart.eye: auto}", *overrides)

@@ -107,7 +107,9 @@ def test_every_copy_of_a_robot_follows_the_script_by_what_it_sees_itself() -> No
 
 
 def test_a_script_sees_what_arrived_and_what_is_true(small: Small) -> None:
-    sections = REWARD + "scripts: {told: {drive: cart.place / m}, truth: {drive: joint_position(cart.slider) / m}}\n"
+    sections = (
+        REWARD + "scripts: {told: {drive: cart.place / m}, truth: {drive: joint_position(cart.slider) / m}}\n"
+    )
     environment = small(sections, "messages.timing=delayed")
     environment.reset(seed=0)
     for _ in range(3):
@@ -126,12 +128,17 @@ def test_a_script_sees_signals_with_a_memory_and_its_own_last_action(small: Smal
     assert np.concatenate(followed(environment, "by_signal", 4)).tolist() == pytest.approx([0, 0.1, 0.2, 0.3])
     for name in ("by_action", "by_variable"):
         environment.reset(seed=0)
-        assert np.concatenate(followed(environment, name, 4)).tolist() == pytest.approx([0.25, 0.5, 0.75, 1.0])
+        assert np.concatenate(followed(environment, name, 4)).tolist() == pytest.approx(
+            [0.25, 0.5, 0.75, 1.0]
+        )
 
 
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_a_script_knows_the_reward_of_the_step_that_has_just_been(small: Small, repeat: int) -> None:
-    sections = "reward: {pay: 0.01 * (step + 1)}\nscripts: {last: {drive: previous_reward}, sum: {drive: episode_return}}\n"
+    sections = (
+        "reward: {pay: 0.01 * (step + 1)}\nscripts: {last: {drive: previous_reward}, sum: {drive:"
+        " episode_return}}\n"
+    )
     environment = small(sections, f"agent.action_repeat={repeat}")
     environment.reset(seed=0)
     rewards = [0.0]
@@ -146,7 +153,11 @@ def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers(small: Smal
     world = "world.lines={stripe: {points: [-1 0 m, 1 0 m], width: 20 mm}}"
     ball = "objects={ball: {shape: sphere, radius: 5 cm, pose: {x: 0.4 m}}}"
     way = "way: {drive: {forward: 'arc_length(cart, stripe) > 0.05 m', backward: true}}"
-    overrides = [world, ball, f"scripts={{{way}, touch: {{drive: {{backward: collided(cart), forward: true}}}}}}"]
+    overrides = [
+        world,
+        ball,
+        f"scripts={{{way}, touch: {{drive: {{backward: collided(cart), forward: true}}}}}}",
+    ]
     with closing(api.make("cartpole", overrides=overrides)) as environment:
         environment.reset(seed=0)
         assert environment.script("way") == 1
@@ -167,7 +178,9 @@ def test_the_age_of_a_reading_is_known_to_a_script(small: Small) -> None:
 
 
 def test_a_case_may_have_a_script_of_its_own(small: Small) -> None:
-    sections = REWARD + "scripts: {go: {drive: 1}}\nevaluation: {cases: {back: {set: {scripts.go.drive: -1}}}}\n"
+    sections = (
+        REWARD + "scripts: {go: {drive: 1}}\nevaluation: {cases: {back: {set: {scripts.go.drive: -1}}}}\n"
+    )
     environment = small(sections)
     with closing(api.build(environment.scenario.case("back").program, engine="exact")) as other:
         for world, expected in ((environment, [1.0]), (other, [-1.0])):
@@ -180,7 +193,8 @@ def test_a_case_may_have_a_script_of_its_own(small: Small) -> None:
 
 def test_asking_changes_nothing() -> None:
     overrides = [
-        "scripts={go: {both: {apart: 'clearance(left.cart, right.cart) > 1 m', still: true}, hurry: {fast: ahead > 0 m, slow: true}}}"
+        "scripts={go: {both: {apart: 'clearance(left.cart, right.cart) > 1 m', still: true}, hurry: {fast:"
+        " ahead > 0 m, slow: true}}}"
     ]
 
     def episode(*, asking: bool) -> list[bytes]:

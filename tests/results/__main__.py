@@ -1,5 +1,5 @@
-"""Measures what is missing or stale of docs/results, and renders the pages: docs/results.md, docs/benchmark.md,
-docs/reference/measurements.md and docs/results/*.md.
+"""Measures what is missing or stale of docs/results, and renders the pages: docs/results.md,
+docs/benchmark.md, docs/reference/measurements.md and docs/results/*.md.
 
     python -m tests.results                     everything
     python -m tests.results pit_escape costs    a scenario and a part
@@ -8,8 +8,8 @@ docs/reference/measurements.md and docs/results/*.md.
     python -m tests.results cartpole --anew     forget what was measured, and measure it again
     python -m tests.results --render            only write the pages and pictures
 
-It may be stopped at any time, and goes on when it is called again: finished pieces are in docs/results, and unfinished trainings in
-runs/results.
+It may be stopped at any time, and goes on when it is called again: finished pieces are in docs/results, and
+unfinished trainings in runs/results.
 """
 
 from __future__ import annotations
@@ -30,15 +30,27 @@ from tests.results.parts import PARTS, Part
 def main(arguments: list[str] | None = None, places: Places | None = None) -> int:
     places = places or Places()
     parser = argparse.ArgumentParser(
-        prog="python -m tests.results", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m tests.results",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="scenarios and parts; all by default")
     parser.add_argument("--anew", action="store_true", help="forget what was measured before")
     parser.add_argument("--render", action="store_true", help="only write the pages and pictures")
-    parser.add_argument("--list", action="store_true", help="what there is, and how many pieces of it are missing")
+    parser.add_argument(
+        "--list", action="store_true", help="what there is, and how many pieces of it are missing"
+    )
     given = parser.parse_args(arguments)
-    known: dict[str, Experiment | Part] = {**experiments(), **{part.name: part for part in PARTS}, **benchmark.experiments()}
-    names = [one for name in given.names for one in (benchmark.experiments() if name == benchmark.GROUP else (name,))]
+    known: dict[str, Experiment | Part] = {
+        **experiments(),
+        **{part.name: part for part in PARTS},
+        **benchmark.experiments(),
+    }
+    names = [
+        one
+        for name in given.names
+        for one in (benchmark.experiments() if name == benchmark.GROUP else (name,))
+    ]
     unknown = [name for name in names if name not in known]
     if unknown:
         print(f"there is no {' and no '.join(unknown)}; there are: {', '.join(known)}", file=sys.stderr)
@@ -61,14 +73,19 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
 
 
 def measured(subject: Experiment | Part, places: Places) -> int:
-    """Measure what is missing; the exit code. A command that fails ends its subject, and Ctrl-C ends everything."""
+    """Measure what is missing; the exit code. A command that fails ends its subject, and Ctrl-C ends
+    everything."""
     try:
         for piece in pieces(subject, places):
             if piece.missing():
                 print(f"{piece.words} ...", file=sys.stderr, flush=True)
                 began = time.monotonic()
                 piece.complete()
-                print(f"{piece.words}: done in {duration(time.monotonic() - began)}", file=sys.stderr, flush=True)
+                print(
+                    f"{piece.words}: done in {duration(time.monotonic() - began)}",
+                    file=sys.stderr,
+                    flush=True,
+                )
     except KeyboardInterrupt:
         return INTERRUPTED
     except CommandError as failed:

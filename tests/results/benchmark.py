@@ -1,8 +1,10 @@
-"""What the benchmark compares: tasks, algorithms and the values that each of them learns with; docs/benchmark.md shows the results.
+"""What the benchmark compares: tasks, algorithms and the values that each of them learns with;
+docs/benchmark.md shows the results.
 
-`python -m tests.results benchmark` measures what is missing, `python -m tests.results benchmark/panda_reach` that of one task. A cell is
-a task and an algorithm: an `Experiment` for each task has a training for each algorithm, of the same name. A learner of a shipped
-scenario has the values of its `train` section. The values of all others are those of the chosen learner (docs/training.md), written out.
+`python -m tests.results benchmark` measures what is missing, `python -m tests.results benchmark/panda_reach`
+that of one task. A cell is a task and an algorithm: an `Experiment` for each task has a training for each
+algorithm, of the same name. A learner of a shipped scenario has the values of its `train` section. The values
+of all others are those of the chosen learner (docs/training.md), written out.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ SEEDS = seeds(3, first=301)
 """No value of a scenario or of deepbots was chosen by these."""
 ENGINES = ("pybullet", "mujoco")
 CPU_LIMIT = 240
-"""Seconds of CPU that a training takes at most, about: the timesteps below, measured on two cores beside other work."""
+"""Seconds of CPU that a training takes at most, about: the timesteps below, measured on two cores beside
+other work."""
 PPO_STEPS = 200_000
 UPDATES: Mapping[str, int] = {"SAC": 40_000, "TD3": 60_000, "TQC": 20_000, "DQN": 60_000}
 """4.8 ms of CPU for an update with SAC, 3 ms with TD3, 10 ms with TQC, with the steps that belong to it."""
@@ -27,7 +30,8 @@ DISCRETE = "discrete actions"
 
 @dataclass(frozen=True)
 class Cell:
-    """An algorithm in a task: what is trained, or the `reason` why nothing is; `learner` says where the values are from."""
+    """An algorithm in a task: what is trained, or the `reason` why nothing is; `learner` says where the
+    values are from."""
 
     algorithm: str
     training: Training | None
@@ -37,7 +41,8 @@ class Cell:
 
 @dataclass(frozen=True)
 class Task:
-    """A shipped scenario on the engine that steps it fastest; `advice` says what its `train` section has to do with the table."""
+    """A shipped scenario on the engine that steps it fastest; `advice` says what its `train` section has to
+    do with the table."""
 
     scenario: str
     title: str
@@ -62,8 +67,14 @@ def own(algorithm: str, engine: str = "mujoco") -> Cell:
 
 
 def ppo(gamma: float, *, worlds: int = 8, epochs: int = 10, batch: int = 128, rate: str = "1e-3") -> Cell:
-    values = f"n_steps: {2048 // worlds if worlds > 8 else 64}, batch_size: {batch}, n_epochs: {epochs}, learning_rate: {rate}"
-    section = f"{{algorithm: PPO, total_timesteps: {PPO_STEPS}, environments: {worlds}, {values}, gamma: {gamma}, gae_lambda: 0.95"
+    values = (
+        f"n_steps: {2048 // worlds if worlds > 8 else 64}, batch_size: {batch}, n_epochs: {epochs},"
+        f" learning_rate: {rate}"
+    )
+    section = (
+        f"{{algorithm: PPO, total_timesteps: {PPO_STEPS}, environments: {worlds}, {values}, gamma:"
+        f" {gamma}, gae_lambda: 0.95"
+    )
     return Cell(
         "PPO",
         _training("PPO", "mujoco", f"train={section}, normalize: reward, network: {{hidden: [64, 64]}}}}"),
@@ -73,18 +84,30 @@ def ppo(gamma: float, *, worlds: int = 8, epochs: int = 10, batch: int = 128, ra
 
 def off_policy(algorithm: str, gamma: float, *, engine: str = "mujoco", hindsight: bool = False) -> Cell:
     """With hindsight an update for each step of four worlds, otherwise for every second step of eight."""
-    special = "environments: 4, replay: her, tau: 0.02" if hindsight else "environments: 8, train_freq: 1, gradient_steps: 4"
-    values = f"{special}, batch_size: 256, learning_rate: 1e-3, gamma: {gamma}, network: {{hidden: [128, 128], activation: relu}}"
+    special = (
+        "environments: 4, replay: her, tau: 0.02"
+        if hindsight
+        else "environments: 8, train_freq: 1, gradient_steps: 4"
+    )
+    values = (
+        f"{special}, batch_size: 256, learning_rate: 1e-3, gamma: {gamma}, network: {{hidden: [128,"
+        f" 128], activation: relu}}"
+    )
     steps = UPDATES[algorithm] * (1 if hindsight else 2)
     section = f"train={{algorithm: {algorithm}, total_timesteps: {steps}, {values}}}"
     return Cell(
-        algorithm, _training(algorithm, engine, section), f"values of the chosen learner (SAC{' with hindsight' if hindsight else ''})"
+        algorithm,
+        _training(algorithm, engine, section),
+        f"values of the chosen learner (SAC{' with hindsight' if hindsight else ''})",
     )
 
 
 def ddpg() -> Cell:
     """The algorithm of the paper's FindBall."""
-    values = "environments: 8, gradient_steps: 4, learning_rate: 1e-3 -> 1e-4, action_noise: {type: normal, sigma: 0.4 -> 0.1}"
+    values = (
+        "environments: 8, gradient_steps: 4, learning_rate: 1e-3 -> 1e-4, action_noise: {type: normal,"
+        " sigma: 0.4 -> 0.1}"
+    )
     section = f"train={{algorithm: DDPG, total_timesteps: 84000, {values}, network: {{hidden: [128, 128]}}}}"
     return Cell("DDPG", _training("DDPG", "mujoco", section), "values of FindBallAsPrinted")
 
@@ -98,7 +121,12 @@ def _all_off_policy(gamma: float, *, engine: str = "mujoco") -> tuple[Cell, ...]
 
 
 TASKS = (
-    Task("cartpole", "CartPole", "mujoco", (own("PPO"), *_no_ranges("; CartPoleContinuous has ranges"), off_policy("DQN", 0.98))),
+    Task(
+        "cartpole",
+        "CartPole",
+        "mujoco",
+        (own("PPO"), *_no_ranges("; CartPoleContinuous has ranges"), off_policy("DQN", 0.98)),
+    ),
     Task("cartpole_continuous", "CartPoleContinuous", "mujoco", (own("PPO"), *_all_off_policy(0.98))),
     Task("pit_escape", "PitEscape", "mujoco", (own("PPO"), *_no_ranges(), off_policy("DQN", 0.98))),
     Task(
@@ -118,10 +146,17 @@ TASKS = (
         "panda_reach",
         "PandaReach",
         "mujoco",
-        (ppo(0.92), off_policy("SAC", 0.92, hindsight=True), own("TD3"), off_policy("TQC", 0.92, hindsight=True)),
+        (
+            ppo(0.92),
+            off_policy("SAC", 0.92, hindsight=True),
+            own("TD3"),
+            off_policy("TQC", 0.92, hindsight=True),
+        ),
         "TD3 needs a sixth of the simulated time, which counts in PyBullet, the default engine.",
     ),
-    Task("quadrotor", "Hover", "pybullet", (own("PPO", "pybullet"), *_all_off_policy(0.99, engine="pybullet"))),
+    Task(
+        "quadrotor", "Hover", "pybullet", (own("PPO", "pybullet"), *_all_off_policy(0.99, engine="pybullet"))
+    ),
     Task("line_follower", "LineFollower", "mujoco", (own("PPO"), *_all_off_policy(0.99))),
 )
 

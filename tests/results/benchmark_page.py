@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from statistics import fmean, median
 
 from deepbots_cli.analysis import possible_returns
+from deepbots_cli.learning.directories import write_text
 from deepbots_cli.learning.episodes import UNBOUNDED, Interval
-from deepbots_cli.learning.run import write_text
 from deepbots_cli.learning.statistics import mean_interval, wilson
 from tests.results import measure
 from tests.results.benchmark import CPU_LIMIT, SEEDS, Cell, Task
@@ -51,7 +51,8 @@ not a tenth faster. Each algorithm is trained with {len(SEEDS)} seeds, {SEEDS[0]
 
 @dataclass(frozen=True)
 class Row:
-    """A cell with what was measured of it: an entry of the record for each seed that was trained and evaluated."""
+    """A cell with what was measured of it: an entry of the record for each seed that was trained and
+    evaluated."""
 
     task: Task
     cell: Cell
@@ -77,7 +78,10 @@ class Row:
 
     def until(self, what: str) -> list[float]:
         """`what` of each seed when the task was solved; infinite if it was not."""
-        return [math.inf if entry["solved_at"] is None else float(entry["solved_at"][what]) for entry in self.entries]
+        return [
+            math.inf if entry["solved_at"] is None else float(entry["solved_at"][what])
+            for entry in self.entries
+        ]
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -120,7 +124,10 @@ def return_interval(held: Sequence[Entry], bounds: Interval = UNBOUNDED) -> Inte
     # The means of the seeds are independent: the squares of half the widths add up.
     mean = fmean(entry["mean_return"] for entry in held)
     low, high = (
-        math.hypot(*(entry["mean_return"] - interval[side] for entry, interval in zip(held, known, strict=True))) for side in (0, 1)
+        math.hypot(
+            *(entry["mean_return"] - interval[side] for entry, interval in zip(held, known, strict=True))
+        )
+        for side in (0, 1)
     )
     low, high = max(bounds[0], mean - low / len(held)), min(bounds[1], mean + high / len(held))
     return _wider((low, high), [entry["mean_return"] for entry in held], bounds)
@@ -128,7 +135,9 @@ def return_interval(held: Sequence[Entry], bounds: Interval = UNBOUNDED) -> Inte
 
 def _wider(together: Interval, means: Sequence[float], bounds: Interval = UNBOUNDED) -> Interval:
     over_seeds = mean_interval(means, bounds) if len(set(means)) > 1 else None
-    return together if over_seeds is None else (min(together[0], over_seeds[0]), max(together[1], over_seeds[1]))
+    return (
+        together if over_seeds is None else (min(together[0], over_seeds[0]), max(together[1], over_seeds[1]))
+    )
 
 
 # The page
@@ -137,13 +146,23 @@ def _wider(together: Interval, means: Sequence[float], bounds: Interval = UNBOUN
 def write(places: Places, tasks: Sequence[Task]) -> str:
     """The page; returns how many cells are measured, in a sentence."""
     write_text(places.benchmark, page(places, tasks))
-    return _headline([row for task in tasks for row in rows(task, measure.read(places.record(task.experiment.name)))])
+    return _headline(
+        [row for task in tasks for row in rows(task, measure.read(places.record(task.experiment.name)))]
+    )
 
 
 def page(places: Places, tasks: Sequence[Task]) -> str:
     records = {task.scenario: measure.read(places.record(task.experiment.name)) for task in tasks}
     found = {task.scenario: rows(task, records[task.scenario]) for task in tasks}
-    lines = [HEAD, "## Summary", "", *wrapped(_headline([row for each in found.values() for row in each])), "", *_summary(tasks, found), ""]
+    lines = [
+        HEAD,
+        "## Summary",
+        "",
+        *wrapped(_headline([row for each in found.values() for row in each])),
+        "",
+        *_summary(tasks, found),
+        "",
+    ]
     for task in tasks:
         lines += _section(task, found[task.scenario], records[task.scenario])
     return "\n".join(lines).rstrip() + "\n"
@@ -155,20 +174,30 @@ def _headline(found: Sequence[Row]) -> str:
     part = sum(0 < len(row.entries) < len(SEEDS) for row in asked)
     if whole == len(asked):
         return f"All {whole} pairs of a task and an algorithm are measured with {len(SEEDS)} seeds."
-    text = f"Of {len(asked)} pairs of a task and an algorithm, {whole} are measured with all {len(SEEDS)} seeds"
+    text = (
+        f"Of {len(asked)} pairs of a task and an algorithm, {whole} are measured with all {len(SEEDS)} seeds"
+    )
     return f"{text}, {part} with fewer, and {len(asked) - whole - part} are not measured yet."
 
 
 def _summary(tasks: Sequence[Task], found: Mapping[str, list[Row]]) -> Iterator[str]:
     """A row for each task: what is held out, and the CPU time until solved."""
     names = list(dict.fromkeys(cell.algorithm for task in tasks for cell in task.cells))
-    text = "Success held out, or the mean return in a task without successes, with its interval; then the CPU time until solved."
+    text = (
+        "Success held out, or the mean return in a task without successes, with its interval; then the"
+        " CPU time until solved."
+    )
     yield from wrapped(f"{text} DDPG is compared where a scenario recommends it.")
     yield ""
     body = []
     for task in tasks:
         cells = {row.cell.algorithm: _in_short(row) for row in found[task.scenario]}
-        body.append((f"[{task.title}](#{slug(task.title)})", *(cells[name] if name in cells else ABSENT[name] for name in names)))
+        body.append(
+            (
+                f"[{task.title}](#{slug(task.title)})",
+                *(cells[name] if name in cells else ABSENT[name] for name in names),
+            )
+        )
     yield from table(("task", *names), body)
 
 
@@ -187,8 +216,14 @@ def _section(task: Task, found: Sequence[Row], record: Entry) -> Iterator[str]:
     speeds = record.get("engines", {})
     measured = [entry for row in found for entry in (*row.entries, *row.held)]
     if speeds:
-        rates = " and ".join(f"{count(round(1e6 / micro))} steps/s in {ENGINE_NAMES[name]}" for name, micro in speeds["step_us"].items())
-        yield from wrapped(f"Engine: {ENGINE_NAMES[task.engine]}. One world makes {rates}, by CPU time (`{speeds['command']}`).")
+        rates = " and ".join(
+            f"{count(round(1e6 / micro))} steps/s in {ENGINE_NAMES[name]}"
+            for name, micro in speeds["step_us"].items()
+        )
+        yield from wrapped(
+            f"Engine: {ENGINE_NAMES[task.engine]}. One world makes {rates}, by CPU time"
+            f" (`{speeds['command']}`)."
+        )
     else:
         yield f"Engine: {ENGINE_NAMES[task.engine]}."
     yield ""
@@ -216,7 +251,11 @@ def _section(task: Task, found: Sequence[Row], record: Entry) -> Iterator[str]:
     missing = [row.cell.algorithm for row in found if row.cell.training and len(row.entries) < len(SEEDS)]
     again = f"`python -m tests.results {task.experiment.name}`"
     yield ""
-    yield from wrapped(f"{again} measures what is missing: {', '.join(missing)}." if missing else f"{again} made this section.")
+    yield from wrapped(
+        f"{again} measures what is missing: {', '.join(missing)}."
+        if missing
+        else f"{again} made this section."
+    )
     yield from ("", *measured_on(measured), "") if measured else ("",)
 
 
@@ -230,7 +269,15 @@ def _cells(row: Row) -> tuple[str, ...]:
     until = [_median(row.until(what)) for what in ("steps", "simulated_hours", "cpu_seconds")]
     spent = [entry["cpu_seconds"] for entry in row.entries]
     marked = f"{row.name}{', earlier version' if row.outdated else ''}"
-    return (marked, _success(row.held) or "not defined", _return(row), seeds, *until, _number(fmean(spent)), limit)
+    return (
+        marked,
+        _success(row.held) or "not defined",
+        _return(row),
+        seeds,
+        *until,
+        _number(fmean(spent)),
+        limit,
+    )
 
 
 def limit_of(task: Task, cell: Cell) -> int:
@@ -251,7 +298,9 @@ def _success(held: Sequence[Entry]) -> str:
 
 def _return(row: Row) -> str:
     assert row.cell.training is not None
-    interval = return_interval(row.held, possible_returns(measure.compiled(row.task.scenario, row.cell.training.sets)))
+    interval = return_interval(
+        row.held, possible_returns(measure.compiled(row.task.scenario, row.cell.training.sets))
+    )
     spread = "no interval" if interval is None else f"{number(interval[0])} .. {number(interval[1])}"
     return f"{number(fmean(entry['mean_return'] for entry in row.held))} ({spread})"
 
@@ -262,7 +311,10 @@ def _percent(share: float) -> str:
 
 def _median(values: Sequence[float]) -> str:
     """The median, and the range of the seeds."""
-    low, middle, high = (_number(value) if math.isfinite(value) else "never" for value in (min(values), median(values), max(values)))
+    low, middle, high = (
+        _number(value) if math.isfinite(value) else "never"
+        for value in (min(values), median(values), max(values))
+    )
     return middle if low == high else f"{middle} ({low} .. {high})"
 
 
@@ -292,10 +344,14 @@ def _advice(task: Task, found: Sequence[Row]) -> str:
         how = f". No algorithm has solved the task here{' so far' if missing else ''}"
     elif len(measured) == 1:
         how = (
-            f". {best.cell.algorithm} solves the task with {best.solved} of {_seeds(len(best.entries))}; no other algorithm is measured yet"
+            f". {best.cell.algorithm} solves the task with {best.solved} of {_seeds(len(best.entries))};"
+            " no other algorithm is measured yet"
         )
     else:
         among = f" of those measured so far ({', '.join(measured)})" if missing else ""
-        how = f"{', which' if best.is_own else f', although {best.cell.algorithm}'} is first{among}: it solves the task"
+        how = (
+            f"{', which' if best.is_own else f', although {best.cell.algorithm}'} is first{among}: it"
+            " solves the task"
+        )
         how += f" with {best.solved} of {_seeds(len(best.entries))}, in the least CPU time"
     return f"The scenario recommends {algorithm}{how}. {task.advice}".rstrip()

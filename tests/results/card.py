@@ -1,4 +1,5 @@
-"""The card of an experiment, as Markdown: its main result, curves, bars, seeds, held-out episodes and commands."""
+"""The card of an experiment, as Markdown: its main result, curves, bars, seeds, held-out episodes and
+commands."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
 
 def wrapped(text: str, indent: str = "") -> list[str]:
     """A paragraph in lines of the width of the other pages."""
-    return textwrap.wrap(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return textwrap.wrap(
+        text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def number(value: float, digits: int = 4) -> str:
@@ -47,7 +50,10 @@ def card_title(experiment: Experiment) -> str:
 
 def share(entry: Entry) -> str:
     """`99.2 % (98.9 .. 99.4)`."""
-    rate, low, high = (f"{100 * value:.1f}".removesuffix(".0") for value in (entry["success_rate"], *entry["success_interval"]))
+    rate, low, high = (
+        f"{100 * value:.1f}".removesuffix(".0")
+        for value in (entry["success_rate"], *entry["success_interval"])
+    )
     return f"{rate} % ({low} .. {high})"
 
 
@@ -89,7 +95,13 @@ def card(standing: Standing) -> str:
         return "\n".join([*title, "Not measured yet.", "", *prose]).rstrip() + "\n"
     lines = [*title, *_headline(standing), *prose]
     if standing.outdated:
-        lines += [*wrapped(f"**Measured on an earlier version of the scenario or of the experiment:** {', '.join(standing.outdated)}."), ""]
+        lines += [
+            *wrapped(
+                "**Measured on an earlier version of the scenario or of the experiment:**"
+                f" {', '.join(standing.outdated)}."
+            ),
+            "",
+        ]
     if any(standing.record["trainings"].values()):
         lines += [f"![Learning curves of {experiment.title}](../images/results/{experiment.name}.svg)", ""]
     rows = [(verdict.what, verdict.asked, verdict.measured, verdict.word) for verdict in standing.verdicts()]
@@ -105,7 +117,17 @@ def card(standing: Standing) -> str:
         "```",
         "",
     ]
-    return "\n".join([*lines, *measured_on(measured), "", "[Method](../results.md#method), [all scenarios](../worlds.md)."]) + "\n"
+    return (
+        "\n".join(
+            [
+                *lines,
+                *measured_on(measured),
+                "",
+                "[Method](../results.md#method), [all scenarios](../worlds.md).",
+            ]
+        )
+        + "\n"
+    )
 
 
 def _headline(standing: Standing) -> Iterator[str]:
@@ -114,8 +136,18 @@ def _headline(standing: Standing) -> Iterator[str]:
     if found:
         what = "success" if found.held["success_defined"] else "mean return"
         case = f", case `{standing.experiment.case}`" if standing.experiment.case else ""
-        head = [f"{what} in {count(found.held['episodes'])} held-out episodes{case}", "seeds", "simulated hours", "CPU of a training"]
-        row = [f"**{outcome(found.held)}**", str(found.seeds), number(found.simulated_hours, 3), f"{number(found.cpu_seconds, 3)} s"]
+        head = [
+            f"{what} in {count(found.held['episodes'])} held-out episodes{case}",
+            "seeds",
+            "simulated hours",
+            "CPU of a training",
+        ]
+        row = [
+            f"**{outcome(found.held)}**",
+            str(found.seeds),
+            number(found.simulated_hours, 3),
+            f"{number(found.cpu_seconds, 3)} s",
+        ]
         if found.random:
             head[1:1], row[1:1] = ["random policy"], [outcome(found.random)]
         yield from (*table(head, [row]), "")
@@ -124,7 +156,11 @@ def _headline(standing: Standing) -> Iterator[str]:
 def _seeds(standing: Standing, training: Training) -> list[str]:
     """A row for each seed, and for each stage of its curriculum."""
     seeds, main = standing.seeds(training), standing.experiment.trainings[0]
-    title = "The training of the scenario" if training is main else f"The training `{training.name}`, {training.words}"
+    title = (
+        "The training of the scenario"
+        if training is main
+        else f"The training `{training.name}`, {training.words}"
+    )
     if not seeds:
         return [f"{title}: not measured.", ""]
     has_criterion = measure.compiled(standing.experiment.scenario, training.sets).agent.solved is not None
@@ -132,20 +168,44 @@ def _seeds(standing: Standing, training: Training) -> list[str]:
     rows = []
     for seed, entry in seeds.items():
         solved, resumed = entry["solved_at"], entry["times_resumed"]
-        after = (_counts(solved["steps"], solved["episode"]), number(solved["simulated_hours"], 3)) if solved else ("not solved", "")
-        cpu = f"{number(entry['cpu_seconds'], 3)} s" + (f", resumed {'once' if resumed == 1 else f'{resumed} times'}" if resumed else "")
-        rows.append((str(seed), *after, _counts(entry["steps"], entry["episodes"]), number(entry["simulated_hours"], 3), cpu))
+        after = (
+            (_counts(solved["steps"], solved["episode"]), number(solved["simulated_hours"], 3))
+            if solved
+            else ("not solved", "")
+        )
+        cpu = f"{number(entry['cpu_seconds'], 3)} s" + (
+            f", resumed {'once' if resumed == 1 else f'{resumed} times'}" if resumed else ""
+        )
+        rows.append(
+            (
+                str(seed),
+                *after,
+                _counts(entry["steps"], entry["episodes"]),
+                number(entry["simulated_hours"], 3),
+                cpu,
+            )
+        )
     if not has_criterion:
         head, rows = [head[0], *head[3:]], [(row[0], *row[3:]) for row in rows]
     lines = [*([f"{title}:", ""] if len(standing.experiment.trainings) > 1 else []), *table(head, rows), ""]
     stages = [
-        (str(seed), f"`{end['name']}`", _counts(end["steps"], end["episodes"]), number(end["simulated_hours"], 3))
+        (
+            str(seed),
+            f"`{end['name']}`",
+            _counts(end["steps"], end["episodes"]),
+            number(end["simulated_hours"], 3),
+        )
         for seed, entry in seeds.items()
         for end in entry["stages"]
     ]
     if stages:
         ends = ", ".join(f"seed {seed} in `{entry['stage']}`" for seed, entry in seeds.items())
-        lines += [*table(("seed", "stage", "done after", "simulated hours"), stages), "", f"The training ended in the stage: {ends}.", ""]
+        lines += [
+            *table(("seed", "stage", "done after", "simulated hours"), stages),
+            "",
+            f"The training ended in the stage: {ends}.",
+            "",
+        ]
     return lines
 
 
@@ -159,8 +219,14 @@ def _episodes(standing: Standing) -> list[str]:
     for training in standing.experiment.trainings:
         for evaluation in training.evaluations:
             seeds = standing.seeds(training).items()
-            held = {seed: entry["evaluations"][evaluation.name] for seed, entry in seeds if evaluation.name in entry["evaluations"]}
-            name = ("" if training.name == "main" else f"{training.name}: ") + (evaluation.words or evaluation.name.replace("_", " "))
+            held = {
+                seed: entry["evaluations"][evaluation.name]
+                for seed, entry in seeds
+                if evaluation.name in entry["evaluations"]
+            }
+            name = ("" if training.name == "main" else f"{training.name}: ") + (
+                evaluation.words or evaluation.name.replace("_", " ")
+            )
             rows += _held(name, held)
             for case in dict.fromkeys(case for entry in held.values() for case in entry["cases"]):
                 known = {seed: entry["cases"][case] for seed, entry in held.items() if case in entry["cases"]}
@@ -168,7 +234,9 @@ def _episodes(standing: Standing) -> list[str]:
     tried = standing.record["baselines"]
     for baseline in standing.experiment.baselines:
         if baseline.name in tried:
-            rows.append((baseline.words or baseline.name.replace("_", " "), "", *_outcome(tried[baseline.name])))
+            rows.append(
+                (baseline.words or baseline.name.replace("_", " "), "", *_outcome(tried[baseline.name]))
+            )
     if not rows:
         return []
     head = ("episodes", "seed", "number", "succeed", "mean return", "worst, best", "ended by")
@@ -193,6 +261,10 @@ def _outcome(result: Entry) -> tuple[str, ...]:
 def _commands(standing: Standing) -> list[str]:
     """Of trainings, evaluations and baselines, each once."""
     scenario = standing.experiment.scenario
-    trained = [measure.asked_training(scenario, training, "N").command for training in standing.experiment.trainings]
-    held = [entry["command"] for entry in standing.entries() if "episodes" in entry and "evaluations" not in entry]
+    trained = [
+        measure.asked_training(scenario, training, "N").command for training in standing.experiment.trainings
+    ]
+    held = [
+        entry["command"] for entry in standing.entries() if "episodes" in entry and "evaluations" not in entry
+    ]
     return list(dict.fromkeys([*trained, *held]))

@@ -4,18 +4,25 @@ To put a scenario on the results page, write `tests/results/experiments/<scenari
 
     EXPERIMENTS = (Experiment(scenario="...", ...),)
 
-in it (`experiments/cartpole.py` is a short one), or enter the scenario with a reason in `experiments/not_measured.py`. Then
-`make results SCENARIO=<scenario>` measures and renders. A bar looks at a figure:
+in it (`experiments/cartpole.py` is a short one), or enter the scenario with a reason in
+`experiments/not_measured.py`. Then `make results SCENARIO=<scenario>` measures and renders. A bar looks at a
+figure:
 
-    Bar(Solved("simulated_hours"), at_most=1.3)                                  every seed solved within 1.3 h
-    Bar(Crossed(0.9, "simulated_hours"), at_most=3, stretch=True)                mean of 100 episodes at least 0.9 within 3 h
-    Bar(Held("success_rate", case="few"), at_least=0.92, over="mean")            mean of the seeds, over an evaluation
-    Bar(Tried("forward", "successes"), at_most=0)                                of a baseline, which has no seeds
+    Bar(Solved("simulated_hours"), at_most=1.3)                                  every seed solved within 1.3
+                                                                                 h
+    Bar(Crossed(0.9, "simulated_hours"), at_most=3, stretch=True)                mean of 100 episodes at least
+                                                                                 0.9 within 3 h
+    Bar(Held("success_rate", case="few"), at_least=0.92, over="mean")            mean of the seeds, over an
+                                                                                 evaluation
+    Bar(Tried("forward", "successes"), at_most=0)                                of a baseline, which has no
+                                                                                 seeds
     Bar(Trained("cpu_seconds"), at_most=60)                                      of the training itself
-    Bar(Ahead("random"), at_least=0)                                             better than random for sure, where no figure is set
+    Bar(Ahead("random"), at_least=0)                                             better than random for sure,
+                                                                                 where no figure is set
 
-Reported seeds count from 101; 0 to 9 are for tuning and never appear here. A second training, such as a longer one for a stretch
-or one with another algorithm, has a name of its own, which figures take as `training=`.
+Reported seeds count from 101; 0 to 9 are for tuning and never appear here. A second training, such as a
+longer one for a stretch or one with another algorithm, has a name of its own, which figures take as
+`training=`.
 """
 
 from __future__ import annotations
@@ -42,10 +49,11 @@ def seeds(count: int, first: int = FIRST_SEED) -> tuple[int, ...]:
 class Evaluation:
     """Held-out episodes of each trained policy of a training.
 
-    Without `case`, the scenario itself and all of its cases are gone through, `episodes` each (None: what the scenario says). `scenario`
-    is another one to evaluate in, by name or as a path from the root of the repository; its interface must be the same. The model is the
-    best of the training, or the `last`. `words` are shown in the place of the name. Without a `seed`, a training that a confirmation ended
-    is evaluated from the starts of the confirmation, which it passed.
+    Without `case`, the scenario itself and all of its cases are gone through, `episodes` each (None: what the
+    scenario says). `scenario` is another one to evaluate in, by name or as a path from the root of the
+    repository; its interface must be the same. The model is the best of the training, or the `last`. `words`
+    are shown in the place of the name. Without a `seed`, a training that a confirmation ended is evaluated
+    from the starts of the confirmation, which it passed.
     """
 
     name: str = "held_out"
@@ -59,14 +67,20 @@ class Evaluation:
     @property
     def options(self) -> tuple[str, ...]:
         """Of `deepbots eval`."""
-        given = (("--scenario", self.scenario), ("--case", self.case), ("--episodes", self.episodes), ("--seed", self.seed))
+        given = (
+            ("--scenario", self.scenario),
+            ("--case", self.case),
+            ("--episodes", self.episodes),
+            ("--seed", self.seed),
+        )
         found = tuple(word for option, value in given if value is not None for word in (option, str(value)))
         return (*found, *(("--last",) if self.last else ()))
 
 
 @dataclass(frozen=True)
 class Training:
-    """One training for each seed; `full` goes on when the task is solved, `timesteps` replaces the scenario's number.
+    """One training for each seed; `full` goes on when the task is solved, `timesteps` replaces the scenario's
+    number.
 
     `words` say what sets it apart from the other trainings of the experiment.
     """
@@ -89,7 +103,8 @@ class Training:
 
 @dataclass(frozen=True)
 class Baseline:
-    """Episodes of a policy that learned nothing: `--driver random`, `--driver forward` or `--driver rocking`."""
+    """Episodes of a policy that learned nothing: `--driver random`, `--driver forward` or `--driver
+    rocking`."""
 
     name: str
     options: tuple[str, ...]
@@ -126,8 +141,8 @@ _NAMES = {
 class Figure(Protocol):
     """A figure of a record in `words`, with one value for each seed of a `training`, or a single one (None).
 
-    A number `what` is told in its unit. What never happened, such as a task that was not solved, is an infinity: more hours than any bar
-    allows.
+    A number `what` is told in its unit. What never happened, such as a task that was not solved, is an
+    infinity: more hours than any bar allows.
     """
 
     @property
@@ -170,7 +185,8 @@ class Solved:
 
 @dataclass(frozen=True)
 class Crossed:
-    """When the mean of 100 consecutive training episodes first was at least `threshold`, in the last stage of a curriculum.
+    """When the mean of 100 consecutive training episodes first was at least `threshold`, in the last stage of
+    a curriculum.
 
     `key` is its name in a record.
     """
@@ -186,7 +202,11 @@ class Crossed:
 
     @property
     def words(self) -> str:
-        goal = f"a mean return of {self.threshold:g}" if self.metric == "return" else f"{100 * self.threshold:.4g} % successes"
+        goal = (
+            f"a mean return of {self.threshold:g}"
+            if self.metric == "return"
+            else f"{100 * self.threshold:.4g} % successes"
+        )
         return f"{_named(self.what)} until {goal} over 100 episodes"
 
     def values(self, record: Record) -> list[float]:
@@ -223,13 +243,23 @@ class Held:
 
     @property
     def words(self) -> str:
-        place = f"case {self.case}" if self.case else "" if self.evaluation == "held_out" else self.evaluation.replace("_", " ")
+        place = (
+            f"case {self.case}"
+            if self.case
+            else ""
+            if self.evaluation == "held_out"
+            else self.evaluation.replace("_", " ")
+        )
         return f"{_named(self.what)}, held out{place and f', {place}'}"
 
     def entries(self, record: Record) -> list[Record]:
         """What was evaluated, for each seed that was."""
         found = [seed["evaluations"].get(self.evaluation) for seed in seeds_of(record, self.training)]
-        return [e if self.case is None else e["cases"][self.case] for e in found if e and (self.case is None or self.case in e["cases"])]
+        return [
+            e if self.case is None else e["cases"][self.case]
+            for e in found
+            if e and (self.case is None or self.case in e["cases"])
+        ]
 
     def values(self, record: Record) -> list[float]:
         return [float(entry[self.what]) for entry in self.entries(record)]
@@ -254,7 +284,8 @@ class Tried:
 
 @dataclass(frozen=True)
 class Ahead:
-    """How far the mean return of a trained policy is above that of a baseline, with their intervals of 95 % between them."""
+    """How far the mean return of a trained policy is above that of a baseline, with their intervals of 95 %
+    between them."""
 
     baseline: str = "random"
     evaluation: str = "held_out"
@@ -264,12 +295,19 @@ class Ahead:
 
     @property
     def words(self) -> str:
-        return f"{Held('mean_return', self.evaluation, self.case).words}, beyond the intervals above {self.baseline.replace('_', ' ')}"
+        return (
+            f"{Held('mean_return', self.evaluation, self.case).words}, beyond the intervals above"
+            f" {self.baseline.replace('_', ' ')}"
+        )
 
     def values(self, record: Record) -> list[float]:
         base = record.get("baselines", {}).get(self.baseline)
         held = Held("mean_return", self.evaluation, self.case, self.training).entries(record)
-        return [] if base is None else [entry["return_interval"][0] - base["return_interval"][1] for entry in held]
+        return (
+            []
+            if base is None
+            else [entry["return_interval"][0] - base["return_interval"][1] for entry in held]
+        )
 
 
 def told(value: float, what: str) -> str:
@@ -287,8 +325,8 @@ def told(value: float, what: str) -> str:
 class Bar:
     """A figure and what is asked of it, in every seed or of the mean or median of the seeds.
 
-    Of a bar for all seeds, `misses` seeds may miss it. A stretch bar goes beyond what is asked, and to miss it is no failure. `words`
-    replaces the words of the figure.
+    Of a bar for all seeds, `misses` seeds may miss it. A stretch bar goes beyond what is asked, and to miss
+    it is no failure. `words` replaces the words of the figure.
     """
 
     figure: Figure
@@ -310,7 +348,8 @@ class Bar:
 
 @dataclass(frozen=True)
 class Mark:
-    """A labeled line in the picture of the learning curves: level at a `value`, or upright at a number of simulated `hours`."""
+    """A labeled line in the picture of the learning curves: level at a `value`, or upright at a number of
+    simulated `hours`."""
 
     words: str
     value: float | None = None
@@ -328,12 +367,13 @@ class Beside:
 
 @dataclass(frozen=True)
 class Experiment:
-    """All that is measured of one scenario: a shipped one by name, or a file by its path from the root of the repository.
+    """All that is measured of one scenario: a shipped one by name, or a file by its path from the root of the
+    repository.
 
-    `prose` and `paper` are paragraphs of its card: how to read the figures, and the results of others. `beside` are rows of the table
-    beside the paper. `case` is the one shown on the page of results; the scenario itself by default. `curve` is what the
-    picture shows: the mean return of 100 episodes, or their share of successes. `engines` are compared by their speed. Records of a
-    `group` have a folder of its name.
+    `prose` and `paper` are paragraphs of its card: how to read the figures, and the results of others.
+    `beside` are rows of the table beside the paper. `case` is the one shown on the page of results; the
+    scenario itself by default. `curve` is what the picture shows: the mean return of 100 episodes, or their
+    share of successes. `engines` are compared by their speed. Records of a `group` have a folder of its name.
     """
 
     scenario: str
@@ -380,6 +420,14 @@ _FIRST = (
 @cache
 def experiments() -> dict[str, Experiment]:
     """Those of the modules in experiments/, by name, in the order of the page."""
-    names = sorted(path.stem for path in (Path(__file__).parent / "experiments").glob("*.py") if path.stem != "not_measured")
-    found = {one.name: one for name in names for one in import_module(f"tests.results.experiments.{name}").EXPERIMENTS}
+    names = sorted(
+        path.stem
+        for path in (Path(__file__).parent / "experiments").glob("*.py")
+        if path.stem != "not_measured"
+    )
+    found = {
+        one.name: one
+        for name in names
+        for one in import_module(f"tests.results.experiments.{name}").EXPERIMENTS
+    }
     return {name: found[name] for name in (*_FIRST, *sorted(set(found) - set(_FIRST)))}

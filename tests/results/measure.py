@@ -1,7 +1,8 @@
 """Measures what is missing of a scenario or a part, piece by piece, with the commands that the page shows.
 
-A piece is an entry of a record in docs/results. It counts as long as its command line and the digest of its scenario are what is asked
-for now. A measurement may be stopped at any time: what is finished is in the record, and a training goes on from its last checkpoint.
+A piece is an entry of a record in docs/results. It counts as long as its command line and the digest of its
+scenario are what is asked for now. A measurement may be stopped at any time: what is finished is in the
+record, and a training goes on from its last checkpoint.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ from typing import Any, NamedTuple
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.expressions.scalar import Scalar
+from deepbots_cli.learning.directories import write_text
 from deepbots_cli.learning.episodes import read_log
-from deepbots_cli.learning.run import Run, versions, write_text
+from deepbots_cli.learning.records import versions
+from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Evaluation as EvaluationSettings
 from tests.results.experiment import Baseline, Crossed, Evaluation, Experiment, Training
@@ -56,8 +59,8 @@ KEPT = (
 
 @dataclass(frozen=True)
 class Places:
-    """`records` holds a JSON file for each scenario and part, and a card for each scenario; `pictures` the learning curves, `runs` what was
-    trained.
+    """`records` holds a JSON file for each scenario and part, and a card for each scenario; `pictures` the
+    learning curves, `runs` what was trained.
     """
 
     records: Path = ROOT / "docs" / "results"
@@ -117,7 +120,8 @@ def circumstances() -> dict[str, Any]:
 
 
 class Asked(NamedTuple):
-    """The digest of a scenario or of the sources, and a command as the page has it: with RUN for what a training made."""
+    """The digest of a scenario or of the sources, and a command as the page has it: with RUN for what a
+    training made."""
 
     digest: str
     command: str
@@ -159,7 +163,15 @@ def asked_baseline(scenario: str, wanted: Baseline) -> Asked:
 
 def asked_speeds(scenario: str, engines: tuple[str, ...]) -> Asked:
     """Steps of the world, with whatever policy; `--quick` takes a few seconds."""
-    found = digest(_with(compiled(scenario), {"scripts": (), "training": None}, curriculum=(), cases=(), evaluation=EvaluationSettings()))
+    found = digest(
+        _with(
+            compiled(scenario),
+            {"scripts": (), "training": None},
+            curriculum=(),
+            cases=(),
+            evaluation=EvaluationSettings(),
+        )
+    )
     return Asked(found, shlex.join(["deepbots", "bench", scenario, "--engine", ",".join(engines), "--quick"]))
 
 
@@ -167,26 +179,35 @@ def asked_speeds(scenario: str, engines: tuple[str, ...]) -> Asked:
 def compiled(scenario: str, sets: tuple[str, ...] = ()) -> Program:
     """A shipped scenario by name, or one by its path from the root of the repository."""
     file = ROOT / scenario
-    return api.compile(str(file) if file.suffix == ".yaml" and file.is_file() else scenario, overrides=sets).program
+    return api.compile(
+        str(file) if file.suffix == ".yaml" and file.is_file() else scenario, overrides=sets
+    ).program
 
 
 def _with(program: Program, policy: Mapping[str, Any], **changes: Any) -> Program:
     """The scenario with other fields, also of its policies, in its cases and stages too."""
     cases = tuple(replace(case, program=_with(case.program, policy, **changes)) for case in program.cases)
-    curriculum = tuple(replace(stage, program=_with(stage.program, policy, **changes)) for stage in program.curriculum)
+    curriculum = tuple(
+        replace(stage, program=_with(stage.program, policy, **changes)) for stage in program.curriculum
+    )
     return replace(program.with_agents(**policy), **{"cases": cases, "curriculum": curriculum, **changes})
 
 
 def digest(program: Program) -> str:
-    """SHA-256, in hexadecimal, of all that differs from a default; a new feature leaves the figures of scenarios without it alone."""
-    return hashlib.sha256(json.dumps(_plain(_with(program, {}, summary="")), sort_keys=True).encode()).hexdigest()
+    """SHA-256, in hexadecimal, of all that differs from a default; a new feature leaves the figures of
+    scenarios without it alone."""
+    return hashlib.sha256(
+        json.dumps(_plain(_with(program, {}, summary="")), sort_keys=True).encode()
+    ).hexdigest()
 
 
 def _plain(value: object) -> Any:
     inside = identity.record_members(value)
     if inside is not None:
         defaults = _defaults(type(value))
-        known = {name: _plain(given) for name, given in inside.items() if given != defaults.get(name, MISSING)}
+        known = {
+            name: _plain(given) for name, given in inside.items() if given != defaults.get(name, MISSING)
+        }
         return {"is": type(value).__name__} | known
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
@@ -197,7 +218,10 @@ def _plain(value: object) -> Any:
 def _defaults(kind: type) -> dict[str, Any]:
     if issubclass(kind, Scalar):
         return kind._field_defaults
-    return {field.name: field.default if field.default_factory is MISSING else field.default_factory() for field in fields(kind)}
+    return {
+        field.name: field.default if field.default_factory is MISSING else field.default_factory()
+        for field in fields(kind)
+    }
 
 
 @cache
@@ -243,12 +267,20 @@ def pieces(subject: Experiment | Part, places: Places) -> Iterator[Piece]:
     if isinstance(subject, Part):
         for table in subject.tables:
             asked = partial(lambda command: Asked(sources(), command), table.command)
-            yield Piece(f"{subject.name}: {table.name}", record, ("tables", table.name), asked, partial(_table, table))
+            yield Piece(
+                f"{subject.name}: {table.name}", record, ("tables", table.name), asked, partial(_table, table)
+            )
         return
     scenario = subject.scenario
     if subject.engines:
         asked = partial(asked_speeds, scenario, subject.engines)
-        yield Piece(f"{subject.name}: engines", record, ("engines",), asked, partial(_speeds, scenario, subject.engines))
+        yield Piece(
+            f"{subject.name}: engines",
+            record,
+            ("engines",),
+            asked,
+            partial(_speeds, scenario, subject.engines),
+        )
     for training in subject.trainings:
         for seed in training.seeds:
             name = f"{subject.name} {seed}" + ("" if training.name == "main" else f" ({training.name})")
@@ -257,11 +289,24 @@ def pieces(subject: Experiment | Part, places: Places) -> Iterator[Piece]:
             asked = partial(asked_training, scenario, training, seed)
             crossings = _crossings(subject, training)
             train = partial(_train, scenario, training, seed, folder, crossings)
-            yield Piece(f"{name}: training", record, keys, asked, train, frozenset(crossed.key for crossed in crossings))
+            yield Piece(
+                f"{name}: training",
+                record,
+                keys,
+                asked,
+                train,
+                frozenset(crossed.key for crossed in crossings),
+            )
             for evaluation in training.evaluations:
                 asked = partial(asked_evaluation, scenario, training, evaluation)
                 measure = partial(_evaluate, scenario, training, seed, folder, evaluation)
-                yield Piece(f"{name}: {evaluation.name}", record, (*keys, "evaluations", evaluation.name), asked, measure)
+                yield Piece(
+                    f"{name}: {evaluation.name}",
+                    record,
+                    (*keys, "evaluations", evaluation.name),
+                    asked,
+                    measure,
+                )
     for baseline in subject.baselines:
         asked = partial(asked_baseline, scenario, baseline)
         measure = partial(_try, scenario, baseline)
@@ -291,14 +336,18 @@ def deepbots(*words: str) -> tuple[Any, float]:
 def _python(*words: str) -> tuple[str, int, float]:
     """`python -m ...` at the root of the repository: what it prints, its exit code and its CPU seconds."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False
+    )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return done.stdout, done.returncode, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def _folder(experiment: Experiment, training: Training, seed: int, places: Places) -> Path:
     """The run directory: one of its own for whatever is asked for."""
-    key = hashlib.sha256(" ".join(asked_training(experiment.scenario, training, seed)).encode()).hexdigest()[:10]
+    key = hashlib.sha256(" ".join(asked_training(experiment.scenario, training, seed)).encode()).hexdigest()[
+        :10
+    ]
     return places.runs / experiment.name / f"{training.name}-{seed}-{key}"
 
 
@@ -318,7 +367,9 @@ def _trained(scenario: str, training: Training, seed: int, folder: Path) -> tupl
     return Run.open(folder), seconds
 
 
-def _train(scenario: str, training: Training, seed: int, folder: Callable[[], Path], crossings: list[Crossed]) -> dict[str, Any]:
+def _train(
+    scenario: str, training: Training, seed: int, folder: Callable[[], Path], crossings: list[Crossed]
+) -> dict[str, Any]:
     run, seconds = _trained(scenario, training, seed, folder())
     result = run.record.result
     assert result is not None  # it is finished
@@ -328,19 +379,25 @@ def _train(scenario: str, training: Training, seed: int, folder: Callable[[], Pa
         "steps": result.steps,
         "episodes": result.episodes,
         "simulated_hours": round(result.simulated_hours, 4),
-        # Of a training that was stopped, the process that ended it does not know the time of the others; the run does.
+        # Of a training that was stopped, the process that ended it does not know the time of the others; the
+        # run does.
         "cpu_seconds": round(max(seconds, result.cpu_seconds), 1),
         "times_resumed": len(run.record.resumed_at),
         "solved_at": None if result.solved_at is None else asdict(result.solved_at),
         "stage": result.stage,
-        "stages": [asdict(end) | {"simulated_hours": round(end.steps * run.program.period / 3600, 4)} for end in result.stages],
+        "stages": [
+            asdict(end) | {"simulated_hours": round(end.steps * run.program.period / 3600, 4)}
+            for end in result.stages
+        ],
         "crossings": {wanted.key: crossing(curve, wanted, last) for wanted in crossings},
         "curve": thinned(curve),
         "evaluations": {},
     }
 
 
-def _evaluate(scenario: str, training: Training, seed: int, folder: Callable[[], Path], evaluation: Evaluation) -> dict[str, Any]:
+def _evaluate(
+    scenario: str, training: Training, seed: int, folder: Callable[[], Path], evaluation: Evaluation
+) -> dict[str, Any]:
     words = [str(_trained(scenario, training, seed, folder())[0].path), *evaluation.options]
     if evaluation.scenario is None and not training.sets:
         words += ["--scenario", scenario]  # whose cases may have come after the training
@@ -357,14 +414,24 @@ def _try(scenario: str, baseline: Baseline) -> dict[str, Any]:
 def _speeds(scenario: str, engines: tuple[str, ...]) -> dict[str, Any]:
     words = shlex.split(asked_speeds(scenario, engines).command)[1:]
     found, seconds = deepbots(*words)
-    return {"cpu_seconds": round(seconds, 1), "step_us": {row["engine"]: round(row["step_us"], 1) for row in found}}
+    return {
+        "cpu_seconds": round(seconds, 1),
+        "step_us": {row["engine"]: round(row["step_us"], 1) for row in found},
+    }
 
 
 def _table(table: Any) -> dict[str, Any]:
     if isinstance(table, Holding):
         chosen = ["-k", table.expression, "-m", table.marker]
         text, code, seconds = _python(
-            "pytest", table.folder, *chosen, "-p", "no:cacheprovider", "-o", "addopts=--import-mode=importlib", "-q"
+            "pytest",
+            table.folder,
+            *chosen,
+            "-p",
+            "no:cacheprovider",
+            "-o",
+            "addopts=--import-mode=importlib",
+            "-q",
         )
         if code not in (0, 1):
             raise CommandError(code, f"{table.command}\n{text}")
@@ -383,7 +450,8 @@ def _table(table: Any) -> dict[str, Any]:
 
 
 class Point(NamedTuple):
-    """Means over the last 100 episodes of the stage, or over as many as there are; `full` says that there are as many."""
+    """Means over the last 100 episodes of the stage, or over as many as there are; `full` says that there are
+    as many."""
 
     episode: int
     steps: int
@@ -395,7 +463,8 @@ class Point(NamedTuple):
 
 
 def points(monitor: Path) -> list[Point]:
-    """A point for each episode of the stage that the training is in; those that began in an earlier stage are left out."""
+    """A point for each episode of the stage that the training is in; those that began in an earlier stage are
+    left out."""
     recent: deque[tuple[float, bool]] = deque(maxlen=WINDOW)
     begun: list[str] = []
     found = []
@@ -412,7 +481,8 @@ def points(monitor: Path) -> list[Point]:
 
 
 def thinned(curve: list[Point]) -> dict[str, list[float]]:
-    """At most 200 points, the last of each of as many stretches of time; the first nine episodes say nothing yet."""
+    """At most 200 points, the last of each of as many stretches of time; the first nine episodes say nothing
+    yet."""
     known = curve[9:] or curve
     width = known[-1].simulated_hours / POINTS if known else 0.0
     kept = {math.ceil(point.simulated_hours / width): point for point in known}.values()
@@ -424,7 +494,8 @@ def thinned(curve: list[Point]) -> dict[str, list[float]]:
 
 
 def crossing(curve: list[Point], wanted: Crossed, stage: str = "") -> dict[str, Any] | None:
-    """The first mean over 100 episodes of the last `stage` that reaches the threshold; None if there is none."""
+    """The first mean over 100 episodes of the last `stage` that reaches the threshold; None if there is
+    none."""
     for point in curve:
         value = point.mean_return if wanted.metric == "return" else point.success
         if point.full and point.stage == stage and value >= wanted.threshold:

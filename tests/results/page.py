@@ -1,4 +1,5 @@
-"""The pages of results: docs/results.md, docs/reference/measurements.md and a card for each scenario, from the records alone.
+"""The pages of results: docs/results.md, docs/reference/measurements.md and a card for each scenario, from
+the records alone.
 
 What is compiled anew is only compared by its digest.
 """
@@ -11,9 +12,20 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from deepbots_cli.learning.run import write_text
+from deepbots_cli.learning.directories import write_text
 from tests.results import measure, picture
-from tests.results.card import NOTE, card, card_title, count, measured_on, number, outcome, slug, table, wrapped
+from tests.results.card import (
+    NOTE,
+    card,
+    card_title,
+    count,
+    measured_on,
+    number,
+    outcome,
+    slug,
+    table,
+    wrapped,
+)
 from tests.results.experiment import Experiment, Held
 from tests.results.experiments.not_measured import REASONS
 from tests.results.measure import ROOT, Places
@@ -54,7 +66,8 @@ METHOD = """\
 
 
 def write(places: Places, experiments: Experiments) -> str:
-    """Write the pages, and the pictures whose data have changed; returns how many bars are met, in a sentence."""
+    """Write the pages, and the pictures whose data have changed; returns how many bars are met, in a
+    sentence."""
     for path, text in pages(places, experiments).items():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text)
@@ -72,7 +85,9 @@ def pages(places: Places, experiments: Experiments) -> dict[Path, str]:
 
 
 def _measured(places: Places, experiments: Experiments) -> tuple[list[Standing], dict[str, Entry]]:
-    standings = [Standing.of(experiment, measure.read(places.record(name))) for name, experiment in experiments.items()]
+    standings = [
+        Standing.of(experiment, measure.read(places.record(name))) for name, experiment in experiments.items()
+    ]
     return standings, {part.name: measure.read(places.record(part.name)).get("tables", {}) for part in PARTS}
 
 
@@ -80,9 +95,24 @@ def _measured(places: Places, experiments: Experiments) -> tuple[list[Standing],
 
 
 def _results(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
-    lines = [HEAD, *table(("task", "figure", "paper", "median", "quartiles", "worst", "seeds"), _beside(standings)), "", BESIDE, "", OTHERS]
-    lines += [*table(("scenario", "result", "random", "seeds", "CPU, s"), _others(standings)), "", *_unmeasured(standings), METHOD]
-    return "\n".join([*lines, *wrapped(f"- **Bars**: {_bars(standings, tables, linked=True)}", indent="  ")]) + "\n"
+    lines = [
+        HEAD,
+        *table(("task", "figure", "paper", "median", "quartiles", "worst", "seeds"), _beside(standings)),
+        "",
+        BESIDE,
+        "",
+        OTHERS,
+    ]
+    lines += [
+        *table(("scenario", "result", "random", "seeds", "CPU, s"), _others(standings)),
+        "",
+        *_unmeasured(standings),
+        METHOD,
+    ]
+    return (
+        "\n".join([*lines, *wrapped(f"- **Bars**: {_bars(standings, tables, linked=True)}", indent="  ")])
+        + "\n"
+    )
 
 
 def _beside(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
@@ -139,12 +169,23 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry], *, linked:
         missed += [f"[{part.title}](reference/measurements.md#{slug(part.title)})"] * (not all(met))
     where = f" ({', '.join(missed)})" if linked and missed else ""
     text = f"{words['met']} met, {words['**missed**']} missed{where}, {words['not measured']} not measured; "
-    text += f"of {words['reached'] + words['not reached']} further goals (stretch), {words['reached']} reached; "
+    text += (
+        f"of {words['reached'] + words['not reached']} further goals (stretch), {words['reached']} reached; "
+    )
     hand = _by_hand()
     text += f"measured {'[by hand](measured.md)' if linked else 'by hand'}: "
     text += f"{', '.join(f'{hand[word]} {word}' for word in ('met', 'missed', 'not shown') if hand[word])}."
-    old = sum(verdict.status != "not measured" for standing in standings if standing.outdated for verdict in standing.verdicts())
-    return f"{text} {old} of these verdicts {'is' if old == 1 else 'are'} of an earlier version of a scenario." if old else text
+    old = sum(
+        verdict.status != "not measured"
+        for standing in standings
+        if standing.outdated
+        for verdict in standing.verdicts()
+    )
+    return (
+        f"{text} {old} of these verdicts {'is' if old == 1 else 'are'} of an earlier version of a scenario."
+        if old
+        else text
+    )
 
 
 def _met(tables: Entry) -> list[bool]:
@@ -160,14 +201,19 @@ def verdicts_by_hand(text: str) -> list[tuple[str, str]]:
 
 def _by_hand() -> Counter[str]:
     verdicts = [verdict for _, verdict in verdicts_by_hand(BY_HAND.read_text("utf-8"))]
-    return Counter("missed" if "missed" in verdict else re.split(r"[,;:]", verdict)[0] for verdict in verdicts)
+    return Counter(
+        "missed" if "missed" in verdict else re.split(r"[,;:]", verdict)[0] for verdict in verdicts
+    )
 
 
 # The page of measurements
 
 
 def _measurements(tables: Mapping[str, Entry]) -> str:
-    intro = "Costs, errors and findings of deepbots, measured by the commands below each table. [Results](../results.md) has the trainings."
+    intro = (
+        "Costs, errors and findings of deepbots, measured by the commands below each table."
+        " [Results](../results.md) has the trainings."
+    )
     lines = [NOTE, "", "# Measurements", "", *wrapped(intro), ""]
     for part in PARTS:
         lines += _lines_of_part(part, tables[part.name])
@@ -176,14 +222,21 @@ def _measurements(tables: Mapping[str, Entry]) -> str:
 
 def _lines_of_part(part: Part, measured: Entry) -> list[str]:
     lines = [f"## {part.title}", "", part.prose, ""]
-    known = [(entry, row) for name in part.tables if (entry := measured.get(name.name)) for row in entry["rows"]]
+    known = [
+        (entry, row) for name in part.tables if (entry := measured.get(name.name)) for row in entry["rows"]
+    ]
     if all(isinstance(table, Holding) for table in part.tables):
         rows = [(row["what"], _passed(row), f"`{entry['command']}`") for entry, row in known]
         lines += table(("what", part.figure, "command"), rows)
     else:
         words = {None: "", True: "yes", False: "**no**"}
         rows_of_bars = [
-            (row["what"], row["bar_words"].rstrip(), f"{_value(row['measured'])} {row['unit']}".rstrip(), words[row["met"]])
+            (
+                row["what"],
+                row["bar_words"].rstrip(),
+                f"{_value(row['measured'])} {row['unit']}".rstrip(),
+                words[row["met"]],
+            )
             for _, row in known
         ]
         lines += table(("what", "bar", part.figure, "met"), rows_of_bars)

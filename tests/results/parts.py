@@ -1,6 +1,7 @@
 """The parts of docs/reference/measurements.md: costs, physics, channel, lint, and what holds.
 
-A table is measured again when anything has changed that it could depend on: the package, the scenarios and robots, the tests.
+A table is measured again when anything has changed that it could depend on: the package, the scenarios and
+robots, the tests.
 """
 
 from __future__ import annotations
@@ -30,13 +31,18 @@ class Holding:
 
     @property
     def command(self) -> str:
-        chosen = [f" {option} '{given}'" for option, given in (("-k", self.expression), ("-m", self.marker)) if given]
+        chosen = [
+            f" {option} '{given}'"
+            for option, given in (("-k", self.expression), ("-m", self.marker))
+            if given
+        ]
         return f"pytest {self.folder}{''.join(chosen)}"
 
 
 @dataclass(frozen=True)
 class Part:
-    """A section of docs/reference/measurements.md with its tables; `figure` heads the column of what was measured."""
+    """A section of docs/reference/measurements.md with its tables; `figure` heads the column of what was
+    measured."""
 
     name: str
     title: str
@@ -56,7 +62,9 @@ says how its style changes the cost). "A plain environment by hand" is one class
 in an arena, and has no bar. Answers of the language server are timed over its standard streams at random places, a quarter of them
 directly after a change of the text. Linting is timed as installed, with compiled modules. Other processes on the machine add 10 to 25 %
 to all times. Beside them, the quadruped had 1.12 to 1.23, and FindBallRandom, which computes its memory in every step, 1.28 to 1.36.""",
-    tables=tuple(map(Benchmark, ("step_cost", "plain_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))),
+    tables=tuple(
+        map(Benchmark, ("step_cost", "plain_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))
+    ),
 )
 PHYSICS = Part(
     name="physics",
@@ -72,7 +80,8 @@ begins after the surfaces met, and has slightly more speed than declared. Smalle
 CHANNEL = Part(
     name="channel",
     title="Channels against what is declared",
-    prose="Each row is of 100 000 messages or more. The p of a chi-square test is the probability that chance alone differs as much "
+    prose="Each row is of 100 000 messages or more. The p of a chi-square test is the probability that"
+    " chance alone differs as much "
     "from the declared values.",
     tables=(Benchmark("channel"),),
 )
@@ -82,15 +91,35 @@ HOLDS = Part(
     prose="Tests of every shipped scenario and of those in the tests, on every engine that supports them.",
     tables=(
         Holding(
-            "same seed, same bytes: two environments, and after episodes of any length", "tests/contract", "same_seed or equals_a_fresh_one"
+            "same seed, same bytes: two environments, and after episodes of any length",
+            "tests/contract",
+            "same_seed or equals_a_fresh_one",
         ),
         Holding("same seed, same bytes: a fresh process", "tests/contract", "fresh_process"),
-        Holding("same bytes in every exact message format, and without messages", "tests/contract", "every_message_format"),
-        Holding("Gymnasium's and Stable-Baselines3's `check_env`, warnings as errors", "tests/contract", "checker_has_nothing_to_say"),
-        Holding("10 000 random steps of every shipped scenario, all figures finite", "tests/world", "for_long_under_random_actions"),
-        Holding("robots of PyBullet's data run with sensors on any link for 1000 steps", "tests/world", "robot_of_a_package_runs"),
         Holding(
-            "queues are empty after every reset, and nothing leaks into the next episode", "tests", "queues_are_empty or nothing_leaks"
+            "same bytes in every exact message format, and without messages",
+            "tests/contract",
+            "every_message_format",
+        ),
+        Holding(
+            "Gymnasium's and Stable-Baselines3's `check_env`, warnings as errors",
+            "tests/contract",
+            "checker_has_nothing_to_say",
+        ),
+        Holding(
+            "10 000 random steps of every shipped scenario, all figures finite",
+            "tests/world",
+            "for_long_under_random_actions",
+        ),
+        Holding(
+            "robots of PyBullet's data run with sensors on any link for 1000 steps",
+            "tests/world",
+            "robot_of_a_package_runs",
+        ),
+        Holding(
+            "queues are empty after every reset, and nothing leaks into the next episode",
+            "tests",
+            "queues_are_empty or nothing_leaks",
         ),
         Holding(
             "channels share no draw, and none changes another",
@@ -119,10 +148,25 @@ Every finding has a case in `tests/golden/lint/err` with its words and places, a
 second one does not. Shipped scenarios, templates and the docs have no findings, also with preview rules; unusual but right scenarios in
 `tests/golden/lint/ok` have none by default.""",
     tables=(
-        Holding("every finding has a mistake as its case", "tests/golden/test_golden_lint.py", "every_rule_has_a_case"),
-        Holding("a mistake is told in the words and at the places that are kept", "tests/golden/test_golden_lint.py", "in_these_words"),
-        Holding("every finding has a page, and the examples of all pages were run", "tests/diagnostics/test_rule_pages.py"),
-        Holding("unusual scenarios that are right: silent", "tests/golden/test_golden_lint.py", "without_mistake_is_silent"),
+        Holding(
+            "every finding has a mistake as its case",
+            "tests/golden/test_golden_lint.py",
+            "every_rule_has_a_case",
+        ),
+        Holding(
+            "a mistake is told in the words and at the places that are kept",
+            "tests/golden/test_golden_lint.py",
+            "in_these_words",
+        ),
+        Holding(
+            "every finding has a page, and the examples of all pages were run",
+            "tests/diagnostics/test_rule_pages.py",
+        ),
+        Holding(
+            "unusual scenarios that are right: silent",
+            "tests/golden/test_golden_lint.py",
+            "without_mistake_is_silent",
+        ),
         Holding("shipped scenarios: silent", "tests/world/test_world_scenarios.py", "has_no_findings"),
         Holding("templates: silent, and they run", "tests/cli/test_cli_new.py", "what_a_template_makes"),
         Holding(
@@ -131,7 +175,8 @@ second one does not. Shipped scenarios, templates and the docs have no findings,
             "in_the_docs_is or have_no_findings or lints_clean",
         ),
         Holding(
-            "the original CartPole: clipped angle, score limit before the step limit, raw bounds, time limit as an ending",
+            "the original CartPole: clipped angle, score limit before the step limit, raw bounds, time limit"
+            " as an ending",
             "tests/golden/test_golden_lint.py",
             "original",
         ),

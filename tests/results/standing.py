@@ -45,16 +45,33 @@ def judge(experiment: Experiment, bar: Bar, record: Entry) -> Verdict:
     seeds = len(experiment.training(figure.training).seeds) if figure.training else 1
     values, what = figure.values(record), bar.words or figure.words
     limit = bar.at_most if bar.at_most is not None else bar.at_least or 0.0
-    whose = "" if seeds == 1 else f", {seeds - bar.misses} of {seeds} seeds" if bar.over == "all" else f", {bar.over} of {seeds} seeds"
-    asked = f"{'stretch: ' if bar.stretch else ''}at {'most' if bar.at_most is not None else 'least'} {told(limit, figure.what)}{whose}"
+    whose = (
+        ""
+        if seeds == 1
+        else f", {seeds - bar.misses} of {seeds} seeds"
+        if bar.over == "all"
+        else f", {bar.over} of {seeds} seeds"
+    )
+    asked = (
+        f"{'stretch: ' if bar.stretch else ''}at {'most' if bar.at_most is not None else 'least'}"
+        f" {told(limit, figure.what)}{whose}"
+    )
     good = sum(map(bar.holds, values))
     is_lost = bar.over == "all" and len(values) - good > bar.misses
     if len(values) < seeds and not is_lost:
-        return Verdict(bar, what, asked, f"{len(values)} of {seeds} seeds" if values and seeds > 1 else "", "not measured")
+        return Verdict(
+            bar,
+            what,
+            asked,
+            f"{len(values)} of {seeds} seeds" if values and seeds > 1 else "",
+            "not measured",
+        )
     if bar.over == "all":  # seeds that fail are a miss, however many are still to come
         worst = max(values) if bar.at_most is not None else min(values)
         so_far = f", {len(values)} measured" if len(values) < seeds else ""
-        measured = told(worst, figure.what) + (f", the worst; {good} of {seeds} seeds{so_far}" if seeds > 1 else "")
+        measured = told(worst, figure.what) + (
+            f", the worst; {good} of {seeds} seeds{so_far}" if seeds > 1 else ""
+        )
         return Verdict(bar, what, asked, measured, "missed" if is_lost else "met")
     value = fmean(values) if bar.over == "mean" else median(values)
     return Verdict(bar, what, asked, told(value, figure.what), "met" if bar.holds(value) else "missed")
@@ -62,9 +79,11 @@ def judge(experiment: Experiment, bar: Bar, record: Entry) -> Verdict:
 
 @dataclass(frozen=True)
 class Standing:
-    """How an experiment stands: what of its record is asked for, what of that is of another version, and which bars are met.
+    """How an experiment stands: what of its record is asked for, what of that is of another version, and
+    which bars are met.
 
-    `record` holds only what the experiment names: seeds and trainings that it had before may still be in the file.
+    `record` holds only what the experiment names: seeds and trainings that it had before may still be in the
+    file.
     """
 
     experiment: Experiment
@@ -74,7 +93,11 @@ class Standing:
     def of(cls, experiment: Experiment, record: Entry) -> Standing:
         known = record.get("trainings", {})
         trainings = {
-            training.name: {str(seed): known[training.name][str(seed)] for seed in training.seeds if str(seed) in known[training.name]}
+            training.name: {
+                str(seed): known[training.name][str(seed)]
+                for seed in training.seeds
+                if str(seed) in known[training.name]
+            }
             for training in experiment.trainings
             if training.name in known
         }
@@ -100,7 +123,8 @@ class Standing:
 
     @cached_property
     def outdated(self) -> tuple[str, ...]:
-        """What was measured of an earlier version of the scenario, or by another command than is asked for now."""
+        """What was measured of an earlier version of the scenario, or by another command than is asked for
+        now."""
         return tuple(self._outdated())
 
     def _outdated(self) -> Iterator[str]:
@@ -111,8 +135,16 @@ class Standing:
                 if not measure.asked_training(scenario, training, seed).is_of(entry):
                     yield place
                     continue
-                held = [(e, entry["evaluations"][e.name]) for e in training.evaluations if e.name in entry["evaluations"]]
-                yield from (f"{e.name} of {place}" for e, known in held if not measure.asked_evaluation(scenario, training, e).is_of(known))
+                held = [
+                    (e, entry["evaluations"][e.name])
+                    for e in training.evaluations
+                    if e.name in entry["evaluations"]
+                ]
+                yield from (
+                    f"{e.name} of {place}"
+                    for e, known in held
+                    if not measure.asked_evaluation(scenario, training, e).is_of(known)
+                )
         for baseline in self.experiment.baselines:
             tried = self.record["baselines"].get(baseline.name)
             if tried is not None and not measure.asked_baseline(scenario, baseline).is_of(tried):
@@ -123,14 +155,18 @@ class Standing:
 
 
 def together(entries: Sequence[Entry]) -> Entry:
-    """The held-out episodes of the policies of all seeds as one evaluation, with intervals over the episodes."""
+    """The held-out episodes of the policies of all seeds as one evaluation, with intervals over the
+    episodes."""
     if len(entries) == 1:
         return entries[0]
     episodes = sum(entry["episodes"] for entry in entries)
     mean = sum(entry["mean_return"] * entry["episodes"] for entry in entries) / episodes
     successes = sum(entry["successes"] or 0 for entry in entries)
     is_success_defined = entries[0]["success_defined"]
-    squares = sum((entry["episodes"] - 1) * _variance(entry) + entry["episodes"] * (entry["mean_return"] - mean) ** 2 for entry in entries)
+    squares = sum(
+        (entry["episodes"] - 1) * _variance(entry) + entry["episodes"] * (entry["mean_return"] - mean) ** 2
+        for entry in entries
+    )
     half = float(stdtrit(episodes - 1, 1 - ALPHA / 2)) * sqrt(squares / (episodes - 1) / episodes)
     return {
         "episodes": episodes,
@@ -147,7 +183,8 @@ def together(entries: Sequence[Entry]) -> Entry:
 
 
 def _variance(entry: Entry) -> float:
-    """Of the returns of an evaluation, from Student's interval of their mean; the longer side, since bounds may cut the other one."""
+    """Of the returns of an evaluation, from Student's interval of their mean; the longer side, since bounds
+    may cut the other one."""
     if entry["least_return"] == entry["greatest_return"]:
         return 0.0
     episodes, mean, (low, high) = entry["episodes"], entry["mean_return"], entry["return_interval"]
@@ -155,7 +192,8 @@ def _variance(entry: Entry) -> float:
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
-    """The lower quartile, the median and the upper quartile of the seeds; an infinity is a seed that never got there."""
+    """The lower quartile, the median and the upper quartile of the seeds; an infinity is a seed that never
+    got there."""
     ordered = sorted(values)
     low, middle, high = (ordered[round(share * (len(ordered) - 1))] for share in (0.25, 0.5, 0.75))
     return low, middle if len(ordered) % 2 else median(ordered), high
@@ -163,7 +201,8 @@ def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Headline:
-    """What stands for an experiment: held-out episodes of its first training, the random policy, and medians of the cost of a training."""
+    """What stands for an experiment: held-out episodes of its first training, the random policy, and medians
+    of the cost of a training."""
 
     held: Entry
     random: Entry | None
@@ -173,10 +212,13 @@ class Headline:
 
     @classmethod
     def of(cls, standing: Standing) -> Headline | None:
-        """None where nothing is measured; the random policy is None where it was measured under other conditions."""
+        """None where nothing is measured; the random policy is None where it was measured under other
+        conditions."""
         experiment = standing.experiment
         training = experiment.trainings[0]
-        entries = Held("success_rate", training.evaluations[0].name, experiment.case, training.name).entries(standing.record)
+        entries = Held("success_rate", training.evaluations[0].name, experiment.case, training.name).entries(
+            standing.record
+        )
         trained = standing.seeds(training).values()
         if not entries:
             return None

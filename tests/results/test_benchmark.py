@@ -1,4 +1,5 @@
-"""The benchmark page is what the records say, every cell is measured or has a reason, and no figure is without its interval."""
+"""The benchmark page is what the records say, every cell is measured or has a reason, and no figure is
+without its interval."""
 
 from __future__ import annotations
 
@@ -34,7 +35,12 @@ def test_no_figure_on_the_page_is_without_an_interval():
 
 
 def test_no_value_was_chosen_by_the_seeds():
-    reported = {seed for experiment in experiments().values() for training in experiment.trainings for seed in training.seeds}
+    reported = {
+        seed
+        for experiment in experiments().values()
+        for training in experiment.trainings
+        for seed in training.seeds
+    }
     assert min(SEEDS) >= FIRST_SEED
     assert reported.isdisjoint(SEEDS)
 
@@ -55,7 +61,10 @@ def test_each_algorithm_is_trained_or_it_is_said_why_not(task: Task):
 def test_the_learner_of_the_scenario_has_its_own_values(task: Task):
     (cell,) = (cell for cell in task.cells if cell.algorithm == own_algorithm(task))
     assert cell.training is not None
-    assert measure.compiled(task.scenario, cell.training.sets).agent.training == measure.compiled(task.scenario).agent.training
+    assert (
+        measure.compiled(task.scenario, cell.training.sets).agent.training
+        == measure.compiled(task.scenario).agent.training
+    )
 
 
 @EACH_TASK
@@ -76,7 +85,13 @@ def test_a_scenario_recommends_what_is_first_or_it_is_said_why_not(task: Task):
 def held(*rates: float) -> list[dict[str, Any]]:
     outcomes = ((round(100 * rate), rate) for rate in rates)
     return [
-        {"successes": successes, "episodes": 100, "success_rate": rate, "mean_return": rate, "return_interval": [rate - 0.03, rate + 0.04]}
+        {
+            "successes": successes,
+            "episodes": 100,
+            "success_rate": rate,
+            "mean_return": rate,
+            "return_interval": [rate - 0.03, rate + 0.04],
+        }
         for successes, rate in outcomes
     ]
 
@@ -84,10 +99,16 @@ def held(*rates: float) -> list[dict[str, Any]]:
 def test_an_interval_is_over_seeds_and_over_episodes():
     assert success_interval(held(1, 1, 1)) == wilson(300, 300)
     low, high = success_interval(held(0.7, 0.8, 0.9))
-    assert (low, high) == pytest.approx((0.8 - 4.302653 * 0.1 / 3**0.5, 1.0))  # Student's t for two degrees of freedom, cut at 1
+    assert (low, high) == pytest.approx(
+        (0.8 - 4.302653 * 0.1 / 3**0.5, 1.0)
+    )  # Student's t for two degrees of freedom, cut at 1
     assert return_interval(held(0.5, 0.5)) == pytest.approx((0.5 - 0.03 / 2**0.5, 0.5 + 0.04 / 2**0.5))
     assert return_interval(held(0.4, 0.6)) == pytest.approx((0.5 - 12.706205 * 0.1, 0.5 + 12.706205 * 0.1))
-    assert return_interval(held(0.5, 0.5), (0.49, 0.51)) == return_interval(held(0.4, 0.6), (0.49, 0.51)) == (0.49, 0.51)
+    assert (
+        return_interval(held(0.5, 0.5), (0.49, 0.51))
+        == return_interval(held(0.4, 0.6), (0.49, 0.51))
+        == (0.49, 0.51)
+    )
 
 
 def test_the_command_on_the_page_measures_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -95,20 +116,28 @@ def test_the_command_on_the_page_measures_what_is_missing(tmp_path: Path, capsys
     assert main(["--list", "benchmark"], places) == 0
     counted = re.findall(r"^(benchmark/\w+) +(\d+) missing$", capsys.readouterr().out, re.MULTILINE)
     cells = {task.experiment.name: sum(cell.training is not None for cell in task.cells) for task in TASKS}
-    assert {name: int(number) for name, number in counted} == {name: 1 + 2 * len(SEEDS) * number for name, number in cells.items()}
-    assert f"python -m tests.results {benchmark.GROUP}/cartpole" in (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    assert {name: int(number) for name, number in counted} == {
+        name: 1 + 2 * len(SEEDS) * number for name, number in cells.items()
+    }
+    assert f"python -m tests.results {benchmark.GROUP}/cartpole" in (
+        ROOT / "docs" / "benchmark.md"
+    ).read_text(encoding="utf-8")
 
 
 def tiny(algorithm: str) -> Cell:
     section = f"train={{algorithm: {algorithm}, total_timesteps: 2000}}"
     evaluation = Evaluation(episodes=3)
-    return Cell(algorithm, Training(SEEDS[:1], algorithm, (section, "evaluation={episodes: 3}"), evaluations=(evaluation,)))
+    return Cell(
+        algorithm,
+        Training(SEEDS[:1], algorithm, (section, "evaluation={episodes: 3}"), evaluations=(evaluation,)),
+    )
 
 
 @pytest.mark.slow
 def test_cells_are_measured_once_and_end_on_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     cells = (tiny("PPO"), tiny("DQN"), Cell("SAC", None, reason="discrete actions"))
-    task, places = Task("tests/data/scenarios/rail.yaml", "Rail", "pybullet", cells), Places(records=tmp_path, runs=tmp_path)
+    task = Task("tests/data/scenarios/rail.yaml", "Rail", "pybullet", cells)
+    places = Places(records=tmp_path, runs=tmp_path)
     assert measured(task.experiment, places) == 0
     assert capsys.readouterr().err.count(": done in") == 1 + 2 * 2
     text = page(places, [task])

@@ -1,4 +1,5 @@
-"""The pages of results are what the records say, the records are of what is asked for, and a measurement that is stopped goes on."""
+"""The pages of results are what the records say, the records are of what is asked for, and a measurement that
+is stopped goes on."""
 
 from __future__ import annotations
 
@@ -49,7 +50,9 @@ EXPERIMENTS = list(experiments().values())
 
 def test_the_pages_are_what_the_records_say():
     pages = page.pages(PLACES, experiments())
-    assert [path.name for path, text in pages.items() if path.read_text(encoding="utf-8") != text] == [], CURRENT
+    assert [path.name for path, text in pages.items() if path.read_text(encoding="utf-8") != text] == [], (
+        CURRENT
+    )
     assert {*PLACES.records.glob("*.md")} <= {*pages}, "a card of no experiment"
 
 
@@ -62,12 +65,16 @@ def test_the_pages_that_people_read_are_short():
 def test_every_bar_that_is_measured_by_hand_has_a_verdict():
     verdicts = page.verdicts_by_hand(page.BY_HAND.read_text(encoding="utf-8"))
     assert len(verdicts) > 100
-    assert [row for row in verdicts if not re.match(r"(met|\*\*missed\*\*|not shown)($|[,;:] )", row[1])] == []
+    assert [
+        row for row in verdicts if not re.match(r"(met|\*\*missed\*\*|not shown)($|[,;:] )", row[1])
+    ] == []
 
 
 def test_the_readme_tells_figures_of_the_cards():
     rows = re.findall(
-        r"^\| \[(\w+)\]\(docs/results/(\w+)\.md#.*\| (.*) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+        r"^\| \[(\w+)\]\(docs/results/(\w+)\.md#.*\| (.*) \|$",
+        (ROOT / "README.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
     )
     assert [name for name, _, _ in rows] == ["CartPole", "PitEscape", "FindBall"]
     for _, name, told in rows:
@@ -80,9 +87,13 @@ def test_the_readme_tells_figures_of_the_cards():
 
 def test_the_table_beside_the_paper_has_its_tasks_and_the_median_quartiles_and_worst_of_all_seeds():
     text = PLACES.page.read_text(encoding="utf-8").partition("## Beside the paper")[2].partition("\n## ")[0]
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")][2:]
+    rows = [
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("|")
+    ][2:]
     assert [row[0].partition("]")[0] for row in rows if row[0]] == ["[CartPole", "[PitEscape", "[FindBall"]
-    assert [row for row in rows if not re.fullmatch(r"\S+( %)? \.\. \S+( %)?", row[4]) or not row[6].isdigit()] == []
+    assert [
+        row for row in rows if not re.fullmatch(r"\S+( %)? \.\. \S+( %)?", row[4]) or not row[6].isdigit()
+    ] == []
 
 
 @pytest.mark.parametrize("values", [[5.0], [1.0, 2.0, 3.0, 4.0, 5.0], [float(n) for n in range(1, 22)]])
@@ -97,7 +108,9 @@ def test_a_seed_that_is_never_solved_is_the_upper_quartile_of_two():
 
 def test_episodes_of_several_policies_count_as_one_evaluation():
     returns = [[1.0, 2.0, 4.0], [5.0, 5.0, 8.0, 9.0], [3.0, 3.0]]
-    assert together([_evaluated(values) for values in returns])["return_interval"] == pytest.approx(mean_interval([*chain(*returns)]))
+    assert together([_evaluated(values) for values in returns])["return_interval"] == pytest.approx(
+        mean_interval([*chain(*returns)])
+    )
     assert together([_evaluated(returns[0])]) == _evaluated(returns[0])
 
 
@@ -133,40 +146,60 @@ def test_bars_look_at_what_is_measured_and_no_reported_seed_was_used_for_tuning(
             if isinstance(figure, Tried | Ahead):
                 assert figure.baseline in baselines
             if isinstance(figure, Held | Ahead):
-                held = {evaluation.name: evaluation for evaluation in experiment.training(figure.training).evaluations}
+                held = {
+                    evaluation.name: evaluation
+                    for evaluation in experiment.training(figure.training).evaluations
+                }
                 found = measure.compiled(held[figure.evaluation].scenario or experiment.scenario)
                 assert figure.case is None or figure.case in {case.name for case in found.cases}
-            assert figure.training is None or figure.training in {training.name for training in experiment.trainings}
+            assert figure.training is None or figure.training in {
+                training.name for training in experiment.trainings
+            }
         for option, name in (baseline.options for baseline in experiment.baselines):
             assert option == "--driver"
             assert name in ("random", "zero") or measure.compiled(experiment.scenario).script(name)
         assert all(seed >= FIRST_SEED for training in experiment.trainings for seed in training.seeds)
 
 
-def test_a_name_that_is_neither_a_scenario_nor_a_part_is_told_with_those_there_are(capsys: pytest.CaptureFixture[str]):
+def test_a_name_that_is_neither_a_scenario_nor_a_part_is_told_with_those_there_are(
+    capsys: pytest.CaptureFixture[str],
+):
     assert main(["cartpoel"]) == 2
-    assert capsys.readouterr().err.startswith("there is no cartpoel; there are: cartpole, cartpole_continuous, ")
+    assert capsys.readouterr().err.startswith(
+        "there is no cartpoel; there are: cartpole, cartpole_continuous, "
+    )
 
 
 def places_in(folder: Path) -> Places:
-    return Places(*(folder / name for name in ("records", "page.md", "measurements.md", "pictures", "runs", "benchmark.md")))
+    return Places(
+        *(
+            folder / name
+            for name in ("records", "page.md", "measurements.md", "pictures", "runs", "benchmark.md")
+        )
+    )
 
 
-def test_what_is_missing_can_be_asked_for_without_measuring_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_what_is_missing_can_be_asked_for_without_measuring_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     assert main(["--list", "cartpole", "costs"], places_in(tmp_path)) == 0
     assert capsys.readouterr().out.split() == ["cartpole", "41", "missing", "costs", "6", "missing"]
     assert list(tmp_path.iterdir()) == []
 
 
 def verdict(bar: Bar, *hours: float | None, seeds: int = 3) -> tuple[str, str]:
-    entries = {str(101 + i): {"solved_at": None if value is None else {"simulated_hours": value}} for i, value in enumerate(hours)}
+    entries = {
+        str(101 + i): {"solved_at": None if value is None else {"simulated_hours": value}}
+        for i, value in enumerate(hours)
+    }
     chosen = Experiment("cartpole", "", "", (Training(tuple(range(101, 101 + seeds))),), (bar,))
     found = judge(chosen, bar, {"trainings": {"main": entries}})
     return found.word, found.measured
 
 
 def test_a_bar_is_missed_by_the_worst_seed_by_one_that_is_never_solved_and_open_until_all_are_measured():
-    bar, mean = Bar(Solved("simulated_hours"), at_most=0.5), Bar(Solved("simulated_hours"), at_most=0.3, over="mean")
+    bar = Bar(Solved("simulated_hours"), at_most=0.5)
+    mean = Bar(Solved("simulated_hours"), at_most=0.3, over="mean")
     assert verdict(bar, 0.1, 0.2, 0.5) == ("met", "0.5 h, the worst; 3 of 3 seeds")
     assert verdict(bar, 0.1, 0.2, 0.51) == ("**missed**", "0.51 h, the worst; 2 of 3 seeds")
     assert verdict(bar, 0.1, None, 0.2) == ("**missed**", "never, the worst; 2 of 3 seeds")
@@ -185,10 +218,21 @@ def test_a_bar_is_missed_by_the_worst_seed_by_one_that_is_never_solved_and_open_
 
 def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):
     places = places_in(tmp_path)
-    chosen = {"cartpole": Experiment("cartpole", "CartPole", "", (Training(),), (Bar(Solved("simulated_hours"), at_most=0.5),))}
+    chosen = {
+        "cartpole": Experiment(
+            "cartpole", "CartPole", "", (Training(),), (Bar(Solved("simulated_hours"), at_most=0.5),)
+        )
+    }
     curve = {"simulated_hours": [0.1, 0.2], "return": [10.0, 20.0], "success": [0.0, 0.0]}
     counts = {"steps": 2000, "episodes": 20, "simulated_hours": 0.2, "cpu_seconds": 9.0, "times_resumed": 0}
-    rest = {"solved_at": None, "stage": None, "stages": [], "crossings": {}, "curve": curve, "evaluations": {}}
+    rest = {
+        "solved_at": None,
+        "stage": None,
+        "stages": [],
+        "crossings": {},
+        "curve": curve,
+        "evaluations": {},
+    }
     asked = measure.asked_training("cartpole", Training(), 101)
     for digest, marked in ((asked.digest, False), ("of another world", True)):
         entry = {"digest": digest, "command": asked.command, **measure.circumstances(), **counts, **rest}
@@ -202,10 +246,14 @@ def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):
 def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):
     def asked() -> tuple[object, object]:
         training, name = Training(), "find_ball_random"
-        return measure.asked_training(name, training, 101), measure.asked_evaluation(name, training, Evaluation())
+        return measure.asked_training(name, training, 101), measure.asked_evaluation(
+            name, training, Evaluation()
+        )
 
     program, before = measure.compiled("find_ball_random"), asked()
-    monkeypatch.setattr(measure, "compiled", lambda scenario, sets=(): replace(program, cases=program.cases[:-1]))
+    monkeypatch.setattr(
+        measure, "compiled", lambda scenario, sets=(): replace(program, cases=program.cases[:-1])
+    )
     assert asked()[0] == before[0]
     assert asked()[1] != before[1]
 
@@ -215,18 +263,31 @@ def logged(folder: Path, returns: list[float], stages: list[str] | None = None) 
         f"{value},5,0,{i + 1},{10 * (i + 1)},{(i + 1) / 100},{int(value > 0)},x,{stages[i] if stages else ''}"
         for i, value in enumerate(returns)
     ]
-    (folder / "monitor.csv").write_text("\n".join(["#{}", "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage", *rows]) + "\n")
+    (folder / "monitor.csv").write_text(
+        "\n".join(["#{}", "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage", *rows]) + "\n"
+    )
     return measure.points(folder / "monitor.csv")
 
 
 def test_a_threshold_is_crossed_by_the_mean_of_a_hundred_episodes_of_the_last_stage_only(tmp_path: Path):
     curve = logged(tmp_path, [1.0] * 50 + [0.0] * 60 + [1.0] * 100)
-    assert measure.crossing(curve, Crossed(0.8, "episode")) == {"episode": 190, "steps": 1900, "simulated_hours": 1.9}
+    assert measure.crossing(curve, Crossed(0.8, "episode")) == {
+        "episode": 190,
+        "steps": 1900,
+        "simulated_hours": 1.9,
+    }
     assert measure.crossing(curve, Crossed(1.1, "episode")) is None
     curve = logged(tmp_path, [1.0] * 100 + [0.0] * 100 + [1.0] * 100, ["easy"] * 100 + ["hard"] * 200)
-    assert measure.crossing(curve, Crossed(0.9, "episode"), "hard") == {"episode": 290, "steps": 2900, "simulated_hours": 2.9}
+    assert measure.crossing(curve, Crossed(0.9, "episode"), "hard") == {
+        "episode": 290,
+        "steps": 2900,
+        "simulated_hours": 2.9,
+    }
     curve = logged(tmp_path, [1.0] * 100 + [0.0, 1.0, 0.0], ["easy"] * 100 + ["hard", "easy", "hard"])
-    assert [point.mean_return for point in curve[-2:]] == [0.0, 0.0]  # an episode that began in the stage before is left out
+    assert [point.mean_return for point in curve[-2:]] == [
+        0.0,
+        0.0,
+    ]  # an episode that began in the stage before is left out
     assert not curve[-1].full
 
 
@@ -247,7 +308,11 @@ TINY = Experiment(
     prose="Too short to be learned.",
     trainings=(Training(seeds=(0,), timesteps=6_000, evaluations=(Evaluation(episodes=3),)),),
     baselines=(Baseline(RANDOM.name, RANDOM.options, episodes=3),),
-    bars=(Bar(Trained("steps"), at_least=6_000), Bar(Crossed(10, "simulated_hours"), at_most=1), Bar(Held("mean_return"), at_least=301)),
+    bars=(
+        Bar(Trained("steps"), at_least=6_000),
+        Bar(Crossed(10, "simulated_hours"), at_most=1),
+        Bar(Held("mean_return"), at_least=301),
+    ),
 )
 
 
@@ -257,7 +322,19 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(tmp_path: Pa
     training, *others = measure.pieces(TINY, places)
     folder = training.measure.args[3]()  # type: ignore[attr-defined]  # of a partial
     folder.parent.mkdir(parents=True)
-    command = [sys.executable, "-m", "deepbots_cli", "train", TINY.scenario, "--seed", "0", "--timesteps", "6000", "--run", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "deepbots_cli",
+        "train",
+        TINY.scenario,
+        "--seed",
+        "0",
+        "--timesteps",
+        "6000",
+        "--run",
+        str(folder),
+    ]
     process = subprocess.Popen(command, cwd=ROOT)
     while not list(folder.glob("checkpoints/0*")):
         time.sleep(0.05)
@@ -279,6 +356,8 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(tmp_path: Pa
     text = places.card("rail").read_text(encoding="utf-8")
     assert "| mean return, held out | at least 301 |" in text
     assert " s, resumed once |" in text
-    assert f"state {picture.state(TINY, Standing.of(TINY, record).record)}" in places.picture("rail").read_text(encoding="utf-8")
+    assert f"state {picture.state(TINY, Standing.of(TINY, record).record)}" in places.picture(
+        "rail"
+    ).read_text(encoding="utf-8")
     measure.put(places.record("rail"), entry | {"evaluations": {}}, "trainings", "main", "0")
     assert [piece.missing() for piece in measure.pieces(TINY, places)] == [False, True, False]

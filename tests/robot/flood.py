@@ -1,11 +1,14 @@
-"""What floods of messages do to a server: its memory, and whether a robot goes on getting its commands in time.
+"""What floods of messages do to a server: its memory, and whether a robot goes on getting its commands in
+time.
 
     python -m tests.robot.flood [--seconds 60] [--clients 3] [--bundle FOLDER] [--json]
 
-`deepbots-robot serve` acts on ZeroMQ, then on WebSocket. For each, a robot sends its sensors at the rate of the policy: first alone, then
-while other clients send as fast as they can, each in a process of its own: the longest legal messages, the longest bytes that are no
-message, longer ones than any message, and (WebSocket) connections that never say anything. An answer is in time if it comes within a
-period. The share without a flood says what the machine allows. The clients run with less priority (`nice`): they stand for other machines.
+`deepbots-robot serve` acts on ZeroMQ, then on WebSocket. For each, a robot sends its sensors at the rate of
+the policy: first alone, then while other clients send as fast as they can, each in a process of its own: the
+longest legal messages, the longest bytes that are no message, longer ones than any message, and (WebSocket)
+connections that never say anything. An answer is in time if it comes within a period. The share without a
+flood says what the machine allows. The clients run with less priority (`nice`): they stand for other
+machines.
 """
 
 from __future__ import annotations
@@ -42,7 +45,8 @@ _SETTLING = 2.0
 
 
 class Served(NamedTuple):
-    """What a robot saw in a time: the share of its messages that were answered within a period, the longest answer, and memory."""
+    """What a robot saw in a time: the share of its messages that were answered within a period, the longest
+    answer, and memory."""
 
     sent: int
     in_time: float
@@ -58,18 +62,25 @@ def memory_of(process: int, key: str = "VmRSS") -> float:
 
 def cpu_of(process: int) -> float:
     """Seconds of CPU of a process."""
-    return sum(map(int, Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13])) / os.sysconf("SC_CLK_TCK")
+    return sum(
+        map(int, Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13])
+    ) / os.sysconf("SC_CLK_TCK")
 
 
 def flood_message(info: model.BundleInfo, kind: str) -> bytes:
     """A message of a flood: as long as the fields of the bundle allow, or longer."""
     fields = [field_of(entry) for entry in info.inputs]
-    longest = longest_message(fields, About("policy", info.scenario.name, info.scenario.task_digest, "at speed 1"))
+    longest = longest_message(
+        fields, About("policy", info.scenario.name, info.scenario.task_digest, "at speed 1")
+    )
     if kind == "illegal":
         return b"{" + b"[" * (longest - 1)
     if kind == "too long":
         return b"{" + b" " * (2 * longest)
-    values = {entry.name: [-1.2345678901234567e-100] * field.count for entry, field in zip(info.inputs, fields, strict=True)}
+    values = {
+        entry.name: [-1.2345678901234567e-100] * field.count
+        for entry, field in zip(info.inputs, fields, strict=True)
+    }
     message = msgspec.json.encode({"robot": "r" * 200, "stamp": time.time(), "fields": values})
     return message[:-1] + b" " * (longest - len(message)) + message[-1:]
 
@@ -92,7 +103,10 @@ def flood(address: str, info: model.BundleInfo, kind: str, seconds: float) -> No
     from websockets.sync.client import connect
 
     while time.monotonic() < until:
-        with suppress(WebSocketException, OSError), connect(address, compression=None, max_size=None, open_timeout=1) as peer:
+        with (
+            suppress(WebSocketException, OSError),
+            connect(address, compression=None, max_size=None, open_timeout=1) as peer,
+        ):
             while time.monotonic() < until:
                 peer.send(content.decode())
 
@@ -115,7 +129,9 @@ def drive(transport: Transport, info: model.BundleInfo, seconds: float) -> Serve
     receives, sends = [field_of(entry) for entry in info.outputs], [field_of(entry) for entry in info.inputs]
     values = {entry.name: np.zeros(entry.shape, entry.dtype) for entry in info.inputs}
     answers, sent = list[float](), 0
-    with closing(transport.open([(field, None) for field in receives], [(field, None) for field in sends], robot=True)) as link:  # type: ignore[misc]
+    with closing(
+        transport.open([(field, None) for field in receives], [(field, None) for field in sends], robot=True)
+    ) as link:  # type: ignore[misc]
         until = time.monotonic() + 10
         while not link.connected() and time.monotonic() < until:
             time.sleep(0.01)
@@ -134,7 +150,9 @@ def drive(transport: Transport, info: model.BundleInfo, seconds: float) -> Serve
                 if any(arrival.fields for arrival in link.take()):
                     answers.append(time.monotonic() - at)
                     break
-    return Served(sent, len(answers) / max(1, sent), max(answers, default=np.inf), float(np.median(answers or [np.inf])))
+    return Served(
+        sent, len(answers) / max(1, sent), max(answers, default=np.inf), float(np.median(answers or [np.inf]))
+    )
 
 
 @contextmanager
@@ -158,7 +176,9 @@ def serving(bundle: Path, words: list[str]) -> Iterator[subprocess.Popen[str]]:
 @contextmanager
 def flooding(bundle: Path, address: str, seconds: float, clients: int) -> Iterator[None]:
     """Clients that flood, each in a process of its own."""
-    kinds = [KINDS[number % len(KINDS)] for number in range(clients)] + (["silent"] if address.startswith("ws") else [])
+    kinds = [KINDS[number % len(KINDS)] for number in range(clients)] + (
+        ["silent"] if address.startswith("ws") else []
+    )
     code = "import sys; from pathlib import Path; from tests.robot.flood import client; client(*sys.argv[1:])"
     words = [[str(bundle), address, kind, str(seconds)] for kind in kinds]
     running = [subprocess.Popen([sys.executable, "-c", code, *each], cwd=ROOT) for each in words]
@@ -186,7 +206,11 @@ def measured(bundle: Path, kind: str, port: int, seconds: float, clients: int) -
     """A server before, during and after a flood."""
     info = model.decode((bundle / BUNDLE_NAME).read_bytes())
     words, address, transport = {
-        "ZeroMQ": (["--zmq", f"tcp://127.0.0.1:{port}"], f"tcp://127.0.0.1:{port}", Transport(zmq=f"tcp://127.0.0.1:{port}")),
+        "ZeroMQ": (
+            ["--zmq", f"tcp://127.0.0.1:{port}"],
+            f"tcp://127.0.0.1:{port}",
+            Transport(zmq=f"tcp://127.0.0.1:{port}"),
+        ),
         "WebSocket": (["--websocket", str(port)], f"ws://127.0.0.1:{port}", Transport(websocket=str(port))),
     }[kind]
     with serving(bundle, words) as server:
@@ -201,7 +225,9 @@ def measured(bundle: Path, kind: str, port: int, seconds: float, clients: int) -
         after = drive(transport, info, min(seconds, 5.0))
     yield Row(f"{kind}: rise of the server's memory, at its peak", rise, "MB", MAX_RISE)
     yield Row(f"{kind}: memory of the server before", before, "MB")
-    yield Row(f"{kind}: answers within a period ({1e3 / info.rate_hz:.0f} ms), no flood", 100 * alone.in_time, "%")
+    yield Row(
+        f"{kind}: answers within a period ({1e3 / info.rate_hz:.0f} ms), no flood", 100 * alone.in_time, "%"
+    )
     yield Row(f"{kind}: answers within a period, flood", 100 * flooded.in_time, "%")
     yield Row(f"{kind}: answers within a period, after the flood", 100 * after.in_time, "%")
     yield Row(f"{kind}: median answer, no flood", 1e3 * alone.median, "ms")
@@ -211,9 +237,16 @@ def measured(bundle: Path, kind: str, port: int, seconds: float, clients: int) -
 
 
 def _during(
-    bundle: Path, transport: Transport, info: model.BundleInfo, address: str, seconds: float, clients: int, server: int
+    bundle: Path,
+    transport: Transport,
+    info: model.BundleInfo,
+    address: str,
+    seconds: float,
+    clients: int,
+    server: int,
 ) -> tuple[Served, float]:
-    """A robot that acts before the flood begins, and goes on: its share of answers, and the CPU of the server."""
+    """A robot that acts before the flood begins, and goes on: its share of answers, and the CPU of the
+    server."""
     found: list[Served] = []
 
     def act() -> None:
@@ -229,7 +262,9 @@ def _during(
 
 
 def main(measure: Callable[..., Iterator[Row]] = measured) -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.robot.flood", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.robot.flood", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("--seconds", type=float, default=60.0, help="of each flood, by default 60")
     parser.add_argument("--clients", type=int, default=3, help="that send, by default 3")
     parser.add_argument("--bundle", type=Path, help="by default one of the CartPole without a training")
@@ -238,7 +273,10 @@ def main(measure: Callable[..., Iterator[Row]] = measured) -> None:
     with tempfile.TemporaryDirectory() as place:
         bundle = given.bundle or Path(place) / "bundle"
         if given.bundle is None:
-            code = f"from pathlib import Path; from tests.bundle.untrained import written; written(Path({str(bundle)!r}), 'cartpole')"
+            code = (
+                "from pathlib import Path; from tests.bundle.untrained import written;"
+                f" written(Path({str(bundle)!r}), 'cartpole')"
+            )
             subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
         rows: list[Any] = [Row("load of the machine over the last minute, before", os.getloadavg()[0], "")]
         for number, kind in enumerate(("ZeroMQ", "WebSocket")):

@@ -1,4 +1,5 @@
-"""Floods at a server: other connections neither get commands nor take memory; `python -m tests.robot.flood` measures them."""
+"""Floods at a server: other connections neither get commands nor take memory; `python -m tests.robot.flood`
+measures them."""
 
 from __future__ import annotations
 
@@ -66,7 +67,8 @@ def taken(policy: Link, seconds: float = 0.3) -> list[float]:
 
 @pytest.mark.parametrize("kind", LINKS)
 def test_a_second_sender_neither_changes_what_the_policy_takes_nor_gets_its_commands(kind: str) -> None:
-    """The one that came last got the commands, and its values and its damaged messages were those of the robot."""
+    """The one that came last got the commands, and its values and its damaged messages were those of the
+    robot."""
     with connected(LINKS[kind]) as (policy, robot):
         first = robot()
         first.send({"cart.angle": np.array([0.1])}, 1.0)
@@ -77,11 +79,14 @@ def test_a_second_sender_neither_changes_what_the_policy_takes_nor_gets_its_comm
         first.send({"cart.angle": np.array([0.2])}, 1.1)
         assert taken(policy) == [0.2]
         assert [remark.text for remark in policy.remarks()] == [
-            "another program sends to this policy, which takes only what the first one sends; start a policy for each robot"
+            "another program sends to this policy, which takes only what the first one sends; start a policy"
+            " for each robot"
         ]
         policy.send({"cart.drive": np.array([5.0, 5.0])}, 1.2)
         first.wait(2.0)
-        assert [arrival.fields["cart.drive"].tolist() for arrival in first.take() if arrival.fields] == [[5.0, 5.0]]
+        assert [arrival.fields["cart.drive"].tolist() for arrival in first.take() if arrival.fields] == [
+            [5.0, 5.0]
+        ]
         assert [arrival for arrival in second.take() if arrival.fields] == []
 
 
@@ -101,7 +106,9 @@ def test_messages_that_wait_have_a_limit_in_bytes(tmp_path: Path) -> None:
     """Messages of 16 MB times queues of thousands took 5 GB."""
     picture = Field("cart.camera", "cart", "camera", "1", (1000, 1000, 3))
     for fields, most in (((ANGLE,), 256), ((picture,), 4)):
-        link: Any = Transport(zmq=f"ipc://{tmp_path}/{len(fields[0].shape)}").open([(field, None) for field in fields], [], robot=False)  # type: ignore[misc]
+        link: Any = Transport(zmq=f"ipc://{tmp_path}/{len(fields[0].shape)}").open(
+            [(field, None) for field in fields], [], robot=False
+        )  # type: ignore[misc]
         with closing(link):
             waiting, longest = link._most_waiting, link._longest
             assert waiting <= most

@@ -1,4 +1,5 @@
-"""Other ends that mean harm or are of something else: they neither end the server, nor take memory, nor keep a robot out."""
+"""Other ends that mean harm or are of something else: they neither end the server, nor take memory, nor keep
+a robot out."""
 
 from __future__ import annotations
 
@@ -38,7 +39,12 @@ from tests.robot.test_flood import LINKS, PORT, opened, until
 from tests.robot.test_server import DRIVE, RATE, SAFE, World
 
 ESCAPE = "\x1b]0;owned\x07"
-VALUES = {"position(cart)": [0, 0, 0], "velocity(cart)": [0, 0, 0], "cart.pole_angle": [0.01], "velocity(cart.tip)": [0, 0, 0]}
+VALUES = {
+    "position(cart)": [0, 0, 0],
+    "velocity(cart)": [0, 0, 0],
+    "cart.pole_angle": [0.01],
+    "velocity(cart.tip)": [0, 0, 0],
+}
 
 
 def message(stamp: float, **changes: Any) -> bytes:
@@ -51,12 +57,19 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def serving(bundle: Path, folder: Path, *words: object, **settings: Any) -> Iterator[tuple[Any, subprocess.Popen[str]]]:
+def serving(
+    bundle: Path, folder: Path, *words: object, **settings: Any
+) -> Iterator[tuple[Any, subprocess.Popen[str]]]:
     """A socket of ZeroMQ to a server in a process of its own."""
     address = f"ipc://{folder}/link"
     command = [sys.executable, "-m", "deepbots_robot", "serve", bundle, "--zmq", address, *words]
     process = subprocess.Popen(
-        list(map(str, command)), cwd=Path(__file__).parents[2], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **settings
+        list(map(str, command)),
+        cwd=Path(__file__).parents[2],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **settings,
     )
     try:
         with closing(zmq.Context.instance().socket(zmq.DEALER)) as end:
@@ -90,7 +103,9 @@ def answered(end: Any) -> None:
         {"about": {"role": "robot", "scenario": ESCAPE, "digest": "", "pace": ""}},
     ],
 )
-def test_a_message_writes_no_control_characters_to_the_terminal(bundle: Path, tmp_path: Path, changes: dict[str, Any]) -> None:
+def test_a_message_writes_no_control_characters_to_the_terminal(
+    bundle: Path, tmp_path: Path, changes: dict[str, Any]
+) -> None:
     with serving(bundle, tmp_path) as (end, process):
         end.send(message(1.0))
         answered(end)
@@ -101,7 +116,9 @@ def test_a_message_writes_no_control_characters_to_the_terminal(bundle: Path, tm
     assert text.replace("\n", "").isprintable()
 
 
-def test_a_time_of_the_robot_that_no_log_can_hold_does_not_end_the_server(bundle: Path, tmp_path: Path) -> None:
+def test_a_time_of_the_robot_that_no_log_can_hold_does_not_end_the_server(
+    bundle: Path, tmp_path: Path
+) -> None:
     log = tmp_path / "a.mcap"
     with serving(bundle, tmp_path, "--lockstep", "--log", log) as (end, process):
         for stamp in (1.0, 1e300, 1.7e308):
@@ -150,7 +167,9 @@ def test_resets_do_not_make_commands_change_faster() -> None:
     for number in range(100):
         at = 100.0 + 0.002 * number
         world.line.coming.append((at, Arrival("robot", kind="reset", stamp=at, number=number)))
-        world.line.put(at, -0.4 if number < 50 else 0.4, stamp=at + 1e-6)  # a turn, because the first command has no limit of its rate
+        world.line.put(
+            at, -0.4 if number < 50 else 0.4, stamp=at + 1e-6
+        )  # a turn, because the first command has no limit of its rate
     found = world.run(100.2)
     assert len(found) > 50
     assert found[-1][1][0] > found[0][1][0]
@@ -159,10 +178,14 @@ def test_resets_do_not_make_commands_change_faster() -> None:
 
 
 def test_a_websocket_message_of_endless_empty_parts_is_ended() -> None:
-    with closing(opened(LINKS["websocket"], robot=False)), closing(socket.create_connection(("127.0.0.1", PORT + 1), 5)) as raw:
+    with (
+        closing(opened(LINKS["websocket"], robot=False)),
+        closing(socket.create_connection(("127.0.0.1", PORT + 1), 5)) as raw,
+    ):
         key = base64.b64encode(os.urandom(16)).decode()
         raw.sendall(
-            f"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: {key}\r\n"
+            "GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key:"
+            f" {key}\r\n"
             "Sec-WebSocket-Version: 13\r\n\r\n".encode()
         )
         assert b"101" in raw.recv(4096)
@@ -175,7 +198,10 @@ def test_a_websocket_message_of_endless_empty_parts_is_ended() -> None:
 def test_a_zeromq_message_without_an_end_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zeromq, "_MOST_GROWTH", 30_000_000)
     part = b"\x03" + struct.pack(">Q", 15_000) + bytes(15_000)
-    with closing(opened(LINKS["zmq"], robot=False)) as policy, closing(socket.create_connection(("127.0.0.1", PORT), 5)) as raw:
+    with (
+        closing(opened(LINKS["zmq"], robot=False)) as policy,
+        closing(socket.create_connection(("127.0.0.1", PORT), 5)) as raw,
+    ):
         raw.settimeout(5)
         raw.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(16) + b"\x00" + bytes(31))
         raw.sendall(b"\x04\x1c\x05READY\x0bSocket-Type" + struct.pack(">I", 6) + b"DEALER")

@@ -22,15 +22,19 @@ from deepbots_robot.topics import Field, Topic
 ANGLE = Field("cart.angle", "cart", "joint_position", "rad", (1,), ("pole",))
 PLACE = Field("cart.place", "cart", "joint_position", "m", (1,), ("slider",))
 DRIVE = Field("cart.drive", "cart", "velocity", "rad/s", (2,), ("left", "right"))
-STATES, COMMANDS = Topic("/cart/joint_states", "sensor_msgs/JointState"), Topic("/cart/joint_commands", "sensor_msgs/JointState")
-POLICY, ROBOT = About("policy", "CartPole", "aa", "at speed 1"), About("robot", "CartPole", "aa", "at speed 1")
+STATES = Topic("/cart/joint_states", "sensor_msgs/JointState")
+COMMANDS = Topic("/cart/joint_commands", "sensor_msgs/JointState")
+POLICY = About("policy", "CartPole", "aa", "at speed 1")
+ROBOT = About("robot", "CartPole", "aa", "at speed 1")
 
 
 def policy_end(transport: Transport, about: About = POLICY) -> Link:
     return transport.open([(ANGLE, STATES)], [(DRIVE, COMMANDS)], robot=False, about=about)
 
 
-def robot_end(transport: Transport, about: About = ROBOT, sends: Field = ANGLE, topic: Topic = STATES) -> Link:
+def robot_end(
+    transport: Transport, about: About = ROBOT, sends: Field = ANGLE, topic: Topic = STATES
+) -> Link:
     return transport.open([(DRIVE, COMMANDS)], [(sends, topic)], robot=True, about=about)
 
 
@@ -59,7 +63,10 @@ def said(link: Link, until: Callable[[list[str]], bool] = bool) -> list[str]:
 )
 def test_fields_that_differ_are_named(sends: tuple[Field, ...], problem: str) -> None:
     policy, robot = with_fields(POLICY, [DRIVE], [ANGLE]), with_fields(ROBOT, sends, [DRIVE])
-    assert misfit(robot, policy) == f"the policy of CartPole at the other end does not fit this robot of CartPole: {problem}"
+    assert (
+        misfit(robot, policy)
+        == f"the policy of CartPole at the other end does not fit this robot of CartPole: {problem}"
+    )
     assert problem in misfit(policy, robot)
     assert misfit(policy, with_fields(ROBOT, [ANGLE], [DRIVE])) == ""
 
@@ -67,10 +74,19 @@ def test_fields_that_differ_are_named(sends: tuple[Field, ...], problem: str) ->
 @pytest.mark.parametrize(
     ("other", "problem"),
     [
-        (About("robot", "FindBall", "bb", "at speed 1"), "the robot of FindBall at the other end is of another scenario than this policy"),
+        (
+            About("robot", "FindBall", "bb", "at speed 1"),
+            "the robot of FindBall at the other end is of another scenario than this policy",
+        ),
         (About("robot", "CartPole", "bb", "at speed 1"), "is of another version of the scenario"),
-        (About("robot", "CartPole", "aa", "in lockstep"), "the robot runs in lockstep, and this policy at speed 1; give --lockstep, or"),
-        (About("robot", "CartPole", "aa", "at speed 2"), "the robot runs at speed 2, and this policy at speed 1"),
+        (
+            About("robot", "CartPole", "aa", "in lockstep"),
+            "the robot runs in lockstep, and this policy at speed 1; give --lockstep, or",
+        ),
+        (
+            About("robot", "CartPole", "aa", "at speed 2"),
+            "the robot runs at speed 2, and this policy at speed 1",
+        ),
     ],
 )
 def test_ends_that_work_together_but_differ_are_named(other: About, problem: str) -> None:
@@ -79,8 +95,14 @@ def test_ends_that_work_together_but_differ_are_named(other: About, problem: str
 
 
 def test_rates_that_differ_are_named_on_both_sides() -> None:
-    policy, robot = (msgspec.structs.replace(each, rate=rate) for each, rate in ((POLICY, 31.25), (ROBOT, 62.5)))
-    assert differences(policy, robot) == differences(robot, policy) == ["the robot steps at 62.5 Hz, the policy acts at 31.25 Hz"]
+    policy, robot = (
+        msgspec.structs.replace(each, rate=rate) for each, rate in ((POLICY, 31.25), (ROBOT, 62.5))
+    )
+    assert (
+        differences(policy, robot)
+        == differences(robot, policy)
+        == ["the robot steps at 62.5 Hz, the policy acts at 31.25 Hz"]
+    )
     assert differences(policy, msgspec.structs.replace(robot, rate=1 / 0.032)) == []
     assert differences(policy, ROBOT) == []
 
@@ -115,7 +137,10 @@ def test_a_second_policy_is_refused(tmp_path: Path, kind: str) -> None:
     }[kind]
     with closing(policy_end(transport)) as first:
         with pytest.raises(
-            ServeError, match="another program sends commands on /cart/joint_commands" if kind == "ros" else "already in use"
+            ServeError,
+            match="another program sends commands on /cart/joint_commands"
+            if kind == "ros"
+            else "already in use",
         ):
             policy_end(transport)
         with closing(robot_end(transport)) as robot:  # the first one goes on
@@ -140,8 +165,12 @@ def test_over_ros_types_and_second_senders_are_noticed() -> None:
             twice = " ".join(said(policy, lambda found: "programs send" in " ".join(found)))
             assert "2 programs send on /cart/joint_states" in twice
             assert "(a program that was killed counts for 10 s)" in twice
-            assert "2 programs send on /deepbots/episode" in " ".join(said(robot, lambda found: "episode" in " ".join(found)))
-        assert "programs send" not in " ".join(said(policy, lambda found: "programs send" not in " ".join(found)))
+            assert "2 programs send on /deepbots/episode" in " ".join(
+                said(robot, lambda found: "episode" in " ".join(found))
+            )
+        assert "programs send" not in " ".join(
+            said(policy, lambda found: "programs send" not in " ".join(found))
+        )
 
 
 def test_over_ros_a_robot_that_has_ended_is_no_second_sender() -> None:
@@ -168,21 +197,39 @@ def test_over_ros_another_scenario_in_the_domain_is_named_unless_the_own_one_is_
     other = Field("dog.angle", "dog", "joint_position", "rad", (1,), ("knee",))
     with closing(policy_end(transport)) as policy:
         dog = About("robot", "Dog", "bb", "at speed 1")
-        with closing(robot_end(transport, dog, other, Topic("/dog/joint_states", "sensor_msgs/JointState"))) as robot:
-            problem = "the policy needs cart.angle (1 number in rad), which the robot does not send; give each robot its own --domain"
-            assert f"the robot of Dog at the other end does not fit this policy of CartPole: {problem}" in said(policy)[0]
-            assert f"the policy of CartPole at the other end does not fit this robot of Dog: {problem}" in said(robot)[0]
+        with closing(
+            robot_end(transport, dog, other, Topic("/dog/joint_states", "sensor_msgs/JointState"))
+        ) as robot:
+            problem = (
+                "the policy needs cart.angle (1 number in rad), which the robot does not send; give"
+                " each robot its own --domain"
+            )
+            assert (
+                f"the robot of Dog at the other end does not fit this policy of CartPole: {problem}"
+                in said(policy)[0]
+            )
+            assert (
+                f"the policy of CartPole at the other end does not fit this robot of Dog: {problem}"
+                in said(robot)[0]
+            )
             assert [remark.is_misfit for remark in robot.remarks()] == [True]
             with closing(robot_end(transport, About("robot", "CartPole", "aa", "in lockstep"))):
-                assert "the robot runs in lockstep" in " ".join(said(policy, lambda found: "lockstep" in " ".join(found)))
+                assert "the robot runs in lockstep" in " ".join(
+                    said(policy, lambda found: "lockstep" in " ".join(found))
+                )
                 assert "Dog" not in " ".join(remark.text for remark in policy.remarks())
 
 
 def test_over_ros_a_scenario_of_another_name_fits_if_its_fields_do() -> None:
     pytest.importorskip("cyclonedds")
     transport = Transport(domain=79)
-    with closing(policy_end(transport)), closing(robot_end(transport, About("robot", "Cart", "bb", "at speed 1"))) as robot:
-        assert said(robot) == ["the policy of CartPole at the other end is of another scenario than this robot of Cart"]
+    with (
+        closing(policy_end(transport)),
+        closing(robot_end(transport, About("robot", "Cart", "bb", "at speed 1"))) as robot,
+    ):
+        assert said(robot) == [
+            "the policy of CartPole at the other end is of another scenario than this robot of Cart"
+        ]
         assert not robot.remarks()[0].is_misfit
 
 
@@ -197,9 +244,12 @@ def test_a_listener_that_asks_for_reliable_sensor_data_is_noticed() -> None:
 
     with closing(robot_end(Transport(domain=77))) as robot:
         participant = DomainParticipant(77)
-        listener = DataReader(participant, DdsTopic(participant, "rt/cart/joint_states", idl.JointState), qos=dds.COMMANDS)
+        listener = DataReader(
+            participant, DdsTopic(participant, "rt/cart/joint_states", idl.JointState), qos=dds.COMMANDS
+        )
         assert said(robot) == [
-            "another program asks for reliable messages on /cart/joint_states, which is sent with best effort: none arrives there"
+            "another program asks for reliable messages on /cart/joint_states, which is sent with best"
+            " effort: none arrives there"
         ]
         del listener
 

@@ -22,7 +22,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("bundle") / "cartpole", "cartpole")
 
 
-def test_a_check_says_what_the_bundle_is_and_whether_it_is_signed(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_check_says_what_the_bundle_is_and_whether_it_is_signed(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["export", "--new-key", str(tmp_path / "key")]) == 0
     public = tmp_path / "key.pub"
     signed = shutil.copytree(folder, tmp_path / "signed")
@@ -55,7 +57,10 @@ def test_the_check_runs_nothing_that_lies_in_the_folder(folder: Path, tmp_path: 
 
 def test_a_terminal_of_another_encoding_gets_escapes(folder: Path) -> None:
     """The name of a scenario with other letters ended in a traceback under LC_ALL=C."""
-    code = "import sys; from deepbots_robot.__main__ import main; print('\\u03bb', end='') if main(sys.argv[1:]) else print('\\u03bb')"
+    code = (
+        "import sys; from deepbots_robot.__main__ import main; print('\\u03bb', end='') if"
+        " main(sys.argv[1:]) else print('\\u03bb')"
+    )
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     words = [sys.executable, "-P", "-c", code, "check", str(folder)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, env=environment)
@@ -79,11 +84,18 @@ def test_a_package_that_is_missing_on_the_robot_is_named_with_its_extra(
     pytest.importorskip("cryptography")
     signed = shutil.copytree(folder, tmp_path / "signed")
     signature.write_key(tmp_path / "key")
-    (signed / bundle.SIGNATURE_NAME).write_bytes(signature.sign((signed / bundle.BUNDLE_NAME).read_bytes(), tmp_path / "key"))
-    program = f"import sys; sys.modules[{module!r}] = None; from deepbots_robot.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    (signed / bundle.SIGNATURE_NAME).write_bytes(
+        signature.sign((signed / bundle.BUNDLE_NAME).read_bytes(), tmp_path / "key")
+    )
+    program = (
+        f"import sys; sys.modules[{module!r}] = None; from deepbots_robot.__main__ import main;"
+        " sys.exit(main(sys.argv[1:]))"
+    )
     command = [sys.executable, "-c", program, *(str(signed) if word == "BUNDLE" else word for word in words)]
     environment = os.environ | {"PYTHONPATH": str(Path(bundle.__file__).parents[1])}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
     assert done.returncode == 1
     assert package in done.stderr
     assert "is not installed" in done.stderr
@@ -101,7 +113,11 @@ def test_a_package_that_is_missing_on_the_robot_is_named_with_its_extra(
     ],
 )
 def test_options_of_keys_that_do_not_fit_are_refused(
-    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(words) == 2

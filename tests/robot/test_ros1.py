@@ -32,10 +32,16 @@ runpy.run_module(sys.argv[0], run_name="__main__")
 
 def has_rospy() -> bool:
     code = f"import sys; sys.path.append('{SYSTEM}'); import rospy, sensor_msgs.msg, nav_msgs.msg"
-    return shutil.which("rosmaster") is not None and subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
+    return (
+        shutil.which("rosmaster") is not None
+        and subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
+    )
 
 
-needs_ros = pytest.mark.skipif(not has_rospy(), reason="rospy is not installed: apt install ros-core python3-sensor-msgs python3-nav-msgs")
+needs_ros = pytest.mark.skipif(
+    not has_rospy(),
+    reason="rospy is not installed: apt install ros-core python3-sensor-msgs python3-nav-msgs",
+)
 
 
 @pytest.fixture
@@ -44,9 +50,17 @@ def master(tmp_path: Path) -> Iterator[dict[str, str]]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    environment = {**os.environ, "ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1", "ROS_LOG_DIR": str(tmp_path / "ros")}
+    environment = {
+        **os.environ,
+        "ROS_MASTER_URI": f"http://127.0.0.1:{port}",
+        "ROS_IP": "127.0.0.1",
+        "ROS_LOG_DIR": str(tmp_path / "ros"),
+    }
     running = subprocess.Popen(
-        ["rosmaster", "--core", "-p", str(port)], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        ["rosmaster", "--core", "-p", str(port)],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )
     try:
         until = time.monotonic() + 30
@@ -61,20 +75,43 @@ def master(tmp_path: Path) -> Iterator[dict[str, str]]:
 
 def started(environment: dict[str, str], *words: object) -> subprocess.Popen[str]:
     words = (sys.executable, "-c", PROGRAM, *words)
-    return subprocess.Popen([*map(str, words)], cwd=ROOT, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.Popen(
+        [*map(str, words)],
+        cwd=ROOT,
+        env=environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
 
 
 @needs_ros
-def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(master: dict[str, str], tmp_path: Path) -> None:
+def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(
+    master: dict[str, str], tmp_path: Path
+) -> None:
     bundle = written(tmp_path / "bundle", "cartpole")
     serve = ("deepbots_robot", bundle, "--ros1", "--lockstep", "--json")
     policy = started(master, *serve)
-    robot = started(master, "deepbots_cli", "serve", "cartpole", "--as-robot", "--ros1", "--lockstep", "--episodes", 20, "--json")
+    robot = started(
+        master,
+        "deepbots_cli",
+        "serve",
+        "cartpole",
+        "--as-robot",
+        "--ros1",
+        "--lockstep",
+        "--episodes",
+        20,
+        "--json",
+    )
     out, err = robot.communicate(timeout=200)
     assert robot.returncode == 0, err
     found = json.loads(out)
     second = started(master, *serve, "--seconds", 5)
-    assert "another program sends commands on /cart/joint_commands in ROS 1" in second.communicate(timeout=200)[1]
+    assert (
+        "another program sends commands on /cart/joint_commands in ROS 1"
+        in second.communicate(timeout=200)[1]
+    )
     assert second.returncode == 1
     policy.send_signal(2)
     out, err = policy.communicate(timeout=30)
@@ -85,7 +122,17 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(master
     over_zmq = tmp_path / "link"
     policy = started(master, "deepbots_robot", bundle, "--zmq", f"ipc://{over_zmq}", "--lockstep")
     robot = started(
-        master, "deepbots_cli", "serve", "cartpole", "--as-robot", "--zmq", f"ipc://{over_zmq}", "--lockstep", "--episodes", 20, "--json"
+        master,
+        "deepbots_cli",
+        "serve",
+        "cartpole",
+        "--as-robot",
+        "--zmq",
+        f"ipc://{over_zmq}",
+        "--lockstep",
+        "--episodes",
+        20,
+        "--json",
     )
     again = json.loads(robot.communicate(timeout=200)[0])
     policy.kill()
@@ -95,7 +142,9 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(master
 
 @needs_ros
 @pytest.mark.slow
-def test_after_the_table_the_process_ends_at_once_and_a_further_interrupt_prints_nothing(master: dict[str, str], tmp_path: Path) -> None:
+def test_after_the_table_the_process_ends_at_once_and_a_further_interrupt_prints_nothing(
+    master: dict[str, str], tmp_path: Path
+) -> None:
     bundle = written(tmp_path / "bundle", "cartpole")
     for further in (False, True):
         policy = started(master, "deepbots_cli", "serve", bundle, "--ros1", "--seconds", 60)
@@ -144,8 +193,13 @@ print("done")
 @needs_ros
 def test_without_a_master_it_says_so(tmp_path: Path) -> None:
     bundle = written(tmp_path / "bundle", "cartpole")
-    server = started({**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:9"}, "deepbots_robot", bundle, "--ros1")
-    assert "no ROS master answers at http://127.0.0.1:9; start `roscore`, or set ROS_MASTER_URI" in server.communicate(timeout=200)[1]
+    server = started(
+        {**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:9"}, "deepbots_robot", bundle, "--ros1"
+    )
+    assert (
+        "no ROS master answers at http://127.0.0.1:9; start `roscore`, or set ROS_MASTER_URI"
+        in server.communicate(timeout=200)[1]
+    )
 
 
 def test_without_rospy_it_says_where_it_belongs(tmp_path: Path) -> None:
@@ -155,5 +209,7 @@ def test_without_rospy_it_says_where_it_belongs(tmp_path: Path) -> None:
     try:
         import rospy  # noqa: F401
     except ModuleNotFoundError:
-        with pytest.raises(ServeError, match=r"is not installed for this Python; rospy belongs to the Python of the system"):
+        with pytest.raises(
+            ServeError, match=r"is not installed for this Python; rospy belongs to the Python of the system"
+        ):
             Transport(ros1=True).open([], [], robot=False)

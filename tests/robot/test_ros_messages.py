@@ -38,7 +38,11 @@ def _value(kind: Any) -> st.SearchStrategy[Any]:
         if inner.startswith("float"):
             return FLOATS
         bits = int(inner.strip("uint"))
-        return st.integers(0, 2**bits - 1) if inner.startswith("u") else st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        return (
+            st.integers(0, 2**bits - 1)
+            if inner.startswith("u")
+            else st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        )
     size = rest[0] if node == 3 else None
     element = _value(inner)
     many = st.lists(element, min_size=size or 0, max_size=size or 4)
@@ -84,7 +88,15 @@ FIELDS = (
     Field("dog.dq", "dog", "joint_velocity", "rad/s", (3,), LEGS),
     Field("dog.first", "dog", "joint_position", "rad", (1,), ("a",)),
     Field("dog.gyro", "dog", "gyro", "rad/s", (3,), components=("x", "y", "z")),
-    Field("dog.scan", "dog", "lidar", "m", (5,), components=("r0", "r1", "r2", "r3", "r4"), scan=(-1.0, 1.0, 3.0)),
+    Field(
+        "dog.scan",
+        "dog",
+        "lidar",
+        "m",
+        (5,),
+        components=("r0", "r1", "r2", "r3", "r4"),
+        scan=(-1.0, 1.0, 3.0),
+    ),
     Field("dog.gap", "dog", "sonar", "m", (1,), scan=(0.0, 0.0, 2.0)),
     Field("dog.place", "dog", "position", "m", (3,), components=("x", "y", "z")),
     Field("dog.adc", "dog", "infrared", "1", (8,)),
@@ -128,7 +140,9 @@ def test_fields_come_back_from_the_bytes_of_their_messages() -> None:
 def test_a_compressed_image_comes_back_and_what_is_none_is_refused(shape: tuple[int, int, int]) -> None:
     image = pytest.importorskip("PIL.Image")
     field = Field("dog.eye", "dog", "camera", "1", shape)
-    codec = ros.Codec("sensor_msgs/CompressedImage", [(field, Topic("/s", "sensor_msgs/CompressedImage"))], idl.empty)
+    codec = ros.Codec(
+        "sensor_msgs/CompressedImage", [(field, Topic("/s", "sensor_msgs/CompressedImage"))], idl.empty
+    )
     value = np.linspace(0, 255, field.count).reshape(shape).astype(np.uint8)
     message = codec.encode({"dog.eye": value}, 1.0)
     again = idl.CompressedImage.deserialize(message.serialize(use_version_2=False))
@@ -149,7 +163,9 @@ def test_a_compressed_image_comes_back_and_what_is_none_is_refused(shape: tuple[
 
 
 def test_joints_are_found_by_name_in_any_order() -> None:
-    codec = ros.Codec("sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))], idl.empty)
+    codec = ros.Codec(
+        "sensor_msgs/JointState", [(FIELDS[0], Topic("/s", "sensor_msgs/JointState"))], idl.empty
+    )
     message = idl.JointState(idl.Header(idl.Time()), ["c", "z", "a", "b"], [3.0, 9.0, 1.0, 2.0], [], [])
     assert codec.decode(message)["dog.q"].tolist() == [1.0, 2.0, 3.0]
     message.name[0] = "wheel"
@@ -166,18 +182,42 @@ def test_a_free_ray_is_as_far_as_the_scanner_sees() -> None:
 @pytest.mark.parametrize(
     ("field", "topic", "problem"),
     [
-        (FIELDS[3], Topic("/s", "sensor_msgs/JointState"), "sensor_msgs/JointState has no part for 3 numbers in rad/s"),
+        (
+            FIELDS[3],
+            Topic("/s", "sensor_msgs/JointState"),
+            "sensor_msgs/JointState has no part for 3 numbers in rad/s",
+        ),
         (
             FIELDS[0],
             Topic("/s", "sensor_msgs/JointState", "velocity"),
             r"`velocity` of sensor_msgs/JointState is in rad/s or m/s, and dog\.q",
         ),
-        (FIELDS[4], Topic("/s", "sensor_msgs/Range"), "`range` of sensor_msgs/Range has 1 number, and dog.scan is 5 numbers in m"),
-        (FIELDS[7], Topic("/s", "sensor_msgs/LaserScan"), "`ranges` of sensor_msgs/LaserScan is in m, and dog.adc is 8 numbers without"),
-        (FIELDS[8], Topic("/s", "std_msgs/Float64MultiArray"), "a row of numbers, and dog.eye is a picture of 6 x 4"),
+        (
+            FIELDS[4],
+            Topic("/s", "sensor_msgs/Range"),
+            "`range` of sensor_msgs/Range has 1 number, and dog.scan is 5 numbers in m",
+        ),
+        (
+            FIELDS[7],
+            Topic("/s", "sensor_msgs/LaserScan"),
+            "`ranges` of sensor_msgs/LaserScan is in m, and dog.adc is 8 numbers without",
+        ),
+        (
+            FIELDS[8],
+            Topic("/s", "std_msgs/Float64MultiArray"),
+            "a row of numbers, and dog.eye is a picture of 6 x 4",
+        ),
         (FIELDS[0], Topic("/s", "sensor_msgs/Scan"), "'sensor_msgs/Scan' is unknown; the types are"),
-        (FIELDS[0], Topic("joint states", "sensor_msgs/JointState"), "'joint states' is no topic; write one like /dog/joint_states"),
-        (FIELDS[5], Topic("/s", "geometry_msgs/PoseStamped"), "dog.gap fits several parts .* position.x, position.y, position.z"),
+        (
+            FIELDS[0],
+            Topic("joint states", "sensor_msgs/JointState"),
+            "'joint states' is no topic; write one like /dog/joint_states",
+        ),
+        (
+            FIELDS[5],
+            Topic("/s", "geometry_msgs/PoseStamped"),
+            "dog.gap fits several parts .* position.x, position.y, position.z",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_units(field: Field, topic: Topic, problem: str) -> None:

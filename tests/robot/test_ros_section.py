@@ -32,10 +32,12 @@ def test_a_bundle_has_the_topics_of_its_scenario() -> None:
     from deepbots_cli.insight.export.bundle import _topics
 
     program = api.compile(
-        "cartpole", overrides=["ros={cart.pole_angle: {topic: /pole, type: sensor_msgs/JointState, part: position}}"]
+        "cartpole",
+        overrides=["ros={cart.pole_angle: {topic: /pole, type: sensor_msgs/JointState, part: position}}"],
     ).program
     found = {
-        name: Topic(topic.topic, topic.type, topic.part) for name, topic in _topics(program, {"cart.pole_angle", "position(cart)"}).items()
+        name: Topic(topic.topic, topic.type, topic.part)
+        for name, topic in _topics(program, {"cart.pole_angle", "position(cart)"}).items()
     }
     assert found == {
         "cart.pole_angle": Topic("/pole", "sensor_msgs/JointState", "position"),

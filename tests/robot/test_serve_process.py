@@ -1,4 +1,5 @@
-"""`deepbots serve` and `deepbots-robot serve` as processes: what they import, how much memory they take, and what a kill leaves."""
+"""`deepbots serve` and `deepbots-robot serve` as processes: what they import, how much memory they take, and
+what a kill leaves."""
 
 from __future__ import annotations
 
@@ -35,7 +36,13 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def running(*words: object) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen([sys.executable, *map(str, words)], cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [sys.executable, *map(str, words)],
+        cwd=ROOT,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
     try:
         yield process
     finally:
@@ -58,7 +65,9 @@ print(json.dumps({{"modules": sorted(sys.modules), "memory": int(re.search(r"VmH
 
 @pytest.mark.parametrize("module", ["deepbots_robot", "deepbots_cli"])
 @pytest.mark.parametrize("link", [("--ros", "--domain", 72), ("--zmq", "tcp://127.0.0.1:58731")])
-def test_a_server_imports_no_simulator_and_takes_little_memory(bundle: Path, tmp_path: Path, module: str, link: tuple[object, ...]) -> None:
+def test_a_server_imports_no_simulator_and_takes_little_memory(
+    bundle: Path, tmp_path: Path, module: str, link: tuple[object, ...]
+) -> None:
     if "--ros" in link:
         pytest.importorskip("cyclonedds")
     words = ["serve", bundle, *link, "--seconds", 0.3, "--log", tmp_path / "a.mcap"]
@@ -71,10 +80,15 @@ def test_a_server_imports_no_simulator_and_takes_little_memory(bundle: Path, tmp
     assert found["memory"] <= MAX_MEMORY
 
 
-def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_log(bundle: Path, tmp_path: Path) -> None:
+def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_log(
+    bundle: Path, tmp_path: Path
+) -> None:
     link, log = f"ipc://{tmp_path}/link", tmp_path / "a.mcap"
     serve = (*("-m", "deepbots_robot", "serve", bundle, "--zmq", link, "--log", log),)
-    with running(*serve) as server, running("-m", "deepbots_cli", "serve", "cartpole", "--as-robot", "--zmq", link) as robot:
+    with (
+        running(*serve) as server,
+        running("-m", "deepbots_cli", "serve", "cartpole", "--as-robot", "--zmq", link) as robot,
+    ):
         _until(lambda: log.exists() and sum(topic == "/step" for topic, _, _ in read_log(log)) > 40)
         robot.send_signal(signal.SIGKILL)
         _until(lambda: any(content.get("posture") == "safe" for _, _, content in read_log(log)))
@@ -85,9 +99,19 @@ def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_lo
     found = list(read_log(log))
     assert killed - found[-1][1] <= 1.0
     last = found[-1][2]
-    assert {**last, "ages": {}} == {"inputs": {}, "ages": {}, "commands": {"cart.wheels": [0.0] * 4}, "answer": 0.0, "posture": "safe"}
+    assert {**last, "ages": {}} == {
+        "inputs": {},
+        "ages": {},
+        "commands": {"cart.wheels": [0.0] * 4},
+        "answer": 0.0,
+        "posture": "safe",
+    }
     assert min(last["ages"].values()) > 0.096  # beyond the age limit
-    assert any(content["kind"] == "safe" and "no new value" in content["text"] for topic, _, content in found if topic == "/event")
+    assert any(
+        content["kind"] == "safe" and "no new value" in content["text"]
+        for topic, _, content in found
+        if topic == "/event"
+    )
 
 
 def _until(holds: object) -> None:
@@ -103,9 +127,18 @@ def _until(holds: object) -> None:
     ("words", "said"),
     [
         (["nothing"], "nothing is not a bundle of `deepbots export`: there is no such folder"),
-        (["BUNDLE", "--ros", "--zmq", "tcp://127.0.0.1:5555"], "--ros and --zmq are different links; choose one"),
-        (["BUNDLE", "--zmq", "127.0.0.1:5555"], "'127.0.0.1:5555' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555"),
-        (["BUNDLE", "--zmq", "tcp://127.0.0.1:5555", "--domain", "3"], "--interface and --domain belong to ROS 2"),
+        (
+            ["BUNDLE", "--ros", "--zmq", "tcp://127.0.0.1:5555"],
+            "--ros and --zmq are different links; choose one",
+        ),
+        (
+            ["BUNDLE", "--zmq", "127.0.0.1:5555"],
+            "'127.0.0.1:5555' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555",
+        ),
+        (
+            ["BUNDLE", "--zmq", "tcp://127.0.0.1:5555", "--domain", "3"],
+            "--interface and --domain belong to ROS 2",
+        ),
         (["BUNDLE", "--interface", "<x>"], "'<x>' is no network interface of this machine; it has"),
         (["BUNDLE", "--speed", "0"], "--speed 0: write a number above 0, at most 1000"),
         (["BUNDLE", "--episodes", "3"], "belong to a simulated robot; add --as-robot or leave them out"),
@@ -113,13 +146,24 @@ def _until(holds: object) -> None:
             ["BUNDLE", "--zmq", "tcp://127.0.0.1:58733", "--seconds", "0.1"],
             "the policy acted in no step in 0.1 s: no value of position(cart),",
         ),
-        (["BUNDLE", "--log", "missing/a.mcap"], "missing/a.mcap cannot be written: no such file or directory"),
-        (["cartpole", "--as-robot", "--log", "a.mcap"], "--log, --seconds and --trusted belong to the policy"),
+        (
+            ["BUNDLE", "--log", "missing/a.mcap"],
+            "missing/a.mcap cannot be written: no such file or directory",
+        ),
+        (
+            ["cartpole", "--as-robot", "--log", "a.mcap"],
+            "--log, --seconds and --trusted belong to the policy",
+        ),
         (["multi_cartpole", "--as-robot"], "has copies of a robot"),
     ],
 )
 def test_what_cannot_be_served_is_said_in_a_sentence(
-    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: list[str], said: str
+    bundle: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    words: list[str],
+    said: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["serve", *(str(bundle) if word == "BUNDLE" else word for word in words)]) != 0
@@ -130,6 +174,9 @@ def test_what_cannot_be_served_is_said_in_a_sentence(
 
 
 def test_a_simulated_robot_needs_no_torch() -> None:
-    code = "import sys, deepbots_cli.insight.robot, deepbots_cli.insight.real_robot; print('torch' in sys.modules)"
+    code = (
+        "import sys, deepbots_cli.insight.robot, deepbots_cli.insight.real_robot; print('torch' in"
+        " sys.modules)"
+    )
     with running("-c", code) as process:
         assert process.communicate(timeout=60)[0] == "False\n"

@@ -50,7 +50,8 @@ class Doubles:
 
 
 class Line:
-    """A link whose time is that of the test: messages arrive when they are put into it, and waiting lets time pass."""
+    """A link whose time is that of the test: messages arrive when they are put into it, and waiting lets time
+    pass."""
 
     name = "a line"
 
@@ -89,7 +90,10 @@ class Line:
     def put(self, at: float, angle: float, stamp: float | None = None) -> None:
         """The two messages of one moment."""
         stamp = at if stamp is None else stamp
-        self.coming += [(at, Arrival("a", {"cart.angle": np.array([angle])}, stamp)), (at, Arrival("g", {"cart.gyro": np.zeros(3)}, stamp))]
+        self.coming += [
+            (at, Arrival("a", {"cart.angle": np.array([angle])}, stamp)),
+            (at, Arrival("g", {"cart.gyro": np.zeros(3)}, stamp)),
+        ]
 
 
 class World:
@@ -101,9 +105,19 @@ class World:
         self.logged: list[tuple[str, float]] = []
         self.line, self.policy = Line(), Doubles()
         output = output or Output(DRIVE, np.full(2, -5.0), np.full(2, 5.0), free, np.array(SAFE))
-        self.server = Server(self.policy, INPUTS, [output], self.line, RATE, clock=lambda: self.line.now, log=self, **settings)
+        self.server = Server(
+            self.policy, INPUTS, [output], self.line, RATE, clock=lambda: self.line.now, log=self, **settings
+        )
 
-    def step(self, stamp: float, values: object, commands: object, answer: float, posture: str, ages: Mapping[str, float] = {}) -> None:
+    def step(
+        self,
+        stamp: float,
+        values: object,
+        commands: object,
+        answer: float,
+        posture: str,
+        ages: Mapping[str, float] = {},
+    ) -> None:
         self.logged.append((posture, answer))
 
     def event(self, stamp: float, kind: str, text: str) -> None:
@@ -126,7 +140,9 @@ def test_it_answers_values_at_once_and_at_the_rate_of_the_bundle() -> None:
     assert 49 <= len(found) <= 51
     assert found[0] == (100.0, [0.0, 0.0])
     for at, command in found[1:]:
-        assert command == pytest.approx([round((at - 100.0) * 100) * 0.01] * 2, abs=0.0101)  # at most one message old
+        assert command == pytest.approx(
+            [round((at - 100.0) * 100) * 0.01] * 2, abs=0.0101
+        )  # at most one message old
 
 
 def test_uneven_messages_are_used_once_each() -> None:
@@ -228,7 +244,9 @@ def test_messages_that_were_long_under_way_are_ignored() -> None:
 
 
 def test_commands_stay_within_value_and_rate() -> None:
-    output = Output(DRIVE, np.array([-5.0, -2.0]), np.array([5.0, 2.0]), np.array([20.0, np.inf]), np.array(SAFE))
+    output = Output(
+        DRIVE, np.array([-5.0, -2.0]), np.array([5.0, 2.0]), np.array([20.0, np.inf]), np.array(SAFE)
+    )
     world = World(output=output)
     for step, angle in enumerate([0.0, 1.0, 1.0, 1.0, -1.0]):
         world.line.put(100.0 + step / RATE, angle)
@@ -285,7 +303,9 @@ def test_in_lockstep_there_is_one_answer_for_each_moment_however_long_it_takes()
     assert world.policy.seen == [0.01 * step for step in range(20)]
     assert not world.server.safe_steps
     answers = [command for _, command in world.line.sent]
-    assert {tuple(command) for command in answers} == {(0.1 * step, 0.1 * step) for step in range(20)} or len(answers) >= 20
+    assert {tuple(command) for command in answers} == {(0.1 * step, 0.1 * step) for step in range(20)} or len(
+        answers
+    ) >= 20
 
 
 # Damage
@@ -306,7 +326,10 @@ def _damages(rng: random.Random) -> list[Callable[[dict[str, Any]], Any]]:
         lambda message: {**message, "fields": {f"cart.{rng.randrange(9)}": [0.9]}},
         lambda message: {**message, "fields": {}},
         lambda message: {**message, "fields": rng.choice([[], None, 3, "x"])},
-        lambda message: {**message, "stamp": rng.choice([math.nan, math.inf, -math.inf, "now", None, message["stamp"] + 40, -1.0])},
+        lambda message: {
+            **message,
+            "stamp": rng.choice([math.nan, math.inf, -math.inf, "now", None, message["stamp"] + 40, -1.0]),
+        },
         lambda message: {**message, "extra": 1},
         lambda message: {name: value for name, value in message.items() if name != missing},
         lambda message: {**message, "robot": "x" * 10_000},
@@ -321,12 +344,18 @@ def test_ten_thousand_damaged_messages_are_not_obeyed_and_crash_nothing() -> Non
     moment = 0
     for number in range(10_000):
         at = 100.0 + moment / RATE
-        message = {"robot": "cart", "stamp": at, "fields": {"cart.angle": [0.5], "cart.gyro": [0.0, 0.0, 0.0]}}
+        message = {
+            "robot": "cart",
+            "stamp": at,
+            "fields": {"cart.angle": [0.5], "cart.gyro": [0.0, 0.0, 0.0]},
+        }
         spoiled = rng.choice(_damages(rng))(message)
         packed = rng.random() < 0.5
         content = msgspec.msgpack.encode(spoiled) if packed else msgspec.json.encode(spoiled)
         if rng.random() < 0.3:
-            content = content[: rng.randrange(len(content))] + bytes(rng.randrange(256) for _ in range(rng.randrange(4)))
+            content = content[: rng.randrange(len(content))] + bytes(
+                rng.randrange(256) for _ in range(rng.randrange(4))
+            )
         world.line.coming.append((at, messages.read(content, fields)))
         if number % 10 == 9:
             moment += 1
@@ -405,12 +434,23 @@ def test_a_log_without_an_end_can_be_read(tmp_path: Path) -> None:
     writer = LogWriter(tmp_path / "a.mcap", {"scenario": "CartPole"}, lambda: now[0])
     for step in range(200):
         now[0] = step / RATE
-        writer.step(step / RATE, {"cart.angle": np.array([0.1])}, {"cart.drive": np.array([1.0, 1.0])}, 0.001, "policy")
+        writer.step(
+            step / RATE,
+            {"cart.angle": np.array([0.1])},
+            {"cart.drive": np.array([1.0, 1.0])},
+            0.001,
+            "policy",
+        )
     content = (tmp_path / "a.mcap").read_bytes()  # as a killed process leaves it
     (tmp_path / "b.mcap").write_bytes(content[:-3])
     found = list(read_log(tmp_path / "b.mcap"))
     assert found[-1][1] >= 3.98 - 1.0
-    assert found[5][2] == {"inputs": {"cart.angle": [0.1]}, "commands": {"cart.drive": [1.0, 1.0]}, "answer": 0.001, "posture": "policy"}
+    assert found[5][2] == {
+        "inputs": {"cart.angle": [0.1]},
+        "commands": {"cart.drive": [1.0, 1.0]},
+        "answer": 0.001,
+        "posture": "policy",
+    }
     writer.close()
     assert len(list(read_log(tmp_path / "a.mcap"))) == 200
     (tmp_path / "c.mcap").write_bytes(b"no log")

@@ -66,7 +66,9 @@ def without_noise(program: Program) -> Program:
 
     agent = program.agent
     goal = agent.goal and replace(agent.goal, achieved=replace(agent.goal.achieved, noise=None))
-    program = program.with_agents(observation=tuple(replace(entry, noise=None) for entry in agent.observation), goal=goal)
+    program = program.with_agents(
+        observation=tuple(replace(entry, noise=None) for entry in agent.observation), goal=goal
+    )
     return replace(program, signals=tuple(replace(signal, noise=None) for signal in program.signals))
 
 
@@ -81,7 +83,9 @@ def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_pa
     step, learner, _ = made(scenario)
     program = without_noise(robot_program(step.program))
     with closing(api.build(program)) as world:
-        alone = list(itertools.islice(steps(world, PolicyDriver(learner, world), Start.of_evaluation(3, 0)), STEPS))
+        alone = list(
+            itertools.islice(steps(world, PolicyDriver(learner, world), Start.of_evaluation(3, 0)), STEPS)
+        )
     readings = sent_readings(program)
     transport = Transport(zmq=f"ipc://{tmp_path}/link")
     with served(scenario, transport), closing(api.build(with_probes(program, readings))) as world:
@@ -110,7 +114,11 @@ def test_episodes_over_ros_topics(tmp_path: Path) -> None:
     assert server.episodes == 3
     assert server.steps == sum(lengths)
     with served("cartpole", Transport(zmq=f"ipc://{tmp_path}/link")):
-        again = list(serve_robot(program, Transport(zmq=f"ipc://{tmp_path}/link"), episodes=3, lockstep=True, patience=10))
+        again = list(
+            serve_robot(
+                program, Transport(zmq=f"ipc://{tmp_path}/link"), episodes=3, lockstep=True, patience=10
+            )
+        )
     assert [episode.length for episode, _ in again] == lengths
 
 
@@ -119,14 +127,19 @@ def test_episodes_over_websocket() -> None:
     program, transport = made("cartpole")[0].program, Transport(websocket="58745")
     with served("cartpole", transport) as server:
         found = list(serve_robot(program, transport, episodes=2, lockstep=True, patience=10))
-        again = list(serve_robot(program, transport, episodes=2, lockstep=True, patience=10))  # a robot that comes back
+        again = list(
+            serve_robot(program, transport, episodes=2, lockstep=True, patience=10)
+        )  # a robot that comes back
     assert server.steps == 2 * sum(episode.length for episode, _ in found)
     assert [episode.length for episode, _ in again] == [episode.length for episode, _ in found]
 
 
 def test_a_robot_without_a_policy_says_so(tmp_path: Path) -> None:
     program = api.compile("cartpole").program
-    with pytest.raises(UsageError, match=r"nobody listens on ZeroMQ at ipc://.*; start the policy first: deepbots serve BUNDLE"):
+    with pytest.raises(
+        UsageError,
+        match=r"nobody listens on ZeroMQ at ipc://.*; start the policy first: deepbots serve BUNDLE",
+    ):
         next(serve_robot(program, Transport(zmq=f"ipc://{tmp_path}/nobody"), patience=0.1))
     with pytest.raises(UsageError, match="has copies of a robot"):
         next(serve_robot(api.compile("multi_cartpole").program, Transport(zmq=f"ipc://{tmp_path}/nobody")))

@@ -24,12 +24,16 @@ from deepbots_robot.serving import Transport
 
 
 @contextmanager
-def simulated(scenario: str, transport: Transport, *, episodes: int = 1, seed: int = 3) -> Iterator[list[Episode]]:
+def simulated(
+    scenario: str, transport: Transport, *, episodes: int = 1, seed: int = 3
+) -> Iterator[list[Episode]]:
     """The simulation of a scenario as a robot, in a thread; the episodes that it played."""
     done: list[Episode] = []
 
     def play_all() -> None:
-        running = serve_robot(api.compile(scenario).program, transport, episodes=episodes, seed=seed, lockstep=True, patience=10)
+        running = serve_robot(
+            api.compile(scenario).program, transport, episodes=episodes, seed=seed, lockstep=True, patience=10
+        )
         with suppress(UsageError):  # as where no policy fits
             done.extend(episode for episode, _ in running)
 
@@ -48,7 +52,9 @@ def simulated(scenario: str, transport: Transport, *, episodes: int = 1, seed: i
         ("quadruped", "zero"),
     ],
 )
-def test_an_episode_on_a_robot_is_scored_as_in_the_simulation(scenario: str, driver: str, tmp_path: Path) -> None:
+def test_an_episode_on_a_robot_is_scored_as_in_the_simulation(
+    scenario: str, driver: str, tmp_path: Path
+) -> None:
     program = api.compile(scenario).program
     bare = robot_program(program)
     kept, _ = scored(bare, sent_readings(bare))
@@ -56,12 +62,16 @@ def test_an_episode_on_a_robot_is_scored_as_in_the_simulation(scenario: str, dri
     with closing(api.build(bare)) as world:
         alone = play(world, named_driver(world, driver), Start.of_evaluation(3, 0))
     with simulated(scenario, transport) as there:
-        (here,), report = try_robot(program, transport, lambda world: named_driver(world, driver), lockstep=True, seconds=10)
+        (here,), report = try_robot(
+            program, transport, lambda world: named_driver(world, driver), lockstep=True, seconds=10
+        )
     assert there[0].length == pytest.approx(alone.length, abs=1)
     assert here.length == pytest.approx(alone.length, abs=2)
     assert here.terms.keys() == {term.name for term in kept.agent.reward}
     for name, total in here.terms.items():
-        assert total == pytest.approx(alone.terms[name], rel=0.02, abs=0.02 + abs(alone.terms[name]) / max(1, alone.length)), name
+        assert total == pytest.approx(
+            alone.terms[name], rel=0.02, abs=0.02 + abs(alone.terms[name]) / max(1, alone.length)
+        ), name
     assert here.ended_by in (alone.ended_by, RESET_BY_ROBOT)
     assert report["steps"] >= here.length
 
@@ -79,10 +89,28 @@ def test_what_nothing_measures_is_named_and_left_out() -> None:
     ]
 
 
-def test_the_command_plays_further_episodes_when_the_robot_begins_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_plays_further_episodes_when_the_robot_begins_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     address = f"ipc://{tmp_path}/link"
     with simulated("cartpole", Transport(zmq=address), episodes=3) as there:
-        assert main(["try", "cartpole", "--robot", address, "--driver", "forward", "--lockstep", "--episodes", "3", "--json"]) == 0
+        assert (
+            main(
+                [
+                    "try",
+                    "cartpole",
+                    "--robot",
+                    address,
+                    "--driver",
+                    "forward",
+                    "--lockstep",
+                    "--episodes",
+                    "3",
+                    "--json",
+                ]
+            )
+            == 0
+        )
     found = json.loads(capsys.readouterr().out)
     assert [each["length"] for each in found["episodes"]] == [each.length for each in there]
     assert {each["ended_by"] for each in found["episodes"]} == {"fallen"}
@@ -92,7 +120,9 @@ def test_the_command_plays_further_episodes_when_the_robot_begins_them(tmp_path:
 def test_a_robot_that_falls_silent_ends_the_episode(tmp_path: Path) -> None:
     transport, program = Transport(zmq=f"ipc://{tmp_path}/link"), api.compile("pit_escape").program
     with simulated("pit_escape", transport):  # it ends when it is out of the pit, which it does not measure
-        (here,), _ = try_robot(program, transport, lambda world: named_driver(world, "rocking"), lockstep=True, seconds=2)
+        (here,), _ = try_robot(
+            program, transport, lambda world: named_driver(world, "rocking"), lockstep=True, seconds=2
+        )
     assert here.ended_by == SILENT
     assert here.length > 10
     with pytest.raises(UsageError, match=r"no value of roller.gyro, roller.accel came in 0.1 s"):
@@ -103,7 +133,9 @@ def test_a_robot_that_is_not_there_is_named_after_5_s(tmp_path: Path) -> None:
     transport, program = Transport(zmq=f"ipc://{tmp_path}/link"), api.compile("pit_escape").program
     notes: list[str] = []
     with pytest.raises(UsageError, match="no value of"):
-        try_robot(program, transport, lambda world: named_driver(world, "rocking"), seconds=5.5, note=notes.append)
+        try_robot(
+            program, transport, lambda world: named_driver(world, "rocking"), seconds=5.5, note=notes.append
+        )
     assert notes[-1] == "no step in 5 s: there is no value of roller.gyro, roller.accel yet"
 
 
@@ -111,14 +143,22 @@ def test_a_robot_that_is_not_there_is_named_after_5_s(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["--robot", "tcp://127.0.0.1:58751"], "--robot needs --driver NAME"),
-        (["--robot", "5555", "--driver", "zero"], "'5555' is no address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT"),
+        (
+            ["--robot", "5555", "--driver", "zero"],
+            "'5555' is no address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT",
+        ),
         (["--robot", "ros:999", "--driver", "zero"], "the domain 999 does not exist"),
         (["--robot", "ws://127.0.0.1:99999", "--driver", "zero"], "is no port"),
-        (["--robot", "tcp://127.0.0.1:58751", "--driver", "zer"], "there is no driver 'zer' (did you mean zero?)"),
+        (
+            ["--robot", "tcp://127.0.0.1:58751", "--driver", "zer"],
+            "there is no driver 'zer' (did you mean zero?)",
+        ),
         (["--lockstep"], "--lockstep and --speed need --robot"),
     ],
 )
-def test_what_cannot_be_tried_is_said_in_a_sentence(capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
+def test_what_cannot_be_tried_is_said_in_a_sentence(
+    capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
     pytest.importorskip("cyclonedds")
     assert main(["try", "cartpole", *words]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
@@ -130,4 +170,6 @@ def test_over_another_scenario_it_ends_with_a_sentence(tmp_path: Path) -> None:
         simulated("cartpole", transport),
         pytest.raises(UsageError, match="the robot of CartPole at the other end does not fit this policy of"),
     ):
-        try_robot(api.compile("find_ball").program, transport, lambda world: named_driver(world, "zero"), seconds=10)
+        try_robot(
+            api.compile("find_ball").program, transport, lambda world: named_driver(world, "zero"), seconds=10
+        )

@@ -55,11 +55,15 @@ def moments(inertial: Inertial) -> list[float]:
 
 @pytest.mark.parametrize("name", ["block.stl", "block.obj"])
 @pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (0.5, 2.0, -1.0)])
-def test_a_block_of_triangles_weighs_what_a_box_does(tmp_path: Path, name: str, scale: tuple[float, float, float]) -> None:
+def test_a_block_of_triangles_weighs_what_a_box_does(
+    tmp_path: Path, name: str, scale: tuple[float, float, float]
+) -> None:
     found = weighed(robot(mesh(tmp_path, name, block(name, (0.1, 0.2, 0.3)), scale), Pose((1.0, 2.0, 3.0))))
     size = (0.1 * scale[0], 0.2 * scale[1], 0.3 * abs(scale[2]))
     expected = homogeneous_inertial(Box(size), DENSITY * math.prod(size))
-    assert moments(found) == pytest.approx(moments(expected), rel=1e-6, abs=1e-9)  # an STL file has 32-bit floats
+    assert moments(found) == pytest.approx(
+        moments(expected), rel=1e-6, abs=1e-9
+    )  # an STL file has 32-bit floats
     assert found.origin.xyz == pytest.approx((1.0, 2.0, 3.0))
 
 
@@ -71,7 +75,12 @@ def test_a_ball_of_triangles_weighs_nearly_what_a_sphere_does(tmp_path: Path) ->
 
 
 def test_a_turned_block_has_the_inertia_of_a_turned_box(tmp_path: Path) -> None:
-    found = weighed(robot(mesh(tmp_path, "block.obj", block("block.obj", (0.1, 0.2, 0.3))), Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))))
+    found = weighed(
+        robot(
+            mesh(tmp_path, "block.obj", block("block.obj", (0.1, 0.2, 0.3))),
+            Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2)),
+        )
+    )
     expected = homogeneous_inertial(Box((0.2, 0.1, 0.3)), DENSITY * 0.006)
     assert moments(found) == pytest.approx(moments(expected), abs=1e-12)
 
@@ -91,7 +100,9 @@ def test_shapes_in_closed_form_are_weighed_at_once() -> None:
     dense = with_density(robot(Cylinder(0.1, 0.5), Pose((0.0, 0.0, 0.2))), "a", DENSITY)
     assert isinstance(dense, RobotModel)
     volume = math.pi * 0.1**2 * 0.5
-    assert dense.link("a").inertial == homogeneous_inertial(Cylinder(0.1, 0.5), DENSITY * volume, Pose((0.0, 0.0, 0.2)))
+    assert dense.link("a").inertial == homogeneous_inertial(
+        Cylinder(0.1, 0.5), DENSITY * volume, Pose((0.0, 0.0, 0.2))
+    )
     assert dense.link("a").density is None
 
 
@@ -113,7 +124,8 @@ SCENARIO = (ROOT / "scenarios/cartpole.yaml").read_text(encoding="utf-8")
 
 
 def cartpole(folder: Path, pole: str) -> str:
-    """A CartPole whose pole is a mesh with an inertial or without, and what the scenario says of it; the codes of the findings."""
+    """A CartPole whose pole is a mesh with an inertial or without, and what the scenario says of it; the
+    codes of the findings."""
     (folder / "pole.obj").write_bytes(block("pole.obj", (0.02, 0.02, 1.0)))
     box = homogeneous_inertial(Box((0.02, 0.02, 1.0)), DENSITY * 0.0004, Pose((0.0, 0.0, 0.5)))
     assert box is not None
@@ -153,7 +165,11 @@ def test_a_link_of_a_scenario_takes_its_mass_from_its_density(tmp_path: Path) ->
         ("density: 0 kg/m^3", "DB105", "0"),
     ],
 )
-def test_a_density_that_cannot_be_meant_is_a_finding(tmp_path: Path, says: str, code: str, words: str) -> None:
-    text = SCENARIO.replace("urdf: ../robots/urdf/cartpole.urdf", f"urdf: cartpole\n    links: {{pole: {{{says}}}}}")
+def test_a_density_that_cannot_be_meant_is_a_finding(
+    tmp_path: Path, says: str, code: str, words: str
+) -> None:
+    text = SCENARIO.replace(
+        "urdf: ../robots/urdf/cartpole.urdf", f"urdf: cartpole\n    links: {{pole: {{{says}}}}}"
+    )
     (tmp_path / "a.yaml").write_text(text, encoding="utf-8")
     assert [finding.code for finding in api.lint(tmp_path / "a.yaml") if words in finding.headline] == [code]

@@ -29,7 +29,9 @@ def model_of(name: str) -> RobotModel:
 
 
 @pytest.mark.parametrize("name", shipped.robot_names())
-def test_another_reader_finds_the_same_joints_in_the_normalized_file(yourdfpy: Any, name: str, tmp_path: Path) -> None:
+def test_another_reader_finds_the_same_joints_in_the_normalized_file(
+    yourdfpy: Any, name: str, tmp_path: Path
+) -> None:
     model = model_of(name)
     file = tmp_path / "robot.urdf"
     file.write_text(to_urdf(model), encoding="utf-8")

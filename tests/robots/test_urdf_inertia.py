@@ -36,7 +36,11 @@ sizes = st.floats(0.1, 10)
 DENSITY = 3.0
 
 
-def robot(shape: Shape, origin: Pose = Pose(), rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RobotModel:  # noqa: B008
+def robot(
+    shape: Shape,
+    origin: Pose = Pose(),  # noqa: B008
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> RobotModel:
     """One link of homogeneous material, with a child at (0.1, 0.2, 0.3)."""
     body = homogeneous_inertial(shape, DENSITY * (volume(shape) or 1), origin)
     geometry = Geometry(shape, origin)
@@ -62,7 +66,11 @@ def test_a_stretched_box_is_the_box_of_the_new_size(size, scale, at):
     link = stretched.link("a")
     assert link.visuals[0].shape == Box(new)
     assert moments(link.inertial) == pytest.approx(
-        moments(homogeneous_inertial(Box(new), DENSITY * math.prod(new), Pose(tuple(a * f for a, f in zip(at, scale, strict=True)))))
+        moments(
+            homogeneous_inertial(
+                Box(new), DENSITY * math.prod(new), Pose(tuple(a * f for a, f in zip(at, scale, strict=True)))
+            )
+        )
     )
 
 
@@ -79,20 +87,31 @@ def test_a_cylinder_may_grow_in_length_and_in_radius(radius, length, across, alo
 
 @pytest.mark.parametrize("shape", [Sphere(0.3), Capsule(0.2, 0.7), Cylinder(0.3, 0.1), Box((1.0, 2.0, 3.0))])
 def test_every_shape_grows_evenly(shape):
-    stretched = model_of(with_scale(robot(shape, Pose((1.0, 2.0, 3.0), (0.3, -0.2, 1.0))), "a", (2.0, 2.0, 2.0))).link("a")
+    stretched = model_of(
+        with_scale(robot(shape, Pose((1.0, 2.0, 3.0), (0.3, -0.2, 1.0))), "a", (2.0, 2.0, 2.0))
+    ).link("a")
     assert stretched.inertial.mass == pytest.approx(8 * robot(shape).link("a").inertial.mass)
-    assert moments(stretched.inertial)[4:] == pytest.approx([32 * value for value in moments(robot(shape).link("a").inertial)[4:]])
+    assert moments(stretched.inertial)[4:] == pytest.approx(
+        [32 * value for value in moments(robot(shape).link("a").inertial)[4:]]
+    )
     assert stretched.inertial.origin.xyz == (2.0, 4.0, 6.0)
 
 
 def test_child_joints_move_with_the_stretch_and_keep_their_direction():
-    joint = model_of(with_scale(robot(Box((1.0, 1.0, 1.0)), rpy=(0.1, 0.2, 0.3)), "a", (1.0, 2.0, 10.0))).joint("j")
+    joint = model_of(
+        with_scale(robot(Box((1.0, 1.0, 1.0)), rpy=(0.1, 0.2, 0.3)), "a", (1.0, 2.0, 10.0))
+    ).joint("j")
     assert joint.origin == Pose((0.1, 0.4, 3.0), (0.1, 0.2, 0.3))
 
 
 def test_a_shape_turned_by_a_right_angle_is_scaled_along_its_own_axes():
     lying = Pose((0.0, 0.0, 0.0), (math.pi / 2, 0.0, 0.0))  # its z along -y of the link
-    shape = model_of(with_scale(robot(Cylinder(0.1, 1.0), lying), "a", (2.0, 3.0, 2.0))).link("a").visuals[0].shape
+    shape = (
+        model_of(with_scale(robot(Cylinder(0.1, 1.0), lying), "a", (2.0, 3.0, 2.0)))
+        .link("a")
+        .visuals[0]
+        .shape
+    )
     assert shape.radius == pytest.approx(0.2)
     assert shape.length == pytest.approx(3.0)
 
@@ -101,13 +120,17 @@ def test_the_inertia_of_a_turned_frame_is_stretched_in_the_axes_of_the_link():
     turned = Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
     model = robot(Box((1.0, 2.0, 3.0)), turned)
     stretched = model_of(with_scale(model, "a", (5.0, 1.0, 1.0))).link("a").inertial
-    assert moments(stretched)[4:] == pytest.approx(moments(homogeneous_inertial(Box((1.0, 10.0, 3.0)), 6 * 5 * DENSITY))[4:])
+    assert moments(stretched)[4:] == pytest.approx(
+        moments(homogeneous_inertial(Box((1.0, 10.0, 3.0)), 6 * 5 * DENSITY))[4:]
+    )
 
 
 def test_a_mesh_is_stretched_by_its_scale():
     mesh = Mesh("/m.stl", "0", (1.0, 1.0, 2.0))
     model = RobotModel("r", (Link("a", None, (Geometry(mesh),)),), (), "a")
-    assert model_of(with_scale(model, "a", (1.0, 2.0, 3.0))).link("a").visuals[0].shape == replace(mesh, scale=(1.0, 2.0, 6.0))
+    assert model_of(with_scale(model, "a", (1.0, 2.0, 3.0))).link("a").visuals[0].shape == replace(
+        mesh, scale=(1.0, 2.0, 6.0)
+    )
 
 
 @pytest.mark.parametrize(
@@ -129,7 +152,9 @@ def test_a_shape_that_cannot_follow_says_why(shape, origin, scale, why):
 
 def test_a_new_mass_scales_the_inertia():
     model = model_of(with_mass(robot(Box((1.0, 2.0, 3.0))), "a", 5.0))
-    assert moments(model.link("a").inertial) == pytest.approx(moments(homogeneous_inertial(Box((1.0, 2.0, 3.0)), 5.0)))
+    assert moments(model.link("a").inertial) == pytest.approx(
+        moments(homogeneous_inertial(Box((1.0, 2.0, 3.0)), 5.0))
+    )
 
 
 def test_a_mass_that_cannot_be_changed_says_why():
@@ -138,14 +163,22 @@ def test_a_mass_that_cannot_be_changed_says_why():
 
 
 def test_joint_and_friction_overrides_change_only_what_is_named():
-    model = with_joint(with_joint(robot(Sphere(1.0)), "j", damping=0.5), "j", friction=0.1, limit=Limit(effort=2.0))
-    assert (model.joint("j").damping, model.joint("j").friction, model.joint("j").limit.effort) == (0.5, 0.1, 2.0)
+    model = with_joint(
+        with_joint(robot(Sphere(1.0)), "j", damping=0.5), "j", friction=0.1, limit=Limit(effort=2.0)
+    )
+    assert (model.joint("j").damping, model.joint("j").friction, model.joint("j").limit.effort) == (
+        0.5,
+        0.1,
+        2.0,
+    )
     model = with_friction(with_friction(model, "a", lateral=0.3), "a", rolling=0.0)
     assert model.link("a").friction == Friction(lateral=0.3, rolling=0.0)
     assert model.link("b") == robot(Sphere(1.0)).link("b")
 
 
-@pytest.mark.parametrize("shape", [Box((0.36, 0.6, 0.96)), Sphere(0.5), Cylinder(0.4, 1.0), Capsule(0.3, 0.6)])
+@pytest.mark.parametrize(
+    "shape", [Box((0.36, 0.6, 0.96)), Sphere(0.5), Cylinder(0.4, 1.0), Capsule(0.3, 0.6)]
+)
 def test_the_closed_forms_agree_with_a_sum_over_small_cubes(shape):
     """A grid of 40 cubes along the longest side; the surface cubes make an error of some per cent."""
     step = 1.2 / 40

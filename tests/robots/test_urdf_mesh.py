@@ -47,7 +47,9 @@ def test_a_mesh_is_kept_by_its_real_path_and_digest(tmp_path: Path):
 
 def test_a_mesh_is_checked_once_until_its_content_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     checked, check = [], meshes.mesh_problem
-    monkeypatch.setattr(meshes, "mesh_problem", lambda suffix, data: checked.append(data) or check(suffix, data))
+    monkeypatch.setattr(
+        meshes, "mesh_problem", lambda suffix, data: checked.append(data) or check(suffix, data)
+    )
     sound, broken = TETRAHEDRON + b"# read twice\n", b"v 0 0 0\nv 1 0 0\nf 1 2 3\n"
     said = []
     for content in (sound, sound, broken, broken):
@@ -78,7 +80,10 @@ CONTENTS = {
     "e.obj": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a vertex that is not finite"),
     "f.obj": (b"v 0 0 0\n", "the OBJ file contains no face"),
     "g.obj": (b"\0\1\2", "the OBJ file is not text"),
-    "a.stl": (stl(100_000_000, 1), "the STL file declares 100,000,000 triangles, but it is as long as a file of 1 triangles"),
+    "a.stl": (
+        stl(100_000_000, 1),
+        "the STL file declares 100,000,000 triangles, but it is as long as a file of 1 triangles",
+    ),
     "b.stl": (b"short", "the STL file is shorter than its header"),
     "c.stl": (stl(0, 0), "the STL file contains no triangle"),
     "d.stl": (stl(1, 1) + b"\n", "declares 1 triangles, but it is as long as a file of 1.02"),
@@ -131,7 +136,13 @@ def test_meshes_stay_inside_the_folder_of_the_robot(tmp_path: Path):
     inner.mkdir()
     (tmp_path / "secret.obj").write_bytes(TETRAHEDRON)
     (inner / "link.obj").symlink_to(tmp_path / "secret.obj")
-    for filename in ("../secret.obj", "link.obj", str(tmp_path / "secret.obj"), f"file://{tmp_path}/secret.obj", "package://../secret.obj"):
+    for filename in (
+        "../secret.obj",
+        "link.obj",
+        str(tmp_path / "secret.obj"),
+        f"file://{tmp_path}/secret.obj",
+        "package://../secret.obj",
+    ):
         assert robot_with(inner, filename)[1] == ["the mesh lies outside the folder of the robot"], filename
 
 
@@ -142,8 +153,12 @@ def test_a_mesh_in_a_folder_above_is_read_with_a_warning_where_that_folder_is_al
     (tmp_path / "shapes/m.obj").write_bytes(TETRAHEDRON)
     assert robot_with(inner, "shapes/m.obj")[1] == ["the mesh does not exist"]
     findings = Findings()
-    robot = read(inner / "robot.urdf", "robot.urdf", findings, resolve_mesh=meshes.mesh_resolver(inner, [tmp_path]))
-    assert [(finding.code, finding.help) for finding in findings] == [("DB311", 'write filename="../../shapes/m.obj"')]
+    robot = read(
+        inner / "robot.urdf", "robot.urdf", findings, resolve_mesh=meshes.mesh_resolver(inner, [tmp_path])
+    )
+    assert [(finding.code, finding.help) for finding in findings] == [
+        ("DB311", 'write filename="../../shapes/m.obj"')
+    ]
     assert list(robot.meshes) == [os.path.realpath(tmp_path / "shapes/m.obj")]
 
 
@@ -171,13 +186,25 @@ def test_a_package_is_an_installed_one_else_a_folder_above_else_beside_the_robot
     assert meshes.locate_mesh("package://pytest/m.obj", tmp_path) == home / "m.obj"
     folder = tmp_path / "my_robot_description" / "urdf"
     folder.mkdir(parents=True)
-    assert meshes.locate_mesh("package://my_robot_description/m.obj", folder) == Path(os.path.realpath(folder.parent / "m.obj"))
-    assert meshes.locate_mesh("package://meshes/visual/m.obj", folder) == Path(os.path.realpath(folder / "meshes/visual/m.obj"))
+    assert meshes.locate_mesh("package://my_robot_description/m.obj", folder) == Path(
+        os.path.realpath(folder.parent / "m.obj")
+    )
+    assert meshes.locate_mesh("package://meshes/visual/m.obj", folder) == Path(
+        os.path.realpath(folder / "meshes/visual/m.obj")
+    )
 
 
 def test_a_resolver_decides_what_may_be_read(tmp_path: Path):
     (tmp_path / "m.obj").write_bytes(TETRAHEDRON)
     robot_with(tmp_path, "m.obj")
     findings = Findings()
-    assert read(tmp_path / "robot.urdf", "r", findings, resolve_mesh=lambda _: meshes.UnusableMesh("not today", "come back")) is None
+    assert (
+        read(
+            tmp_path / "robot.urdf",
+            "r",
+            findings,
+            resolve_mesh=lambda _: meshes.UnusableMesh("not today", "come back"),
+        )
+        is None
+    )
     assert (findings.errors[0].headline, findings.errors[0].help) == ("not today", "come back")

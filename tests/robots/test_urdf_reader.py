@@ -78,15 +78,21 @@ def test_the_digest_is_that_of_the_file(tmp_path: Path):
 
 
 def test_columns_count_characters_and_not_bytes(read_text):
-    text = ARM.replace('<axis xyz="0 3 4"/>', '<!-- äöü → 🤖 --><axis xyz="0 3 x"/>').replace('name="arm"', 'name="ärm"')
+    text = ARM.replace('<axis xyz="0 3 4"/>', '<!-- äöü → 🤖 --><axis xyz="0 3 x"/>').replace(
+        'name="arm"', 'name="ärm"'
+    )
     _, findings = read_text(text)
     finding = single(findings)
     assert finding.span.text == "0 3 x"
-    assert finding.span.start_position.column == 1 + text.splitlines()[finding.span.start_position.line - 1].index("0 3 x")
+    assert finding.span.start_position.column == 1 + text.splitlines()[
+        finding.span.start_position.line - 1
+    ].index("0 3 x")
 
 
 def test_an_attribute_is_found_even_if_another_value_looks_like_it(read_text):
-    _, findings = read_text(ARM.replace('<axis xyz="0 3 4"/>', "<axis note='a xyz=\"1\" >' \n xyz = '1 2 bad'/>"))
+    _, findings = read_text(
+        ARM.replace('<axis xyz="0 3 4"/>', "<axis note='a xyz=\"1\" >' \n xyz = '1 2 bad'/>")
+    )
     finding = single(findings)
     assert finding.span.text == "1 2 bad"
 
@@ -97,49 +103,115 @@ def broken(old: str, new: str) -> str:
 
 
 ERRORS = {
-    "a number that is none": (broken('damping="0.1"', 'damping="lots"'), "'lots' is not a finite number", "lots"),
+    "a number that is none": (
+        broken('damping="0.1"', 'damping="lots"'),
+        "'lots' is not a finite number",
+        "lots",
+    ),
     "not a number": (broken('damping="0.1"', 'damping="nan"'), "'nan' is not a finite number", "nan"),
     "infinite": (broken('damping="0.1"', 'damping="1e999"'), "'damping' is larger than 1e+18", "1e999"),
-    "a number with an underscore": (broken('effort="5"', 'effort="1_0"'), "'1_0' is not a finite number", "1_0"),
-    "negative damping": (broken('damping="0.1"', 'damping="-1"'), "'damping' of <dynamics> is negative", "-1"),
+    "a number with an underscore": (
+        broken('effort="5"', 'effort="1_0"'),
+        "'1_0' is not a finite number",
+        "1_0",
+    ),
+    "negative damping": (
+        broken('damping="0.1"', 'damping="-1"'),
+        "'damping' of <dynamics> is negative",
+        "-1",
+    ),
     "negative mass": (broken('mass value="1"', 'mass value="-1"'), "'value' of <mass> is negative", "-1"),
     "negative inertia": (broken('ixx="1"', 'ixx="-1"'), "'ixx' of <inertia> is negative", "-1"),
     "inertial without mass": (broken('<mass value="1"/>', ""), "<inertial> without <mass>", "<inertial>"),
-    "mass without value": (broken('<mass value="1"/>', "<mass/>"), "<mass> without the attribute 'value'", "<mass/>"),
+    "mass without value": (
+        broken('<mass value="1"/>', "<mass/>"),
+        "<mass> without the attribute 'value'",
+        "<mass/>",
+    ),
     "short vector": (broken('xyz="1 0 0"', 'xyz="1 0"'), "'xyz' needs 3 numbers, not 2", "1 0"),
     "long vector": (broken('xyz="1 0 0"', 'xyz="1 0 0 0 0"'), "'xyz' needs 3 numbers, not 5", "1 0 0 0 0"),
-    "commas without blanks": (broken('size="1 2 3"', 'size="1,2,3"'), "'1,2,3' is not a finite number", "1,2,3"),
+    "commas without blanks": (
+        broken('size="1 2 3"', 'size="1,2,3"'),
+        "'1,2,3' is not a finite number",
+        "1,2,3",
+    ),
     "name of a hinge": (
         broken('"revolute"', '"spherical"').replace('"hand"', '"elbow_y"'),
-        "ball joint 'elbow' needs the name 'elbow_y' for one of its three hinges, but the name is already used", "elbow",
+        "ball joint 'elbow' needs the name 'elbow_y' for one of its three hinges, but the name is already"
+        " used",
+        "elbow",
     ),
     "flat box": (broken('size="1 2 3"', 'size="1 -2 3"'), "'size' must be above 0", "1 -2 3"),
     "thin cylinder": (broken('radius="0.1"', 'radius="0"'), "'radius' must be above 0", "0"),
     "no shape": (broken('<box size="1 2 3"/>', ""), "<geometry> contains no known shape", "<geometry>"),
-    "no geometry": (broken('<geometry><box size="1 2 3"/></geometry>', ""), "<visual> without <geometry>", "<visual>"),
+    "no geometry": (
+        broken('<geometry><box size="1 2 3"/></geometry>', ""),
+        "<visual> without <geometry>",
+        "<visual>",
+    ),
     "zero axis": (broken('xyz="0 3 4"', 'xyz="0 0 0"'), "the axis has no length", "0 0 0"),
     "joint type": (broken('"revolute"', '"revolut"'), "unknown joint type 'revolut'", "revolut"),
-    "no joint type": (broken(' type="revolute"', ""), "<joint> without the attribute 'type'", '<joint name="elbow">'),
-    "no parent": (broken('<parent link="base"/>', ""), "<joint> without <parent>", '<joint name="elbow" type="revolute">'),
-    "parent without link": (broken('<parent link="base"/>', "<parent/>"), "<parent> without the attribute 'link'", "<parent/>"),
-    "unknown child": (broken('child link="hand"', 'child link="hnd"'), "joint 'elbow' has the unknown link 'hnd' as its child", "hnd"),
-    "self joint": (broken('"hand"/>', '"base"/>'), "these links form a closed loop: 'base'", '<joint name="elbow" '),
-    "second root": (broken("</robot>", f'<link name="free">{INERTIAL}</link></robot>'), "link 'free' is a second root", "free"),
+    "no joint type": (
+        broken(' type="revolute"', ""),
+        "<joint> without the attribute 'type'",
+        '<joint name="elbow">',
+    ),
+    "no parent": (
+        broken('<parent link="base"/>', ""),
+        "<joint> without <parent>",
+        '<joint name="elbow" type="revolute">',
+    ),
+    "parent without link": (
+        broken('<parent link="base"/>', "<parent/>"),
+        "<parent> without the attribute 'link'",
+        "<parent/>",
+    ),
+    "unknown child": (
+        broken('child link="hand"', 'child link="hnd"'),
+        "joint 'elbow' has the unknown link 'hnd' as its child",
+        "hnd",
+    ),
+    "self joint": (
+        broken('"hand"/>', '"base"/>'),
+        "these links form a closed loop: 'base'",
+        '<joint name="elbow" ',
+    ),
+    "second root": (
+        broken("</robot>", f'<link name="free">{INERTIAL}</link></robot>'),
+        "link 'free' is a second root",
+        "free",
+    ),
     "second link": (broken("</robot>", '<link name="hand"/></robot>'), "a second link called 'hand'", "hand"),
-    "nameless link": (broken("</robot>", "<link/></robot>"), "<link> without the attribute 'name'", "<link/>"),
+    "nameless link": (
+        broken("</robot>", "<link/></robot>"),
+        "<link> without the attribute 'name'",
+        "<link/>",
+    ),
     "empty name": (broken("</robot>", '<link name=" "/></robot>'), "the attribute 'name' is empty", " "),
     "line break in a name": (
         broken('"arm"', '"a"').replace("hand", "ha&#10;nd"),
         "contains characters that cannot be printed",
         "ha&#10;nd",
     ),
-    "mimic": (broken("<dynamics", '<mimic joint="elbo"/><dynamics'), "joint 'elbow' follows the unknown joint 'elbo'", "elbo"),
-    "self mimic": (broken("<dynamics", '<mimic joint="elbow"/><dynamics'), "these joints follow each other in a circle: 'elbow'", "elbow"),
-    "macro": (broken("</robot>", "<xacro:wheel/></robot>"), "a xacro macro that has not been expanded", "<xacro:wheel/>"),
+    "mimic": (
+        broken("<dynamics", '<mimic joint="elbo"/><dynamics'),
+        "joint 'elbow' follows the unknown joint 'elbo'",
+        "elbo",
+    ),
+    "self mimic": (
+        broken("<dynamics", '<mimic joint="elbow"/><dynamics'),
+        "these joints follow each other in a circle: 'elbow'",
+        "elbow",
+    ),
+    "macro": (
+        broken("</robot>", "<xacro:wheel/></robot>"),
+        "a xacro macro that has not been expanded",
+        "<xacro:wheel/>",
+    ),
     "another root": ("<sdf><model/></sdf>", "the outermost element is <sdf>, not <robot>", "<sdf>"),
     "no links": ("<robot name='x'/>", "the robot has no links", "<robot name='x'/>"),
     "no file": (broken("<robot", "<robt"), "this is not XML: mismatched tag", None),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", ERRORS)
@@ -157,22 +229,44 @@ def test_an_error_is_said_once_and_at_its_place(read_text, case):
 
 
 ODDITIES = {
-    "blank lines first": ("\n \n" + ARM, "the XML declaration is not at the start of the file", "<?xml", (3, 1)),
+    "blank lines first": (
+        "\n \n" + ARM,
+        "the XML declaration is not at the start of the file",
+        "<?xml",
+        (3, 1),
+    ),
     "zero byte": (ARM + "\0", "a zero byte after the end of the document", "\0", (22, 1)),
-    "zero bytes and blanks": (ARM + "\r\n\0\0 \n", "a zero byte after the end of the document", "\0", (23, 1)),
+    "zero bytes and blanks": (
+        ARM + "\r\n\0\0 \n",
+        "a zero byte after the end of the document",
+        "\0",
+        (23, 1),
+    ),
     "rotation of four": (
         broken('rpy="0.1 0 0"', 'rpy="0.1 0 0 9"'),
-        "'rpy' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does", "0.1 0 0 9", (10, 43),
+        "'rpy' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does",
+        "0.1 0 0 9",
+        (10, 43),
     ),
     "place of four": (
         broken('xyz="1 0 0"', 'xyz="1 0 0 9"'),
-        "'xyz' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does", "1 0 0 9", (16, 18),
+        "'xyz' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does",
+        "1 0 0 9",
+        (16, 18),
     ),
-    "commas": (broken('size="1 2 3"', 'size="1, 2, 3"'), "'1,' is not a number; deepbots reads 1, as PyBullet does", "1, 2, 3", (6, 34)),
+    "commas": (
+        broken('size="1 2 3"', 'size="1, 2, 3"'),
+        "'1,' is not a number; deepbots reads 1, as PyBullet does",
+        "1, 2, 3",
+        (6, 34),
+    ),
     "a point too many": (
-        broken('lower="-1"', 'lower="-1.0."'), "'-1.0.' is not a number; deepbots reads -1.0, as PyBullet does", "-1.0.", (18, 19),
+        broken('lower="-1"', 'lower="-1.0."'),
+        "'-1.0.' is not a number; deepbots reads -1.0, as PyBullet does",
+        "-1.0.",
+        (18, 19),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", ODDITIES)
@@ -189,24 +283,41 @@ def test_a_ball_joint_is_read_as_three_hinges_with_a_warning_at_its_type(read_te
     robot, findings = read_text(broken('"revolute"', '"spherical"'))
     finding = single(findings)
     assert finding.code == "DB311"
-    assert finding.headline == "deepbots models ball joint 'elbow' as three hinges at the same point: elbow_x, elbow_y, elbow_z"
+    assert (
+        finding.headline
+        == "deepbots models ball joint 'elbow' as three hinges at the same point: elbow_x, elbow_y, elbow_z"
+    )
     assert finding.span.location == "robot.urdf:13:29"
     hinges = [robot.model.joint(f"elbow_{axis}") for axis in "xyz"]
     assert [hinge.axis for hinge in hinges] == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
-    assert [(hinge.parent, hinge.child) for hinge in hinges] == [("base", "elbow_x"), ("elbow_x", "elbow_y"), ("elbow_y", "hand")]
-    assert [hinge.origin for hinge in hinges] == [read_text(ARM)[0].model.joint("elbow").origin, Pose(), Pose()]
+    assert [(hinge.parent, hinge.child) for hinge in hinges] == [
+        ("base", "elbow_x"),
+        ("elbow_x", "elbow_y"),
+        ("elbow_y", "hand"),
+    ]
+    assert [hinge.origin for hinge in hinges] == [
+        read_text(ARM)[0].model.joint("elbow").origin,
+        Pose(),
+        Pose(),
+    ]
 
 
 def test_blank_lines_before_the_declaration_shift_no_place(read_text):
     text = "\n \n" + ARM.replace('name="arm"', 'name="ärm"').replace('xyz="0 3 4"', 'xyz="0 3 x"')
     _, findings = read_text(text)
-    assert [finding.span.location for finding in findings if finding.severity == "error"] == ["robot.urdf:19:16"]
+    assert [finding.span.location for finding in findings if finding.severity == "error"] == [
+        "robot.urdf:19:16"
+    ]
     robot, _ = read_text(text.replace("0 3 x", "0 3 4"))
     assert robot.link_spans["hand"].start_position == (10, 15)
 
 
 def test_all_errors_of_a_file_are_found_at_once(read_text):
-    text = broken('damping="0.1"', 'damping="x"').replace('size="1 2 3"', 'size="0 1 1"').replace('mass value="1"', 'mass value="-2"')
+    text = (
+        broken('damping="0.1"', 'damping="x"')
+        .replace('size="1 2 3"', 'size="0 1 1"')
+        .replace('mass value="1"', 'mass value="-2"')
+    )
     text = text.replace("</robot>", '<link name="free"/></robot>')
     _, findings = read_text(text)
     assert len(findings) == 5  # both links had the mass
@@ -214,7 +325,10 @@ def test_all_errors_of_a_file_are_found_at_once(read_text):
 
 def test_a_duplicate_shows_the_first_place(read_text):
     _, findings = read_text(
-        ARM.replace("</robot>", '<joint name="elbow" type="fixed"><parent link="base"/><child link="hand"/></joint></robot>')
+        ARM.replace(
+            "</robot>",
+            '<joint name="elbow" type="fixed"><parent link="base"/><child link="hand"/></joint></robot>',
+        )
     )
     label = findings[0].labels[0]
     assert (label.text, label.span.start_position) == ("first defined here", (13, 16))
@@ -224,13 +338,17 @@ def test_two_parents_and_a_circle_are_named(read_text):
     links = "".join(f'<link name="{name}">{INERTIAL}</link>' for name in "abcd")
 
     def joint(name: str, parent: str, child: str) -> str:
-        return f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/></joint>'
+        return (
+            f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/></joint>'
+        )
 
     _, findings = read_text(
         f'<robot name="r">{links}{joint("1", "a", "b")}{joint("2", "a", "c")}{joint("3", "b", "c")}{joint("4", "a", "d")}</robot>'
     )
     assert single(findings).headline == "link 'c' has two parents, 'a' and 'b'"
-    _, findings = read_text(f'<robot name="r">{links}{joint("1", "a", "b")}{joint("2", "d", "c")}{joint("3", "c", "d")}</robot>')
+    _, findings = read_text(
+        f'<robot name="r">{links}{joint("1", "a", "b")}{joint("2", "d", "c")}{joint("3", "c", "d")}</robot>'
+    )
     assert single(findings).headline == "these links form a closed loop: 'c', 'd'"
 
 
@@ -253,7 +371,10 @@ def test_an_odd_xml_version_is_a_warning(read_text):
 
 
 def test_what_belongs_to_other_tools_is_passed_over(read_text):
-    extra = '<gazebo reference="hand"><mu1>0.2</mu1></gazebo><transmission name="t"><joint name="elbow"/></transmission></robot>'
+    extra = (
+        '<gazebo reference="hand"><mu1>0.2</mu1></gazebo><transmission name="t"><joint'
+        ' name="elbow"/></transmission></robot>'
+    )
     robot, findings = read_text(broken("</robot>", extra))
     assert robot is not None
     assert findings == []
@@ -261,7 +382,11 @@ def test_what_belongs_to_other_tools_is_passed_over(read_text):
 
 def test_misspelled_elements_and_attributes_are_warned_about(read_text):
     finding = warning(
-        read_text, broken('<contact><lateral_friction value="0.7"/></contact>', '<contact><lateral_fricton value="0.7"/></contact>')
+        read_text,
+        broken(
+            '<contact><lateral_friction value="0.7"/></contact>',
+            '<contact><lateral_fricton value="0.7"/></contact>',
+        ),
     )
     assert (finding.code, finding.help) == ("DB311", "did you mean 'lateral_friction'?")
     finding = warning(read_text, broken('lower="-1"', 'lowr="-1"'))
@@ -274,8 +399,10 @@ def test_a_moving_link_without_inertia_is_warned_about_by_itself(read_text):
 
 
 FRAMES = {
-    "a tool": '<link name="tool0"/><joint name="tool" type="fixed"><parent link="hand"/><child link="tool0"/></joint>',
-    "the world": '<link name="world"/><joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint>',
+    "a tool": '<link name="tool0"/><joint name="tool" type="fixed"><parent link="hand"/><child'
+    ' link="tool0"/></joint>',
+    "the world": '<link name="world"/><joint name="weld" type="fixed"><parent link="world"/><child'
+    ' link="base"/></joint>',
 }
 
 
@@ -289,7 +416,8 @@ def test_a_frame_without_any_shape_needs_no_inertia(read_text, frame):
 def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
     shape = "<visual><geometry><sphere radius='0.1'/></geometry></visual>"
     frames = "".join(
-        f'<link name="f{i}">{shape}</link><joint name="to_f{i}" type="fixed"><parent link="hand"/><child link="f{i}"/></joint>'
+        f'<link name="f{i}">{shape}</link><joint name="to_f{i}" type="fixed"><parent link="hand"/><child'
+        f' link="f{i}"/></joint>'
         for i in range(3)
     )
     finding = warning(read_text, broken("</robot>", frames + "</robot>"))
@@ -299,7 +427,12 @@ def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
 
 @pytest.mark.parametrize(
     "moments",
-    ['ixx="1" iyy="1" izz="2.5"', 'ixx="0" iyy="0" izz="0"', 'ixx="1" iyy="1" izz="1" ixy="2"', 'ixx="1e-9" iyy="1e-9" izz="1e-8"'],
+    [
+        'ixx="1" iyy="1" izz="2.5"',
+        'ixx="0" iyy="0" izz="0"',
+        'ixx="1" iyy="1" izz="1" ixy="2"',
+        'ixx="1e-9" iyy="1e-9" izz="1e-8"',
+    ],
 )
 def test_an_inertia_that_no_body_can_have_is_warned_about(read_text, moments):
     finding = warning(read_text, broken('ixx="1" iyy="1" izz="1"', moments))
@@ -310,7 +443,9 @@ def test_a_mass_of_zero_is_warned_about(read_text):
     assert warning(read_text, broken('mass value="1"', 'mass value="0"')).headline == "link 'base' has mass 0"
 
 
-@pytest.mark.parametrize("limit", ["", '<limit effort="5" velocity="1"/>', '<limit lower="2" upper="-1" effort="5" velocity="1"/>'])
+@pytest.mark.parametrize(
+    "limit", ["", '<limit effort="5" velocity="1"/>', '<limit lower="2" upper="-1" effort="5" velocity="1"/>']
+)
 def test_a_joint_without_usable_limits_is_unlimited_and_warned_about(read_text, limit):
     text = broken('<limit lower="-1" upper="2" effort="5" velocity="0"/>', limit)
     assert warning(read_text, text).code == "DB307"
@@ -353,7 +488,8 @@ def follower(mimic: str, limit: str = "", kind: str = "prismatic") -> str:
 def test_a_chain_of_mimic_joints_follows_the_joint_at_its_end(read_text):
     text = follower('<mimic joint="elbow" multiplier="2" offset="0.5"/>', 'lower="-9" upper="9"').replace(
         "</robot>",
-        f'<link name="c">{INERTIAL}</link><joint name="k" type="continuous"><parent link="b"/><child link="c"/>'
+        f'<link name="c">{INERTIAL}</link><joint name="k" type="continuous"><parent link="b"/><child'
+        ' link="c"/>'
         '<mimic joint="j" multiplier="-3" offset="1"/></joint></robot>',
     )
     robot, findings = read_text(text)
@@ -380,7 +516,9 @@ def test_a_bad_mimic_is_one_error_at_its_place(read_text, case):
 
 
 def test_a_mimic_of_a_fixed_joint_is_an_error(read_text):
-    text = follower('<mimic joint="elbow"/>', 'lower="-9" upper="9"').replace('name="elbow" type="revolute"', 'name="elbow" type="fixed"')
+    text = follower('<mimic joint="elbow"/>', 'lower="-9" upper="9"').replace(
+        'name="elbow" type="revolute"', 'name="elbow" type="fixed"'
+    )
     finding = single(read_text(text)[1])
     assert (finding.code, finding.headline) == ("DB301", "joint 'j' follows 'elbow', which is fixed")
 
@@ -391,7 +529,9 @@ def test_a_fixed_joint_follows_nothing(read_text):
 
 
 def test_a_follower_whose_limits_stop_its_leader_is_a_warning(read_text):
-    assert read_text(follower('<mimic joint="elbow" multiplier="-0.1"/>', 'lower="-0.2" upper="0.1"'))[1] == []
+    assert (
+        read_text(follower('<mimic joint="elbow" multiplier="-0.1"/>', 'lower="-0.2" upper="0.1"'))[1] == []
+    )
     finding = warning(read_text, follower('<mimic joint="elbow"/>', 'lower="-0.1" upper="0.1"'))
     assert finding.headline == "joint 'j' reaches its limit before 'elbow' does, and then blocks 'elbow'"
     assert finding.help == 'set lower="-1" upper="2" (m) in the <limit> of \'j\''

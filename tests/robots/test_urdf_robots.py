@@ -62,7 +62,12 @@ def test_the_cart_of_the_paper_has_the_names_that_scenarios_use():
     assert wheels == ("wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right")
     hinge = model.joint("pole_hinge")
     assert (hinge.limit.lower, hinge.limit.upper, hinge.limit.effort) == (-1.3, 1.3, None)
-    assert (hinge.axis, hinge.origin.xyz, hinge.damping, hinge.friction) == ((0.0, 1.0, 0.0), (0.0, 0.0, 0.03), 0.0, 0.0)
+    assert (hinge.axis, hinge.origin.xyz, hinge.damping, hinge.friction) == (
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 0.03),
+        0.0,
+        0.0,
+    )
 
 
 def test_the_cart_of_the_paper_weighs_and_resists_turning_as_its_shapes_do():
@@ -106,7 +111,8 @@ REFUSED = {
     "plane_implicit.urdf": "<geometry> contains no known shape",  # an endless plane
     "random_urdfs/168/168.urdf": "the OBJ file contains a vertex that is not finite",
     "torus_deform.urdf": "the robot has no links",  # a soft body; nor does PyBullet load it
-    "toys/concave_box.urdf": "<geometry> contains no known shape",  # a file that is not there; nor does PyBullet load it
+    # a file that is not there; nor does PyBullet load it
+    "toys/concave_box.urdf": "<geometry> contains no known shape",
 }
 
 
@@ -120,7 +126,9 @@ def library() -> Path:
 
 def published(library: Path, name: str) -> tuple[RobotFile | None, Findings]:
     findings = Findings()
-    return read(library / name, name, findings, resolve_mesh=mesh_resolver((library / name).parent, [library])), findings
+    return read(
+        library / name, name, findings, resolve_mesh=mesh_resolver((library / name).parent, [library])
+    ), findings
 
 
 @pytest.mark.parametrize("name", PUBLISHED)

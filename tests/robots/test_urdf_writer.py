@@ -41,9 +41,13 @@ shapes = (
     | st.builds(Cylinder, positive, positive)
     | st.builds(Capsule, positive, positive)
 )
-inertials = st.builds(Inertial, not_negative, poses, not_negative, numbers, numbers, not_negative, numbers, not_negative)
+inertials = st.builds(
+    Inertial, not_negative, poses, not_negative, numbers, numbers, not_negative, numbers, not_negative
+)
 frictions = st.builds(Friction, *[st.none() | not_negative] * 4)
-names = st.text(st.characters(exclude_categories=["C", "Z"]) | st.just(" "), min_size=1, max_size=8).filter(str.strip)
+names = st.text(st.characters(exclude_categories=["C", "Z"]) | st.just(" "), min_size=1, max_size=8).filter(
+    str.strip
+)
 axes = st.sampled_from([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.0, 0.8), (1 / math.sqrt(3),) * 3])
 optional = st.none() | positive
 
@@ -66,7 +70,9 @@ def robots(draw: st.DrawFn) -> RobotModel:
     for index, name in enumerate(joint_names):
         kind = draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]))
         bounds = (
-            draw(st.just((None, None)) | st.tuples(numbers, numbers).map(sorted)) if kind in ("revolute", "prismatic") else (None, None)
+            draw(st.just((None, None)) | st.tuples(numbers, numbers).map(sorted))
+            if kind in ("revolute", "prismatic")
+            else (None, None)
         )
         joints.append(
             Joint(
@@ -79,7 +85,9 @@ def robots(draw: st.DrawFn) -> RobotModel:
                 Limit(bounds[0], bounds[1], draw(optional), draw(optional)),
                 draw(not_negative),
                 draw(not_negative),
-                Mimic(joint_names[0], draw(numbers), draw(numbers)) if joints and joints[0].moves and draw(st.booleans()) else None,
+                Mimic(joint_names[0], draw(numbers), draw(numbers))
+                if joints and joints[0].moves and draw(st.booleans())
+                else None,
             )
         )
     return RobotModel(draw(names).strip(), links, tuple(joints), link_names[0])
@@ -88,7 +96,9 @@ def robots(draw: st.DrawFn) -> RobotModel:
 @given(robots())
 def test_any_robot_survives_writing_and_reading(model: RobotModel):
     findings = Findings()
-    robot = read_bytes(to_urdf(model).encode(), "x.urdf", findings, resolve_mesh=mesh_resolver(Path("/nowhere")))
+    robot = read_bytes(
+        to_urdf(model).encode(), "x.urdf", findings, resolve_mesh=mesh_resolver(Path("/nowhere"))
+    )
     assert robot is not None, [finding.headline for finding in findings]
     assert robot.model == model
 

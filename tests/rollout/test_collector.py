@@ -16,7 +16,16 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.learner import Setup
 from deepbots_cli.program.task import Hyperparameter, Training
-from deepbots_cli.rollout.collector import Actor, Decision, Fragment, Lesson, LocalCollector, OnStep, ShardState, join
+from deepbots_cli.rollout.collector import (
+    Actor,
+    Decision,
+    Fragment,
+    Lesson,
+    LocalCollector,
+    OnStep,
+    ShardState,
+    join,
+)
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
 from deepbots_cli.runtime.batch import EpisodeHistory
 
@@ -47,7 +56,9 @@ def collected(collector: LocalCollector, steps: int) -> Fragment:
 def equal(one: Fragment, other: Fragment) -> bool:
     arrays = ("observations", "actions", "rewards", "starts", "following", "following_starts")
     same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
-    endings = [[(step, ending.row, ending.episode) for step, ending in fragment.endings] for fragment in (one, other)]
+    endings = [
+        [(step, ending.row, ending.episode) for step, ending in fragment.endings] for fragment in (one, other)
+    ]
     return same and np.array_equal(one.columns["lean"], other.columns["lean"]) and endings[0] == endings[1]
 
 
@@ -60,7 +71,9 @@ def test_a_fragment_has_rows_by_step_and_the_episodes_that_ended(kind: str) -> N
         assert (fragment.rewards.shape, fragment.columns["lean"].shape) == ((80, 2), (80, 2))
         assert fragment.starts[0].all()
         begun = {(step + 1, ending.row) for step, ending in fragment.endings}
-        assert {(step, row) for step, row in np.argwhere(fragment.starts).tolist() if step} == {pair for pair in begun if pair[0] < 80}
+        assert {(step, row) for step, row in np.argwhere(fragment.starts).tolist() if step} == {
+            pair for pair in begun if pair[0] < 80
+        }
         assert begun
         assert np.array_equal(collected(collector, 1).observations[0], fragment.following)
 
@@ -73,7 +86,9 @@ def test_a_shard_goes_on_elsewhere_to_the_bit(kind: str) -> None:
         collected(one, 70)
         start = [(episode.start, np.array(episode.actions).tolist()) for episode in one.state().episodes]
         kept = json.loads(json.dumps(start))
-        state = ShardState([EpisodeHistory(begun, list(np.array(actions))) for begun, actions in kept], one.state().observed)
+        state = ShardState(
+            [EpisodeHistory(begun, list(np.array(actions))) for begun, actions in kept], one.state().observed
+        )
         assert other.restore(state, [0, 0])
         assert equal(collected(one, 60), collected(other, 60))
         assert not other.restore(state._replace(observed="of another world"), [3, 4])
@@ -82,10 +97,8 @@ def test_a_shard_goes_on_elsewhere_to_the_bit(kind: str) -> None:
 
 def test_fragments_are_joined_by_the_number_of_their_shard() -> None:
     """However they arrive, they are what one shard with all the worlds collects."""
-    shards, whole = (
-        [shard(number, "single") for number in (0, 1)],
-        LocalCollector(Worlds([api.build(PROGRAM) for _ in range(4)], [10, 11, 20, 21])),
-    )
+    shards = [shard(number, "single") for number in (0, 1)]
+    whole = LocalCollector(Worlds([api.build(PROGRAM) for _ in range(4)], [10, 11, 20, 21]))
     with closing(whole.worlds), closing(shards[0].worlds), closing(shards[1].worlds):
         arrived = {number: collected(shards[number], 50) for number in (1, 0)}
         assert equal(join([arrived[0], arrived[1]]), collected(whole, 50))
@@ -107,14 +120,26 @@ class Shards:
         self.observation_space, self.action_space = shards[0].observation_space, shards[0].action_space
 
     def collect(
-        self, actor: Actor, steps: int, on_step: OnStep, *, with_masks: bool = False, lesson: Lesson | None = None
+        self,
+        actor: Actor,
+        steps: int,
+        on_step: OnStep,
+        *,
+        with_masks: bool = False,
+        lesson: Lesson | None = None,
     ) -> Fragment | None:
-        found = [shard.collect(actor, steps, on_step, with_masks=with_masks, lesson=lesson) for shard in self.shards]
+        found = [
+            shard.collect(actor, steps, on_step, with_masks=with_masks, lesson=lesson)
+            for shard in self.shards
+        ]
         return join([fragment for fragment in found if fragment is not None])
 
     def state(self) -> ShardState:
         states = [shard.state() for shard in self.shards]
-        return ShardState([episode for state in states for episode in state.episodes], " ".join(state.observed for state in states))
+        return ShardState(
+            [episode for state in states for episode in state.episodes],
+            " ".join(state.observed for state in states),
+        )
 
     def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
         raise NotImplementedError
@@ -125,7 +150,9 @@ def test_an_on_policy_learner_learns_from_any_collector_and_others_refuse_one() 
     spaces = shards.observation_space, shards.action_space
     with closing(shards.shards[0].worlds), closing(shards.shards[1].worlds):
         settings = tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size"))
-        made = learner.create(Setup(Training("PPO", 1000, environments=4, hyperparameters=settings), *spaces, collector=shards))
+        made = learner.create(
+            Setup(Training("PPO", 1000, environments=4, hyperparameters=settings), *spaces, collector=shards)
+        )
         made.log = Logger(None, [])  # type: ignore[assignment]  # writes nothing
         made.begin(1000, Monitor())  # type: ignore[arg-type]  # what a learner calls of it
         made.start()

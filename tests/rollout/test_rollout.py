@@ -25,18 +25,31 @@ STEPPING = {
 
 
 def _stepping(path: Path) -> Iterator[int]:
-    """Lines that step an environment: calls of `step` with an action, or of `advance`, which a wrapper does not pass on."""
+    """Lines that step an environment: calls of `step` with an action, or of `advance`, which a wrapper does
+    not pass on."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             wrapped = ast.unparse(node.func.value) in ("self.env", "super()")
-            if (node.func.attr == "step" and len(node.args) == 1 and not wrapped) or node.func.attr == "advance":
+            if (
+                node.func.attr == "step" and len(node.args) == 1 and not wrapped
+            ) or node.func.attr == "advance":
                 yield node.lineno
 
 
 def test_an_environment_is_stepped_in_few_places() -> None:
-    """A place that steps an environment itself decides anew what begins an episode, who acts and when it ends."""
-    packages = [folder for folder in PACKAGE.iterdir() if folder.is_dir() and folder.name not in ("runtime", "engines", "codegen")]
-    found = {path.relative_to(PACKAGE).as_posix() for package in packages for path in package.rglob("*.py") if any(_stepping(path))}
+    """A place that steps an environment itself decides anew what begins an episode, who acts and when it
+    ends."""
+    packages = [
+        folder
+        for folder in PACKAGE.iterdir()
+        if folder.is_dir() and folder.name not in ("runtime", "engines", "codegen")
+    ]
+    found = {
+        path.relative_to(PACKAGE).as_posix()
+        for package in packages
+        for path in package.rglob("*.py")
+        if any(_stepping(path))
+    }
     assert found == STEPPING
 
 
@@ -82,5 +95,8 @@ def test_a_driver_is_told_which_episode_begins() -> None:
 
 
 def test_an_episode_that_goes_on_after_the_last_action_is_an_error() -> None:
-    with closing(deepbots_cli.make("cartpole")) as world, pytest.raises(UsageError, match="did not end with the last of the given actions"):
+    with (
+        closing(deepbots_cli.make("cartpole")) as world,
+        pytest.raises(UsageError, match="did not end with the last of the given actions"),
+    ):
         play(world, sequence_driver([0, 1]), Start(0))

@@ -1,4 +1,5 @@
-"""`Source.open` alone says which scenario is meant, and every command refuses the same in the same sentence."""
+"""`Source.open` alone says which scenario is meant, and every command refuses the same in the same
+sentence."""
 
 import os
 import re
@@ -77,20 +78,24 @@ NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without r
     ("name", "commands", "sentence"),
     [
         ("cartpool", [*SCENARIO, *RUN, *EITHER, *RENDERED, *FOLDER_OR_FILE], NOWHERE + NEAR_CARTPOLE),
-        ("cartpole.yaml", [SCENARIO[0], RUN[0]], NOWHERE + "the shipped scenario is called `cartpole`; `deepbots new cartpole"),
+        ("cartpole.yaml", [SCENARIO[0], RUN[0]], NOWHERE + "the shipped scenario is called `cartpole`;"
+                                                           " `deepbots new cartpole"),
         ("cart", [*SCENARIO, *RUN, *EITHER, *RENDERED, *FOLDER_OR_FILE], NOWHERE + "did you mean cart.yaml?"),
         ("empty", [*SCENARIO, *RUN, *EITHER, *RENDERED], NOT_A_SOURCE),
         ("pictures", [*SCENARIO, *RUN, *EITHER, *RENDERED], NOT_A_SOURCE),
         ("x" * 300, [*SCENARIO, *RUN, *EITHER, *RENDERED], "{} cannot be read: file name too long"),
-        ("robot.urdf", [*SCENARIO, *RUN, *EITHER[1:], *FOLDER_OR_FILE], "{0} is a robot file, not a scenario; `deepbots inspect {0}`"),
+        ("robot.urdf", [*SCENARIO, *RUN, *EITHER[1:], *FOLDER_OR_FILE], "{0} is a robot file, not a"
+                                                                        " scenario; `deepbots inspect {0}`"),
         ("noise.bin", RUN[:7], "{} is a file, and not a run"),
         ("cart.yaml", RUN[:7], "{} is a scenario, and not a run"),
         ("broken", SCENARIO, "{} is a run, and not a scenario"),
         ("broken", [*RUN[:7], *EITHER, *RENDERED], "{}/run.json is damaged: it is not valid JSON"),
         ("group", [*SCENARIO], "{} is a group of runs, and not a scenario"),
         ("group", [["export", "?", "-o", "bundle"], ["view", "?"]], "{} is a group of runs, and not a "),
-        ("run/models/agent/best.zip", [["diagnose", "?"], ["resume", "?"]], "{} is a model of a run, and not a run"),
-        ("run/models/agent/best.zip", [RUN[0], *RUN[4:], *EITHER, *RENDERED], "run/run.json is damaged: it is not valid JSON"),
+        ("run/models/agent/best.zip", [["diagnose", "?"], ["resume", "?"]], "{} is a model of a run, and not"
+                                                                            " a run"),
+        ("run/models/agent/best.zip", [RUN[0], *RUN[4:], *EITHER, *RENDERED], "run/run.json is damaged: it"
+                                                                              " is not valid JSON"),
     ],
 )  # fmt: skip
 def test_every_command_refuses_a_source_in_the_same_sentence(
@@ -101,14 +106,21 @@ def test_every_command_refuses_a_source_in_the_same_sentence(
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may enter every folder")
-def test_a_folder_that_may_not_be_entered_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_may_not_be_entered_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (folder / "empty").chmod(0)
     for words in (*SCENARIO, *RUN, *EITHER):
         assert refused(words, "empty", capsys) == "empty cannot be read: permission denied"
 
 
 def test_a_source_says_what_it_is(folder: Path) -> None:
-    kinds = {"cartpole": SourceKind.SCENARIO, "cart.yaml": SourceKind.SCENARIO, "run": SourceKind.RUN, "group": SourceKind.GROUP}
+    kinds = {
+        "cartpole": SourceKind.SCENARIO,
+        "cart.yaml": SourceKind.SCENARIO,
+        "run": SourceKind.RUN,
+        "group": SourceKind.GROUP,
+    }
     kinds |= {"run/models/agent/best.zip": SourceKind.CHECKPOINT}
     (folder / "cartpole").mkdir()  # does not hide the shipped scenario
     assert {name: Source.open(name).kind for name in kinds} == kinds
@@ -134,7 +146,11 @@ def test_the_python_api_refuses_as_the_commands_do(folder: Path) -> None:
 def test_nothing_else_in_the_package_decides_which_scenario_is_meant() -> None:
     """The files by which a run, a group and a recording are known are looked for in one module."""
     root = Path(deepbots_cli.__file__).parent
-    looks = re.compile(r"""RECORD_NAME\)\.(is_file|exists)|(run|group)\.json["']\)\.(is_file|exists)|["']\.mcap["']""")
-    assert [path.relative_to(root).as_posix() for path in root.rglob("*.py") if looks.search(path.read_text("utf-8"))] == [
-        "rollout/source.py"
-    ]
+    looks = re.compile(
+        r"""RECORD_NAME\)\.(is_file|exists)|(run|group)\.json["']\)\.(is_file|exists)|["']\.mcap["']"""
+    )
+    assert [
+        path.relative_to(root).as_posix()
+        for path in root.rglob("*.py")
+        if looks.search(path.read_text("utf-8"))
+    ] == ["rollout/source.py"]

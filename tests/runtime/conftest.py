@@ -1,4 +1,5 @@
-"""Small worlds on a rail, written per test; the exact engine moves them so that every figure can be worked out by hand."""
+"""Small worlds on a rail, written per test; the exact engine moves them so that every figure can be worked
+out by hand."""
 
 from __future__ import annotations
 

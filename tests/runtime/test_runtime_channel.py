@@ -10,7 +10,11 @@ from deepbots_cli.program.robots import MessageField, MessageLayout
 from deepbots_cli.runtime.messages import Channel, FieldCodec
 from deepbots_cli.runtime.streams import Streams
 
-FIELDS = (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z")), MessageField("touch", "", (), "bool"))
+FIELDS = (
+    MessageField("angle", "rad"),
+    MessageField("gyro", "rad/s", ("x", "y", "z")),
+    MessageField("touch", "", (), "bool"),
+)
 LAYOUT = MessageLayout.from_fields("cart", "from_robot", FIELDS)
 MESSAGE = (0.1, [1.0, 2.0, 3.0], True)
 
@@ -44,6 +48,8 @@ def test_messages_arrive_in_order_and_a_new_episode_forgets_them() -> None:
 @pytest.mark.parametrize("format", sorted(set(FORMATS) - {"none"}))
 def test_a_message_of_another_layout_is_refused(format: str) -> None:
     path = channel(format)
-    path.transmit(FieldCodec(MessageLayout.from_fields("cart", "to_robot", FIELDS), format, refused).encode(MESSAGE))
+    path.transmit(
+        FieldCodec(MessageLayout.from_fields("cart", "to_robot", FIELDS), format, refused).encode(MESSAGE)
+    )
     with pytest.raises(MessageError, match="cart refuses"):
         path.receive()

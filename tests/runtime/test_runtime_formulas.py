@@ -49,7 +49,10 @@ def test_a_function_of_poses_computes_what_its_tree_says(name: str) -> None:
 def test_a_vector_as_a_body_sees_it_is_the_transposed_rotation_times_the_vector() -> None:
     for _ in range(200):
         body, vector = pose(), [_RANDOM.uniform(-2, 2) for _ in range(3)]
-        rows = [[computed(rotation("one", row, axis), {"one": body}) * vector[row] for row in range(3)] for axis in range(3)]
+        rows = [
+            [computed(rotation("one", row, axis), {"one": body}) * vector[row] for row in range(3)]
+            for axis in range(3)
+        ]
         assert formulas.to_body_frame(body, vector) == tuple(row[0] + row[1] + row[2] for row in rows)
 
 
@@ -63,7 +66,11 @@ def test_a_helper_computes_what_the_function_says(helper: str) -> None:
 
 
 def test_what_is_no_number_is_never_scaled() -> None:
-    for use in (lambda x: formulas.scale(x, -1.0, 1.0), lambda x: formulas.scale_each([0.0, x], 0.0, 3.0), formulas.clip):
+    for use in (
+        lambda x: formulas.scale(x, -1.0, 1.0),
+        lambda x: formulas.scale_each([0.0, x], 0.0, 3.0),
+        formulas.clip,
+    ):
         with pytest.raises(FloatingPointError):
             use(math.nan)
     for beyond in (math.inf, -math.inf, math.nan):

@@ -22,7 +22,11 @@ ANY = "deepbots_cli.envs:deepbots/Scenario-v1"
 @pytest.fixture
 def mine(tmp_path: Path) -> Path:
     """A scenario that does not come with deepbots."""
-    text = Source.open("cartpole").path.read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+    text = (
+        Source.open("cartpole")
+        .path.read_text(encoding="utf-8")
+        .replace("../robots/urdf/cartpole.urdf", "cartpole")
+    )
     path = tmp_path / "mine.yaml"
     path.write_text(text.replace("name: CartPole", "name: Mine"))
     return path

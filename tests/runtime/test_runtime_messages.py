@@ -19,10 +19,16 @@ FORMATS = tuple(name for name in message_formats.FORMATS if name != "none")
 LAYOUT = MessageLayout(
     "cart",
     "from_robot",
-    (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z")), MessageField("touch", "", dtype="bool")),
+    (
+        MessageField("angle", "rad"),
+        MessageField("gyro", "rad/s", ("x", "y", "z")),
+        MessageField("touch", "", dtype="bool"),
+    ),
     0xFFFFFFFE,
 )
-FLOATS_ONLY = MessageLayout("cart", "from_robot", (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z"))), 7)
+FLOATS_ONLY = MessageLayout(
+    "cart", "from_robot", (MessageField("angle", "rad"), MessageField("gyro", "rad/s", ("x", "y", "z"))), 7
+)
 EMPTY = MessageLayout("cart", "to_robot", (), 12345)
 OTHER = MessageLayout("drone", "from_robot", LAYOUT.fields, 0xFFFFFFFD)
 VALUES = (0.125, -0.0, 1e308, 5e-324, True)
@@ -36,7 +42,8 @@ def bits(values: Any) -> list[object]:
 
 
 def reading(made: Codec, layout: MessageLayout, message: object) -> tuple[Any, ...] | None:
-    """What a receiver makes of a message, as generated code does it: the values, or None where it is refused."""
+    """What a receiver makes of a message, as generated code does it: the values, or None where it is
+    refused."""
     count = sum(len(field.components) or 1 for field in layout.fields)
     try:
         stamp, *values = made.decode(message)
@@ -59,7 +66,10 @@ def test_every_format_carries_every_finite_number_to_the_last_bit(
 
 
 @every_format
-@pytest.mark.parametrize("value", [-0.0, 5e-324, 2.2250738585072014e-308, 1e308, -1.7976931348623157e308, 0.1, math.pi, 2.0**53 + 2])
+@pytest.mark.parametrize(
+    "value",
+    [-0.0, 5e-324, 2.2250738585072014e-308, 1e308, -1.7976931348623157e308, 0.1, math.pi, 2.0**53 + 2],
+)
 def test_the_ends_of_the_range_of_numbers_survive_a_message(format: str, value: float) -> None:
     made = codec(FLOATS_ONLY, format)
     assert bits(made.decode(made.encode(value, value, value, value))[1:]) == bits((value,) * 4)
@@ -96,7 +106,9 @@ def test_a_short_message_is_told_by_its_first_missing_field(format: str) -> None
 
 @every_format
 def test_a_message_with_values_too_many_is_refused(format: str) -> None:
-    longer = MessageLayout("cart", "from_robot", (*LAYOUT.fields, MessageField("more", "m")), LAYOUT.layout_hash)
+    longer = MessageLayout(
+        "cart", "from_robot", (*LAYOUT.fields, MessageField("more", "m")), LAYOUT.layout_hash
+    )
     message = codec(longer, format).encode(*VALUES, 1.0)
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
     assert "too many values" in str(layout_error(LAYOUT, format, message, 1))
@@ -119,7 +131,22 @@ def test_a_value_of_the_wrong_kind_is_told_by_its_field(format: str, message: ob
 
 @every_format
 @pytest.mark.parametrize(
-    "message", [None, 7, 1.5, [], {}, object(), b"", "", b"\xff\xfe", "\ud800", b"[" * 100_000, b"\x91" * 100_000, "," * 1000]
+    "message",
+    [
+        None,
+        7,
+        1.5,
+        [],
+        {},
+        object(),
+        b"",
+        "",
+        b"\xff\xfe",
+        "\ud800",
+        b"[" * 100_000,
+        b"\x91" * 100_000,
+        "," * 1000,
+    ],
 )
 def test_what_is_no_message_at_all_is_refused_in_words(format: str, message: object) -> None:
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
@@ -138,7 +165,9 @@ def damage(message: bytes | str, data: st.DataObject) -> bytes | str:
 
 @every_format
 @given(data=st.data())
-def test_a_damaged_message_is_read_or_refused_but_never_breaks_the_reader(format: str, data: st.DataObject) -> None:
+def test_a_damaged_message_is_read_or_refused_but_never_breaks_the_reader(
+    format: str, data: st.DataObject
+) -> None:
     for layout, values in ((LAYOUT, VALUES), (FLOATS_ONLY, VALUES[:4]), (EMPTY, ())):
         made = codec(layout, format)
         message = damage(made.encode(*values), data)
@@ -147,7 +176,15 @@ def test_a_damaged_message_is_read_or_refused_but_never_breaks_the_reader(format
 
 
 @every_format
-@given(message=st.one_of(st.binary(max_size=60), st.text(max_size=30), st.none(), st.integers(), st.lists(st.floats(), max_size=3)))
+@given(
+    message=st.one_of(
+        st.binary(max_size=60),
+        st.text(max_size=30),
+        st.none(),
+        st.integers(),
+        st.lists(st.floats(), max_size=3),
+    )
+)
 def test_garbage_is_refused_but_never_breaks_the_reader(format: str, message: object) -> None:
     if reading(codec(LAYOUT, format), LAYOUT, message) is None:
         assert isinstance(layout_error(LAYOUT, format, message, 5), MessageError)

@@ -72,12 +72,18 @@ def test_what_is_computed_from_a_value_that_was_set_follows_it(env: Supervisor) 
 
 def test_reset_options_set_joints_by_their_path(env: Supervisor) -> None:
     assert drawn(env, options={"reset.joints.cart.slider": 0.5})["place"] == pytest.approx(0.5)
-    assert drawn(env, options={"reset.joints.cart.hinge.velocity": -0.75})["lean"] == pytest.approx(-0.75 * 0.02, rel=0.1)
+    assert drawn(env, options={"reset.joints.cart.hinge.velocity": -0.75})["lean"] == pytest.approx(
+        -0.75 * 0.02, rel=0.1
+    )
 
 
 def test_other_draws_of_this_episode_and_of_later_ones_stay_as_they_are(env: Supervisor) -> None:
     plain = [drawn(env, seed=5), drawn(env), drawn(env)]
-    some = [drawn(env, seed=5, options={"mark": [0.6, 0], "crates": 2}), drawn(env, options={"side": 1}), drawn(env)]
+    some = [
+        drawn(env, seed=5, options={"mark": [0.6, 0], "crates": 2}),
+        drawn(env, options={"side": 1}),
+        drawn(env),
+    ]
     for name in ("push", "place", "noisy"):
         assert [values[name] for values in some] == [values[name] for values in plain]
     assert some[2] == plain[2]
@@ -102,7 +108,8 @@ def test_a_limit_as_a_float32_is_that_limit(env: Supervisor) -> None:
     [
         (
             {"marc": [0.6, 0]},
-            r"'marc': did you mean 'mark'\? Small draws 'mark', 'mark\.x', 'mark\.y', 'side', .*'reset\.joints\.cart\.slider'",
+            r"'marc': did you mean 'mark'\? Small draws 'mark', 'mark\.x', 'mark\.y', 'side',"
+            r" .*'reset\.joints\.cart\.slider'",
         ),
         ({"stride": 0.1}, r"'stride': it is a fixed parameter.*by overrides=\['stride=\.\.\.'\]"),
         ({"twice": 0.1}, "'twice': it is computed from other parameters; set those"),
@@ -111,7 +118,10 @@ def test_a_limit_as_a_float32_is_that_limit(env: Supervisor) -> None:
         ({"mark.x": 0.7}, r"'mark\.x' to 0\.7: it is drawn from -0\.5 to 0\.6"),
         ({"mark.x": [0.5, 0.1]}, r"'mark\.x' to \[0\.5, 0\.1\]: it is a single number"),
         ({"mark": [0.6, 0], "mark.y": 0.1}, r"'mark\.y' twice"),
-        ({"mark.z": 0.1}, r"'mark\.z': did you mean 'mark\.[xy]'.* draws 'mark', 'mark\.x', 'mark\.y', 'side'"),
+        (
+            {"mark.z": 0.1},
+            r"'mark\.z': did you mean 'mark\.[xy]'.* draws 'mark', 'mark\.x', 'mark\.y', 'side'",
+        ),
         ({"mark": [0.6, 0, 0]}, r"it is 2 numbers"),
         ({"mark": [[0.6, 0]]}, r"it is 2 numbers"),
         ({"mark": ["0.6", "0"]}, r"it is 2 numbers"),
@@ -124,7 +134,9 @@ def test_a_limit_as_a_float32_is_that_limit(env: Supervisor) -> None:
         ({"reset.joints.cart.slider": 5}, r"'reset\.joints\.cart\.slider' to 5: it is drawn from -1 to 1"),
     ],
 )
-def test_an_option_that_the_episode_could_not_have_drawn_is_refused(env: Supervisor, options: dict[str, Any], said: str) -> None:
+def test_an_option_that_the_episode_could_not_have_drawn_is_refused(
+    env: Supervisor, options: dict[str, Any], said: str
+) -> None:
     with pytest.raises(UsageError, match=said):
         env.reset(options=options)
 
@@ -212,8 +224,14 @@ def test_the_draw_of_one_copy_is_set(team: Supervisor) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"cart#2.reset.place.bar.y": 0.1}, r"'cart#2\.reset\.place\.bar\.y': all copies share this draw; write 'reset\.place\.bar\.y'"),
-        ({"cart#3.reset.joints.cart.pole_hinge": 0.0}, r"'cart#3\.reset\.joints\.cart\.pole_hinge': did you mean 'reset"),
+        (
+            {"cart#2.reset.place.bar.y": 0.1},
+            r"'cart#2\.reset\.place\.bar\.y': all copies share this draw; write 'reset\.place\.bar\.y'",
+        ),
+        (
+            {"cart#3.reset.joints.cart.pole_hinge": 0.0},
+            r"'cart#3\.reset\.joints\.cart\.pole_hinge': did you mean 'reset",
+        ),
         ({"cart#2.reset.joints.cart.pole_hinge": 3.0}, r"pole_hinge' to 3: it is drawn from"),
     ],
 )
@@ -222,8 +240,14 @@ def test_a_wrong_option_for_one_copy_is_refused(team: Supervisor, options: dict[
         team.reset(options=options)
 
 
-def test_a_value_of_one_copy_that_is_given_twice_is_refused(team: Supervisor, make: Callable[..., Supervisor], tmp_path: Path) -> None:
-    pushed = make(tmp_path / "team.yaml", "reset.place.cart={velocity: uniform(0 0 0 .. 0.1 0.1 0 m/s)}", engine="pybullet")
+def test_a_value_of_one_copy_that_is_given_twice_is_refused(
+    team: Supervisor, make: Callable[..., Supervisor], tmp_path: Path
+) -> None:
+    pushed = make(
+        tmp_path / "team.yaml",
+        "reset.place.cart={velocity: uniform(0 0 0 .. 0.1 0.1 0 m/s)}",
+        engine="pybullet",
+    )
     velocity = "cart#1.reset.place.cart.velocity"
     with pytest.raises(UsageError, match=rf"'reset\.place\.cart\.velocity\.x' twice: by '{velocity}\.x'"):
         pushed.reset(options={velocity: [0.05, 0.05, 0.0], f"{velocity}.x": 0.1})
@@ -275,7 +299,11 @@ def episode(env: Supervisor, **reset: Any) -> list[bytes]:
 def programs(name: str) -> list[Program]:
     """A shipped scenario, its cases and its stages."""
     program = api.compile(name).program
-    return [program, *(case.program for case in program.cases), *(stage.program for stage in program.curriculum)]
+    return [
+        program,
+        *(case.program for case in program.cases),
+        *(stage.program for stage in program.curriculum),
+    ]
 
 
 @pytest.mark.parametrize("name", few(shipped.scenario_names(), ("cartpole", "multi_cartpole", "see_ball")))
@@ -301,7 +329,9 @@ def test_without_noise_what_was_drawn_gives_the_same_episode_for_every_seed(name
         assert episode(env, seed=8, options=drawn) == episode(env, seed=7) != episode(env, seed=8)
 
 
-@pytest.mark.parametrize("name", few([path.name for path in sorted(DATA.glob("*.yaml"))], ("placed.yaml", "pushed.yaml")))
+@pytest.mark.parametrize(
+    "name", few([path.name for path in sorted(DATA.glob("*.yaml"))], ("placed.yaml", "pushed.yaml"))
+)
 def test_every_kind_of_draw_is_taken_back(name: str) -> None:
     with closing(api.make(DATA / name)) as env:
         for seed in range(5):
@@ -311,7 +341,9 @@ def test_every_kind_of_draw_is_taken_back(name: str) -> None:
 
 def test_a_free_position_and_a_layout_are_set() -> None:
     with closing(api.make("find_ball_random", overrides=["obstacles=1"])) as env:
-        drawn = env.reset(seed=0, options={"reset.layout": "scattered", "reset.layouts.scattered.ball.x": 0.3})[1]["drawn"]
+        drawn = env.reset(
+            seed=0, options={"reset.layout": "scattered", "reset.layouts.scattered.ball.x": 0.3}
+        )[1]["drawn"]
         assert (drawn["reset.layout"], drawn["reset.layouts.scattered.ball.x"]) == ("scattered", 0.3)
         assert env.engine.pose("ball")()[0][0] == 0.3
         with pytest.raises(UsageError, match=r"'reset\.layout' to 'spread'; use one of 'scattered', 'paper'"):
@@ -324,5 +356,7 @@ def test_a_position_that_is_not_free_is_refused_by_name() -> None:
     with closing(api.make("see_ball")) as env:
         drawn = env.reset(seed=0)[1]["drawn"]
         taken = {f"reset.place.ball.{axis}": drawn[f"reset.place.epuck.{axis}"] for axis in "xy"}
-        with pytest.raises(EvaluationError, match=r"'(ball|epuck)' cannot be placed at the position in the reset options"):
+        with pytest.raises(
+            EvaluationError, match=r"'(ball|epuck)' cannot be placed at the position in the reset options"
+        ):
             env.reset(options=drawn | taken)

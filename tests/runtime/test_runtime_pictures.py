@@ -11,7 +11,11 @@ from deepbots_cli.program.robots import MessageField, MessageLayout
 from deepbots_cli.runtime.messages import DECODING_ERRORS, codec, layout_error, zero_values
 
 FORMATS = tuple(name for name in message_formats.FORMATS if name != "none")
-FIELDS = (MessageField("speed", "m/s"), MessageField("camera", "", (), "uint8", (4, 6, 3)), MessageField("touch", "", dtype="bool"))
+FIELDS = (
+    MessageField("speed", "m/s"),
+    MessageField("camera", "", (), "uint8", (4, 6, 3)),
+    MessageField("touch", "", dtype="bool"),
+)
 LAYOUT = MessageLayout("rover", "from_robot", FIELDS, 99)
 PICTURE = np.arange(72, dtype=np.uint8).reshape(4, 6, 3) * 3
 

@@ -1,4 +1,5 @@
-"""Stateful functions, from the text of a scenario to what a step returns, against sequences worked out by hand."""
+"""Stateful functions, from the text of a scenario to what a step returns, against sequences worked out by
+hand."""
 
 from __future__ import annotations
 
@@ -45,13 +46,20 @@ def terms(environment: Supervisor, drives: Sequence[float] = DRIVES) -> dict[str
         ("previous(previous(drive))", [0.0, 0.0, 0.5, -0.25, 1.0]),
     ],
 )
-def test_a_stateful_function_gives_the_sequence_of_its_definition(small: Small, expression: str, expected: list[float]) -> None:
+def test_a_stateful_function_gives_the_sequence_of_its_definition(
+    small: Small, expression: str, expected: list[float]
+) -> None:
     found = terms(small(f'reward: {{a: "{expression}"}}'))["a"]
     assert found == pytest.approx(expected, abs=1e-15)
 
 
 def test_memory_advances_also_while_its_branch_is_not_taken(small: Small) -> None:
-    found = terms(small('reward: {late: "delta(drive) if step >= 4 else 0", held: "running_max(drive) if step == 5 else 0"}'))
+    found = terms(
+        small(
+            'reward: {late: "delta(drive) if step >= 4 else 0", held: "running_max(drive) if step == 5 else'
+            ' 0"}'
+        )
+    )
     assert found["late"] == [0.0, 0.0, 0.0, 0.0, -1.5]
     assert found["held"] == [0.0, 0.0, 0.0, 0.0, 1.0]
 
@@ -62,26 +70,35 @@ def test_each_occurrence_in_the_text_has_a_memory_of_its_own(small: Small) -> No
 
 
 def test_a_new_episode_starts_all_memory_anew(small: Small) -> None:
-    environment = small('reward: {a: delta(drive), b: running_max(drive), c: "accumulate(drive, -1 .. 1, 0.5)"}')
+    environment = small(
+        'reward: {a: delta(drive), b: running_max(drive), c: "accumulate(drive, -1 .. 1, 0.5)"}'
+    )
     assert terms(environment) == terms(environment)
 
 
 def test_rewards_may_remember_the_end_of_an_episode(small: Small) -> None:
     endings = "termination: {failure: {fast: drive > 0.9}}"
-    sections = f"{endings}\nreward: {{end: 1 when rising_edge(terminated), either: 1 when rising_edge(ended)}}"
+    sections = (
+        f"{endings}\nreward: {{end: 1 when rising_edge(terminated), either: 1 when rising_edge(ended)}}"
+    )
     assert terms(small(sections))["end"] == [0.0, 0.0, 1.0, 0.0, 0.0]
 
 
 def test_memory_in_signals_and_endings_advances_once_per_step(small: Small) -> None:
     ending = "termination: {success: {done: duration(drive > 0.75) > 30 ms}}"
-    environment = small(f"signals: {{total: integral(drive)}}\nreward: {{a: total / s, b: total / s}}\n{ending}")
+    environment = small(
+        f"signals: {{total: integral(drive)}}\nreward: {{a: total / s, b: total / s}}\n{ending}"
+    )
     assert terms(environment)["a"] == pytest.approx([0.01, 0.005, 0.025, 0.045, 0.035])
     environment.reset(seed=0)
     assert [environment.step(np.array([drive]))[2] for drive in DRIVES] == [False, False, False, True, True]
 
 
 def test_components_of_a_vector_are_remembered_apart(small: Small) -> None:
-    environment = small('signals: {both: "vector(drive, -2 * drive)"}\nreward: {most: "max(delta(both))", least: "min(delta(both))"}')
+    environment = small(
+        'signals: {both: "vector(drive, -2 * drive)"}\nreward: {most: "max(delta(both))", least:'
+        ' "min(delta(both))"}'
+    )
     found = terms(environment)
     assert found["most"] == pytest.approx([max(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
     assert found["least"] == pytest.approx([min(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
@@ -109,12 +126,17 @@ robots:
     emit: {place: place, rate: rate, soft: "low_pass(rate, 60 ms)", most: "running_max(rate)"}
     apply: {motor: "APPLY"}
 """
-SEEN = "reward: {rate: cart.rate * s / m, soft: cart.soft * s / m, most: cart.most * s / m, place: cart.place / m}"
+SEEN = (
+    "reward: {rate: cart.rate * s / m, soft: cart.soft * s / m, most: cart.most * s / m, place:"
+    " cart.place / m}"
+)
 
 
 @pytest.mark.parametrize("format", ["struct", "none"])
 def test_what_a_robot_computes_on_board_advances_once_per_tick(small: Small, format: str) -> None:
-    found = terms(small(SEEN, f"messages.format={format}", robot=ON_BOARD.replace("APPLY", "drive * 0.02 m/s")))
+    found = terms(
+        small(SEEN, f"messages.format={format}", robot=ON_BOARD.replace("APPLY", "drive * 0.02 m/s"))
+    )
     assert found["rate"] == pytest.approx([0.02 * drive for drive in DRIVES], abs=NEARLY)
     assert found["most"] == pytest.approx(np.maximum.accumulate([0.0, *found["rate"]])[1:])
     soft = 0.0
@@ -125,21 +147,32 @@ def test_what_a_robot_computes_on_board_advances_once_per_tick(small: Small, for
 
 @pytest.mark.parametrize("format", ["struct", "none"])
 def test_what_a_robot_applies_may_remember_earlier_messages(small: Small, format: str) -> None:
-    environment = small(SEEN, f"messages.format={format}", robot=ON_BOARD.replace("APPLY", "low_pass(drive, 20 ms) * 0.02 m/s"))
-    assert terms(environment)["rate"] == pytest.approx([0.02 * held for held in (0.25, 0.0, 0.5, 0.75, 0.125)], abs=NEARLY)
+    environment = small(
+        SEEN,
+        f"messages.format={format}",
+        robot=ON_BOARD.replace("APPLY", "low_pass(drive, 20 ms) * 0.02 m/s"),
+    )
+    assert terms(environment)["rate"] == pytest.approx(
+        [0.02 * held for held in (0.25, 0.0, 0.5, 0.75, 0.125)], abs=NEARLY
+    )
 
 
 def test_a_robot_may_apply_a_sensor_that_it_does_not_send(small: Small) -> None:
-    """The sensors that it sends and those that it applies are read apart, and must not be taken for each other."""
-    robot = ON_BOARD.replace('{place: place, rate: rate, soft: "low_pass(rate, 60 ms)", most: "running_max(rate)"}', "[rate]").replace(
-        "APPLY", "place / s + drive * 0.02 m/s"
-    )
+    """The sensors that it sends and those that it applies are read apart, and must not be taken for each
+    other."""
+    robot = ON_BOARD.replace(
+        '{place: place, rate: rate, soft: "low_pass(rate, 60 ms)", most: "running_max(rate)"}', "[rate]"
+    ).replace("APPLY", "place / s + drive * 0.02 m/s")
     environment = small(
-        "reward: {rate: cart.rate * s / m, x: position(cart.cart).x / m}", "observation={cart.rate: -1 .. 1 m/s}", robot=robot
+        "reward: {rate: cart.rate * s / m, x: position(cart.cart).x / m}",
+        "observation={cart.rate: -1 .. 1 m/s}",
+        robot=robot,
     )
     found = terms(environment)
     before = [0.0, *found["x"][:-1]]
-    assert found["rate"] == pytest.approx([x + 0.02 * drive for x, drive in zip(before, DRIVES, strict=True)], abs=NEARLY)
+    assert found["rate"] == pytest.approx(
+        [x + 0.02 * drive for x, drive in zip(before, DRIVES, strict=True)], abs=NEARLY
+    )
 
 
 TOLD = ON_BOARD.replace("    apply:", "    receive: {RECEIVE}\n    apply:")
@@ -148,10 +181,16 @@ TOLD = ON_BOARD.replace("    apply:", "    receive: {RECEIVE}\n    apply:")
 @pytest.mark.parametrize("format", ["struct", "none"])
 @pytest.mark.parametrize("told", ["position(cart.cart).x", "x", "cart.place", "previous(x) + delta(x)"])
 def test_a_robot_is_told_what_held_before_the_step(small: Small, format: str, told: str) -> None:
-    robot = TOLD.replace("{RECEIVE}", f'{{push: drive, where: "{told}"}}').replace("APPLY", "push * 0.02 m/s + where / s")
-    found = terms(small(f"signals: {{x: position(cart.cart).x}}\n{SEEN}", f"messages.format={format}", robot=robot))
+    robot = TOLD.replace("{RECEIVE}", f'{{push: drive, where: "{told}"}}').replace(
+        "APPLY", "push * 0.02 m/s + where / s"
+    )
+    found = terms(
+        small(f"signals: {{x: position(cart.cart).x}}\n{SEEN}", f"messages.format={format}", robot=robot)
+    )
     before = [0.0, *found["place"][:-1]]
-    assert found["rate"] == pytest.approx([x + 0.02 * drive for x, drive in zip(before, DRIVES, strict=True)], abs=NEARLY)
+    assert found["rate"] == pytest.approx(
+        [x + 0.02 * drive for x, drive in zip(before, DRIVES, strict=True)], abs=NEARLY
+    )
 
 
 @pytest.mark.parametrize(
@@ -171,8 +210,11 @@ def test_a_robot_is_told_what_held_before_the_step(small: Small, format: str, to
     ],
 )
 def test_a_received_start_is_kept(small: Small, expression: str, expected: list[float]) -> None:
-    """A memory of `apply` that begins with a received value begins with that of the first message; actions are 0 at a reset."""
-    robot = TOLD.replace("{RECEIVE}", '{level: "0.4 + 5 * time / s"}').replace("APPLY", f"({expression}) * 0.02 m/s")
+    """A memory of `apply` that begins with a received value begins with that of the first message; actions
+    are 0 at a reset."""
+    robot = TOLD.replace("{RECEIVE}", '{level: "0.4 + 5 * time / s"}').replace(
+        "APPLY", f"({expression}) * 0.02 m/s"
+    )
     environment = small(SEEN, robot=robot)
     for _ in range(2):
         assert terms(environment)["rate"] == pytest.approx([0.02 * value for value in expected], abs=NEARLY)
@@ -183,4 +225,6 @@ def test_a_received_start_waits_for_a_late_message(small: Small) -> None:
         "APPLY", "accumulate(0.1 * drive, -2 .. 2, level) * 0.02 m/s"
     )
     found = terms(small(SEEN, "messages.to_robot={latency: 40 ms}", robot=robot))
-    assert found["rate"] == pytest.approx([0.02 * value for value in (0.0, 0.0, 0.55, 0.525, 0.625)], abs=NEARLY)
+    assert found["rate"] == pytest.approx(
+        [0.02 * value for value in (0.0, 0.0, 0.55, 0.525, 0.625)], abs=NEARLY
+    )

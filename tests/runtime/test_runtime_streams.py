@@ -12,12 +12,22 @@ PINNED_DRAWS = [0.09192528450451198, -0.2648980716967728, 2.0, 2.0]
 
 def test_derived_seeds_are_the_same_in_every_version() -> None:
     """A run is repeated by its seed, so these figures may never change."""
-    assert [derive_seed(0), derive_seed(0, "reset"), derive_seed(0, "environment", 3), derive_seed(2**40, "évaluation")] == PINNED_SEEDS
+    assert [
+        derive_seed(0),
+        derive_seed(0, "reset"),
+        derive_seed(0, "environment", 3),
+        derive_seed(2**40, "évaluation"),
+    ] == PINNED_SEEDS
 
 
 def test_drawn_values_are_the_same_in_every_version() -> None:
     streams = Streams(7)
-    drawn = [streams.uniform("a", -1.0, 1.0), streams.normal("b", 0.0, 1.0), streams.integer("c", 1, 6), streams.choice("d", 2.0, 3.0, 5.0)]
+    drawn = [
+        streams.uniform("a", -1.0, 1.0),
+        streams.normal("b", 0.0, 1.0),
+        streams.integer("c", 1, 6),
+        streams.choice("d", 2.0, 3.0, 5.0),
+    ]
     assert drawn == PINNED_DRAWS
 
 
@@ -55,5 +65,10 @@ def test_whole_numbers_are_drawn_with_both_ends() -> None:
 
 def test_draws_are_plain_floats_that_every_message_format_can_carry() -> None:
     streams = Streams(1)
-    drawn = [streams.uniform("a", 0, 1), streams.normal("b", 0, 1), streams.integer("c", 1, 6), streams.choice("d", 2.0, 3.0)]
+    drawn = [
+        streams.uniform("a", 0, 1),
+        streams.normal("b", 0, 1),
+        streams.integer("c", 1, 6),
+        streams.choice("d", 2.0, 3.0),
+    ]
     assert {type(value) for value in drawn} == {float}

@@ -66,7 +66,10 @@ def test_time_limits_count_whole_steps(small: Make) -> None:
 
 
 def test_failure_beats_success_and_all_endings_are_listed(small: Make) -> None:
-    environment = small("reward: {a: 1}\ntermination: {success: {far: drive > 0.5}, failure: {fast: drive > 0.4, slow: drive < 0}}")
+    environment = small(
+        "reward: {a: 1}\ntermination: {success: {far: drive > 0.5}, failure: {fast: drive > 0.4, slow: drive"
+        " < 0}}"
+    )
     environment.reset(seed=0)
     _, _, terminated, truncated, info = environment.step(np.array([0.75]))
     assert (terminated, truncated, info["is_success"], info["ended_by"]) == (True, False, False, "fast")
@@ -74,7 +77,9 @@ def test_failure_beats_success_and_all_endings_are_listed(small: Make) -> None:
 
 
 def test_termination_beats_a_limit_in_the_same_step(small: Make) -> None:
-    environment = small("reward: {a: 1}\ntermination: {success: {far: drive > 0.5}}", "truncation.max_steps=1")
+    environment = small(
+        "reward: {a: 1}\ntermination: {success: {far: drive > 0.5}}", "truncation.max_steps=1"
+    )
     environment.reset(seed=0)
     assert environment.step(np.array([1.0]))[2:4] == (True, False)
     environment.reset(seed=0)
@@ -134,7 +139,9 @@ def test_the_traceback_of_such_an_error_shows_generated_lines(small: Make) -> No
 
 @pytest.mark.parametrize("format", ["struct", "json", "csv", "msgpack", "none"])
 @pytest.mark.parametrize("engine", ["exact", "pybullet"])
-def test_a_world_that_blew_up_is_the_engines_failure(rail: Path, make: Make, format: str, engine: str) -> None:
+def test_a_world_that_blew_up_is_the_engines_failure(
+    rail: Path, make: Make, format: str, engine: str
+) -> None:
     environment = make(rail, f"messages.format={format}", engine=engine)
     environment.reset(seed=0)
     environment.step(0)
@@ -160,13 +167,19 @@ def test_a_foreign_message_from_a_robot_is_refused_by_the_supervisor(rail: Path,
     environment = make(rail)
     environment.reset(seed=0)
     environment.from_cart.transmit(environment.to_cart.wire.encode((1.0,)))
-    with pytest.raises(MessageError, match=r"robot 'cart', from the robot, step 1: the message has another layout"):
+    with pytest.raises(
+        MessageError, match=r"robot 'cart', from the robot, step 1: the message has another layout"
+    ):
         environment.step(0)
 
 
 def test_every_failure_of_a_step_is_one_line_and_within_our_tree(rail: Path, make: Make) -> None:
     environment = make(rail)
-    for use in (lambda: environment.step(0), lambda: environment.step("x"), lambda: environment.step(np.zeros((40, 40)))):
+    for use in (
+        lambda: environment.step(0),
+        lambda: environment.step("x"),
+        lambda: environment.step(np.zeros((40, 40))),
+    ):
         with pytest.raises(DeepbotsError) as caught:
             use()
         assert "\n" not in str(caught.value)
@@ -204,13 +217,16 @@ def test_the_printed_module_has_the_papers_classes_and_imports_nothing_odd() -> 
 
 
 def test_two_engines_agree_on_the_rail(rail: Path, make: Make) -> None:
-    """0.8 s of a falling pole on a cart that is pushed back and forth: PyBullet at 1.25 ms steps is within 3e-3 of the exact motion.
+    """0.8 s of a falling pole on a cart that is pushed back and forth: PyBullet at 1.25 ms steps is within
+    3e-3 of the exact motion.
 
     Figures are parts of the observation's ranges; the error is of first order in the step.
     """
     worst = {}
     for substeps in (4, 16):
-        exact, pybullet = (make(rail, f"world.substeps={substeps}", engine=engine) for engine in ("exact", "pybullet"))
+        exact, pybullet = (
+            make(rail, f"world.substeps={substeps}", engine=engine) for engine in ("exact", "pybullet")
+        )
         exact.reset(seed=2)
         pybullet.reset(seed=2)
         difference = 0.0

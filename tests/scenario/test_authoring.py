@@ -25,7 +25,9 @@ def cartpole(**changes: Any) -> Scenario:
             "cart": {
                 "urdf": "cartpole",
                 "sensors": {"pole": {"type": "joint_position", "joint": "pole_hinge"}},
-                "actuators": {"wheels": VelocityMotor(type="velocity_motor", joints=["wheel_*"], max_torque="10 N*m")},
+                "actuators": {
+                    "wheels": VelocityMotor(type="velocity_motor", joints=["wheel_*"], max_torque="10 N*m")
+                },
                 "emit": ["pole"],
                 "apply": {"wheels": "drive * 5 rad/s"},
             }
@@ -57,14 +59,24 @@ def test_models_mappings_and_plain_values_make_a_scenario_that_compiles() -> Non
         ({"world": {"timestep": "10 kg"}}, ("world", "timestep"), "not a duration"),
         ({"world": {"timestep": "32 * (ms"}}, ("world", "timestep"), "parenthesis"),
         ({"world": {"timestep": "32 ms", "substeps": 4.5}}, ("world", "substeps"), "expected a whole number"),
-        ({"world": {"timestep": "32 ms", "terrain": {"type": "hills"}}}, ("world", "terrain", "type"), "unknown type `hills`"),
-        ({"world": {"timestep": "32 ms", "ground": {}, "terrain": {"type": "pit", "height": "1 m"}}}, ("world", "terrain"), "be combined"),
+        (
+            {"world": {"timestep": "32 ms", "terrain": {"type": "hills"}}},
+            ("world", "terrain", "type"),
+            "unknown type `hills`",
+        ),
+        (
+            {"world": {"timestep": "32 ms", "ground": {}, "terrain": {"type": "pit", "height": "1 m"}}},
+            ("world", "terrain"),
+            "be combined",
+        ),
         ({"truncation": {}}, ("truncation",), "missing key `max_steps` or `max_time`"),
         ({"reward": {"alive": "1 +"}}, ("reward", "alive"), ""),
         ({"reward": {}}, ("reward",), "is empty"),
     ],
 )
-def test_a_mistake_is_raised_at_once_with_its_place(changes: dict[str, Any], place: tuple[str, ...], said: str) -> None:
+def test_a_mistake_is_raised_at_once_with_its_place(
+    changes: dict[str, Any], place: tuple[str, ...], said: str
+) -> None:
     with pytest.raises(ValidationError) as caught:
         cartpole(**changes)
     (error,) = caught.value.errors()

@@ -47,7 +47,8 @@ def data(text: str) -> object:
 
 
 def subschemas(node: object, path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], Json]]:
-    """Every mapping within a schema, with its path; those that only tell forms apart (`if`, `not`) are left out."""
+    """Every mapping within a schema, with its path; those that only tell forms apart (`if`, `not`) are left
+    out."""
     if isinstance(node, dict):
         yield path, node
         for key, value in node.items():
@@ -66,12 +67,18 @@ def properties(schema: Json) -> Iterator[tuple[str, Json]]:
             yield "/".join(map(str, path)), said
 
 
-SECTIONS = list(dict.fromkeys(section for _, section, _ in walk_sections(Scenario) if isinstance(section, type)))
+SECTIONS = list(
+    dict.fromkeys(section for _, section, _ in walk_sections(Scenario) if isinstance(section, type))
+)
 
 
 def test_the_committed_schema_is_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if Path(folder).name != "exact"])  # an engine of the tests
-    assert COMMITTED.read_text(encoding="utf-8") == schema_text(), "run: python -m deepbots_cli.scenario.json_schema"
+    monkeypatch.setattr(
+        sys, "path", [folder for folder in sys.path if Path(folder).name != "exact"]
+    )  # an engine of the tests
+    assert COMMITTED.read_text(encoding="utf-8") == schema_text(), (
+        "run: python -m deepbots_cli.scenario.json_schema"
+    )
 
 
 def test_the_schema_is_a_schema_to_a_checker_of_schemas() -> None:
@@ -93,21 +100,29 @@ def test_the_schema_is_written_the_same_on_every_run() -> None:
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
-def test_editors_accept_every_sample_as_it_is_written(validator: jsonschema.Draft202012Validator, path: Path) -> None:
+def test_editors_accept_every_sample_as_it_is_written(
+    validator: jsonschema.Draft202012Validator, path: Path
+) -> None:
     root = parse(Source(path.name, path.read_text(encoding="utf-8")), Findings())
     assert root is not None
     assert [error.message for error in validator.iter_errors(to_data(root))] == []
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
-def test_editors_accept_every_sample_with_all_that_it_includes(validator: jsonschema.Draft202012Validator, path: Path) -> None:
+def test_editors_accept_every_sample_with_all_that_it_includes(
+    validator: jsonschema.Draft202012Validator, path: Path
+) -> None:
     root = load(path).root
     assert root is not None
     assert [error.message for error in validator.iter_errors(to_data(root))] == []
 
 
 def test_every_key_says_what_it_is_and_shows_an_example(schema: Json) -> None:
-    silent = [path for path, said in properties(schema) if f"Example: {path.rpartition('/')[2]}: " not in said.get("description", "")]
+    silent = [
+        path
+        for path, said in properties(schema)
+        if f"Example: {path.rpartition('/')[2]}: " not in said.get("description", "")
+    ]
     assert silent == []
     assert sum(1 for _ in properties(schema)) > 500
 
@@ -115,7 +130,11 @@ def test_every_key_says_what_it_is_and_shows_an_example(schema: Json) -> None:
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
 def test_every_quantity_says_its_unit(schema: Json, section: type[Section]) -> None:
     said = schema["$defs"][definition_of(section).__name__]["properties"]
-    assert [key for key, shape in section_fields(section).items() if bool(unit_of(shape)) != ("Unit: " in said[key]["description"])] == []
+    assert [
+        key
+        for key, shape in section_fields(section).items()
+        if bool(unit_of(shape)) != ("Unit: " in said[key]["description"])
+    ] == []
 
 
 @pytest.mark.parametrize(
@@ -147,14 +166,28 @@ def test_kinds_are_told_apart_by_conditions_and_never_by_trial(schema: Json) -> 
 
 @pytest.mark.parametrize(
     ("key", "kinds"),
-    [("type", SENSORS), ("type", ACTUATORS), ("type", TERRAINS), ("shape", OBJECTS), ("algorithm", [*ALGORITHMS, AUTO])],
+    [
+        ("type", SENSORS),
+        ("type", ACTUATORS),
+        ("type", TERRAINS),
+        ("shape", OBJECTS),
+        ("algorithm", [*ALGORITHMS, AUTO]),
+    ],
     ids=["sensors", "actuators", "terrains", "objects", "algorithms"],
 )
 def test_every_kind_is_listed_and_has_its_condition(schema: Json, key: str, kinds: dict[str, object]) -> None:
-    found = [node for _, node in subschemas(schema) if node.get("properties", {}).get(key, {}).get("enum") == list(kinds)]
+    found = [
+        node
+        for _, node in subschemas(schema)
+        if node.get("properties", {}).get(key, {}).get("enum") == list(kinds)
+    ]
     assert found
     for node in found:
-        told = [branch["if"]["properties"][key]["const"] for branch in node["allOf"] if key in branch["if"].get("properties", {})]
+        told = [
+            branch["if"]["properties"][key]["const"]
+            for branch in node["allOf"]
+            if key in branch["if"].get("properties", {})
+        ]
         assert told == list(kinds)
         said = node["properties"][key]["enumDescriptions"]
         assert len(set(said)) == len(kinds)
@@ -174,14 +207,30 @@ def test_numbers_in_groups_of_three_which_editors_take_for_text_are_no_mistake(
 FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
     "an unknown key": ("timestep: 32 ms", "timestep: 32 ms\n  timestop: 32 ms", ("world",)),
     "a section that there is not": ("messages:", "mesages:", ()),
-    "a key of another kind": ("joint: pole_hinge}", "joint: pole_hinge, fov: 60 deg}", ("robots", "cart", "sensors", "pole_angle")),
-    "an unknown kind of sensor": ("joint_position", "joint_angle", ("robots", "cart", "sensors", "pole_angle", "type")),
-    "an unknown kind of actuator": ("velocity_motor", "velocty_motor", ("robots", "cart", "actuators", "wheels", "type")),
+    "a key of another kind": (
+        "joint: pole_hinge}",
+        "joint: pole_hinge, fov: 60 deg}",
+        ("robots", "cart", "sensors", "pole_angle"),
+    ),
+    "an unknown kind of sensor": (
+        "joint_position",
+        "joint_angle",
+        ("robots", "cart", "sensors", "pole_angle", "type"),
+    ),
+    "an unknown kind of actuator": (
+        "velocity_motor",
+        "velocty_motor",
+        ("robots", "cart", "actuators", "wheels", "type"),
+    ),
     "an unknown algorithm": ("algorithm: PPO", "algorithm: PPOO", ("train", "algorithm")),
     "a hyperparameter of another algorithm": ("gamma: 0.98", "tau: 0.98", ("train",)),
     "a text for a whole number": ("substeps: 4", "substeps: four", ("world", "substeps")),
     "a list for a quantity": ("timestep: 32 ms", "timestep: [32 ms]", ("world", "timestep")),
-    "a single value for a mapping": ("  failure:\n    fallen:", "  failure: yes please\nsignals:\n    fallen:", ("termination", "failure")),
+    "a single value for a mapping": (
+        "  failure:\n    fallen:",
+        "  failure: yes please\nsignals:\n    fallen:",
+        ("termination", "failure"),
+    ),
     "an unknown word": ("format: csv", "format: cvs", ("messages", "format")),
     "a number out of bounds": ("gamma: 0.98", "gamma: 1.98", ("train", "gamma")),
     "a range without dots": ("-20 .. 20 deg", "20 deg", ("observation", "cart.pole_angle")),
@@ -191,7 +240,11 @@ FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
         "joint: pole_hinge, joints: pole_hinge}",
         ("robots", "cart", "sensors", "pole_angle"),
     ),
-    "an unknown color": ("arena: {size: 1 1 m", "arena: {size: 1 1 m, color: rde", ("world", "arena", "color")),
+    "an unknown color": (
+        "arena: {size: 1 1 m",
+        "arena: {size: 1 1 m, color: rde",
+        ("world", "arena", "color"),
+    ),
 }
 
 
@@ -200,12 +253,20 @@ def test_a_fault_is_reported_once_and_in_its_place(
     validator: jsonschema.Draft202012Validator, old: str, new: str, place: tuple[Step, ...]
 ) -> None:
     assert old in CARTPOLE
-    found = [tuple(error.absolute_path) for error in validator.iter_errors(data(CARTPOLE.replace(old, new, 1)))]
+    found = [
+        tuple(error.absolute_path) for error in validator.iter_errors(data(CARTPOLE.replace(old, new, 1)))
+    ]
     assert found == [place]
 
 
-def test_a_file_that_extends_another_may_leave_out_anything(validator: jsonschema.Draft202012Validator) -> None:
-    changes = {"deepbots": 1, "extends": "cartpole.yaml", "robots": {"cart": {"sensors": {"pole_angle": {"noise": "0.2 deg"}}}}}
+def test_a_file_that_extends_another_may_leave_out_anything(
+    validator: jsonschema.Draft202012Validator,
+) -> None:
+    changes = {
+        "deepbots": 1,
+        "extends": "cartpole.yaml",
+        "robots": {"cart": {"sensors": {"pole_angle": {"noise": "0.2 deg"}}}},
+    }
     assert [error.message for error in validator.iter_errors(changes)] == []
 
 
@@ -215,7 +276,9 @@ def test_a_file_of_its_own_lacks_no_section(validator: jsonschema.Draft202012Val
     assert [error.message for error in validator.iter_errors(scenario)] == ["'world' is a required property"]
 
 
-def test_a_file_that_is_included_may_bring_what_is_missing(validator: jsonschema.Draft202012Validator) -> None:
+def test_a_file_that_is_included_may_bring_what_is_missing(
+    validator: jsonschema.Draft202012Validator,
+) -> None:
     scenario: Any = data(CARTPOLE)
     scenario["world"] = {"include": "world.yaml", "substeps": 8}
     scenario["robots"]["cart"]["sensors"]["pole_angle"] = {"include": "sensor.yaml"}

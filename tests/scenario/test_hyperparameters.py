@@ -11,9 +11,17 @@ from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS, SET_ELSEWHERE_HELP, Training
 
 Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
-EXCLUDED = {"self", "policy", "env", "verbose", "device", "seed", "tensorboard_log", "policy_kwargs", "_init_setup_model"} | {
-    f"{kind}_buffer_{what}" for kind in ("rollout", "replay") for what in ("class", "kwargs")
-}
+EXCLUDED = {
+    "self",
+    "policy",
+    "env",
+    "verbose",
+    "device",
+    "seed",
+    "tensorboard_log",
+    "policy_kwargs",
+    "_init_setup_model",
+} | {f"{kind}_buffer_{what}" for kind in ("rollout", "replay") for what in ("class", "kwargs")}
 OURS = {"replay", "lstm"}
 
 
@@ -24,15 +32,27 @@ def signature(algorithm: str) -> inspect.Signature:
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_table_has_what_the_algorithm_takes(algorithm: str) -> None:
-    assert set(ALGORITHMS[algorithm].hyperparameter_names()) - OURS == set(signature(algorithm).parameters) - EXCLUDED
+    assert (
+        set(ALGORITHMS[algorithm].hyperparameter_names()) - OURS
+        == set(signature(algorithm).parameters) - EXCLUDED
+    )
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_defaults_of_the_algorithm_may_be_written(algorithm: str, check: Check, cartpole: str) -> None:
     parameters = signature(algorithm).parameters
-    own = {name: parameters[name].default for name in ALGORITHMS[algorithm].hyperparameter_names() if name not in OURS}
-    train = {"algorithm": algorithm, "total_timesteps": 1000} | {name: value for name, value in own.items() if value is not None}
-    text = "\n".join(line for line in cartpole.splitlines() if not line.startswith("train:")) + f"\ntrain: {json.dumps(train)}\n"
+    own = {
+        name: parameters[name].default
+        for name in ALGORITHMS[algorithm].hyperparameter_names()
+        if name not in OURS
+    }
+    train = {"algorithm": algorithm, "total_timesteps": 1000} | {
+        name: value for name, value in own.items() if value is not None
+    }
+    text = (
+        "\n".join(line for line in cartpole.splitlines() if not line.startswith("train:"))
+        + f"\ntrain: {json.dumps(train)}\n"
+    )
     scenario, findings = check(text)
     assert [finding.headline for finding in findings] == []
     assert scenario is not None
@@ -41,7 +61,11 @@ def test_the_defaults_of_the_algorithm_may_be_written(algorithm: str, check: Che
 
 
 def test_what_is_said_elsewhere_is_no_hyperparameter() -> None:
-    assert not [name for name in SET_ELSEWHERE_HELP if any(name in model.model_fields for model in ALGORITHMS.values())]
+    assert not [
+        name
+        for name in SET_ELSEWHERE_HELP
+        if any(name in model.model_fields for model in ALGORITHMS.values())
+    ]
 
 
 @pytest.mark.parametrize(
@@ -65,7 +89,9 @@ def test_what_is_said_elsewhere_is_no_hyperparameter() -> None:
         ("PPO", "learning_rate: 1e-3 -> -1", False),
     ],
 )
-def test_hyperparameters_are_checked_by_their_kind(check: Check, cartpole: str, algorithm: str, entry: str, sound: bool) -> None:
+def test_hyperparameters_are_checked_by_their_kind(
+    check: Check, cartpole: str, algorithm: str, entry: str, sound: bool
+) -> None:
     _, findings = check(cartpole.replace("algorithm: PPO,", f"algorithm: {algorithm}, {entry},"))
     assert (not findings) == sound
     assert len(findings) <= 1

@@ -21,7 +21,11 @@ from tests.fuzz.workbench import Workbench
 ROOT = Path(__file__).parents[2]
 SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
 UNUSUAL = sorted(ROOT.glob("tests/golden/lint/ok/*.yaml"))
-CARTPOLE = (ROOT / "scenarios" / "cartpole.yaml").read_text(encoding="utf-8").replace("../robots/urdf/cartpole.urdf", "cartpole")
+CARTPOLE = (
+    (ROOT / "scenarios" / "cartpole.yaml")
+    .read_text(encoding="utf-8")
+    .replace("../robots/urdf/cartpole.urdf", "cartpole")
+)
 JOINTS = ["wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right", "pole_hinge"]
 
 Step = str | int
@@ -48,14 +52,24 @@ def data(text: str) -> Any:
 
 
 def faults(schema: Json, scenario: object) -> list[tuple[Step, ...]]:
-    return [tuple(error.absolute_path) for error in jsonschema.Draft202012Validator(schema).iter_errors(scenario)]
+    return [
+        tuple(error.absolute_path) for error in jsonschema.Draft202012Validator(schema).iter_errors(scenario)
+    ]
 
 
 def listed(schema: Json, definition: str, key: str) -> dict[str, str]:
     """The names that are listed for a key, with what is said of each."""
     said = schema["$defs"][definition]["properties"][key]
-    forms = [form for form in (said, *said.get("anyOf", ()), *said.get("propertyNames", {}).get("anyOf", ())) if "enum" in form]
-    return {name: about for form in forms for name, about in zip(form["enum"], form["enumDescriptions"], strict=True)}
+    forms = [
+        form
+        for form in (said, *said.get("anyOf", ()), *said.get("propertyNames", {}).get("anyOf", ()))
+        if "enum" in form
+    ]
+    return {
+        name: about
+        for form in forms
+        for name, about in zip(form["enum"], form["enumDescriptions"], strict=True)
+    }
 
 
 @pytest.mark.parametrize("path", every(5, [*SAMPLES, *UNUSUAL], lambda path: path.stem))
@@ -119,7 +133,10 @@ def test_each_robot_has_its_own_names(own: Own) -> None:
 
 
 def test_a_robot_that_is_added_later_is_no_mistake(own: Own) -> None:
-    later = CARTPOLE.replace("robots:\n", "robots:\n  rolling: {urdf: rover, sensors: {turn: {type: joint_position, joint: other}}}\n")
+    later = CARTPOLE.replace(
+        "robots:\n",
+        "robots:\n  rolling: {urdf: rover, sensors: {turn: {type: joint_position, joint: other}}}\n",
+    )
     assert faults(own(CARTPOLE), data(later)) == []
 
 
@@ -131,22 +148,46 @@ def test_names_that_are_added_later_are_no_mistake(own: Own) -> None:
 
 
 FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
-    "an unknown joint": ("joint: pole_hinge", "joint: pole_hing", ("robots", "cart", "sensors", "pole_angle", "joint")),
-    "an unknown joint in a list": ("[wheel_*]", "[wheel_*, pole]", ("robots", "cart", "actuators", "wheels", "joints", 1)),
-    "a link for a joint": ("joints: [wheel_*]", "joints: pole", ("robots", "cart", "actuators", "wheels", "joints")),
+    "an unknown joint": (
+        "joint: pole_hinge",
+        "joint: pole_hing",
+        ("robots", "cart", "sensors", "pole_angle", "joint"),
+    ),
+    "an unknown joint in a list": (
+        "[wheel_*]",
+        "[wheel_*, pole]",
+        ("robots", "cart", "actuators", "wheels", "joints", 1),
+    ),
+    "a link for a joint": (
+        "joints: [wheel_*]",
+        "joints: pole",
+        ("robots", "cart", "actuators", "wheels", "joints"),
+    ),
     "an unknown link": (
         "{type: joint_position, joint: pole_hinge}",
         "{type: gyro, link: pol}",
         ("robots", "cart", "sensors", "pole_angle", "link"),
     ),
-    "an unknown joint of a start": ("cart.pole_hinge: uniform", "cart.pole_hing: uniform", ("reset", "joints")),
+    "an unknown joint of a start": (
+        "cart.pole_hinge: uniform",
+        "cart.pole_hing: uniform",
+        ("reset", "joints"),
+    ),
     "an unknown joint to be changed": (
         "    apply:",
         "    joints: {pole_hing: {damping: 0 N*m*s/rad}}\n    apply:",
         ("robots", "cart", "joints"),
     ),
-    "an unknown link to be changed": ("    apply:", "    links: {pol: {mass: 1 kg}}\n    apply:", ("robots", "cart", "links")),
-    "an unknown member of a group": ("    apply:", "    groups: {all: [pol]}\n    apply:", ("robots", "cart", "groups", "all", 0)),
+    "an unknown link to be changed": (
+        "    apply:",
+        "    links: {pol: {mass: 1 kg}}\n    apply:",
+        ("robots", "cart", "links"),
+    ),
+    "an unknown member of a group": (
+        "    apply:",
+        "    groups: {all: [pol]}\n    apply:",
+        ("robots", "cart", "groups", "all", 0),
+    ),
     "an unknown key": ("max_torque: 10 N*m", "torque: 10 N*m", ("robots", "cart", "actuators", "wheels")),
     "an unknown kind": ("joint_position", "joint_angle", ("robots", "cart", "sensors", "pole_angle", "type")),
     "a wrong type": ("joint: pole_hinge", "joint: 3", ("robots", "cart", "sensors", "pole_angle", "joint")),
@@ -154,16 +195,29 @@ FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
 
 
 @pytest.mark.parametrize(("old", "new", "place"), FAULTS.values(), ids=FAULTS)
-def test_a_fault_is_reported_once_and_in_its_place(own: Own, old: str, new: str, place: tuple[Step, ...]) -> None:
+def test_a_fault_is_reported_once_and_in_its_place(
+    own: Own, old: str, new: str, place: tuple[Step, ...]
+) -> None:
     assert old in CARTPOLE
     assert faults(own(CARTPOLE), data(CARTPOLE.replace(old, new, 1))) == [place]
 
 
 @pytest.mark.parametrize(
-    "patterns", ["wheel_*", "'*_left'", "wheel_?????_left", "'wheel_[fr]*'", "[wheel_front_left, 'wheel_rear_*']", "[rear]", "rear"]
+    "patterns",
+    [
+        "wheel_*",
+        "'*_left'",
+        "wheel_?????_left",
+        "'wheel_[fr]*'",
+        "[wheel_front_left, 'wheel_rear_*']",
+        "[rear]",
+        "rear",
+    ],
 )
 def test_patterns_and_groups_are_no_mistake(own: Own, patterns: str) -> None:
-    text = CARTPOLE.replace("    apply:", "    groups: {rear: [wheel_rear_*]}\n    apply:").replace("[wheel_*]", patterns)
+    text = CARTPOLE.replace("    apply:", "    groups: {rear: [wheel_rear_*]}\n    apply:").replace(
+        "[wheel_*]", patterns
+    )
     assert faults(own(text), data(text)) == []
 
 
@@ -177,7 +231,8 @@ def test_patterns_and_groups_are_no_mistake(own: Own, patterns: str) -> None:
         "deepbots: 1\nrobots: {cart: 3, wagon: {urdf: cartpole}}\nobservation: 4",
         "deepbots: 9\nrobots: {cart: {urdf: cartpole}}",
         "extends: nowhere.yaml",
-        "deepbots: 1\nparameters: {a: b, b: a, c: 3 parsecs}\nrobots: {cart: {urdf: cartpole, groups: {all: [none]}}}",
+        "deepbots: 1\nparameters: {a: b, b: a, c: 3 parsecs}\nrobots: {cart: {urdf: cartpole, groups: {all:"
+        " [none]}}}",
         'deepbots: 1\nparameters: {a: "\\ud800", b: "\\x00"}\nrobots: {"\\u202e": {urdf: cartpole}}',
         "a: &a [*a]",
         CARTPOLE.replace("cartpole\n", "cartpole\n    groups: {}\n    poses: 3\n"),
@@ -202,12 +257,15 @@ def test_where_a_robot_could_not_be_read_the_names_of_all_are_no_mistake(own: Ow
 
 
 def test_more_names_than_anyone_reads_are_not_listed(own: Own) -> None:
-    text = CARTPOLE.replace("signals:", "").replace("  track:", "".join(f"  p{i}: {i} m\n" for i in range(600)) + "  track:")
+    text = CARTPOLE.replace("signals:", "").replace(
+        "  track:", "".join(f"  p{i}: {i} m\n" for i in range(600)) + "  track:"
+    )
     assert listed(own(text), "Stage", "set") == {}
 
 
 def test_whatever_became_of_a_file_what_has_no_error_fits_its_schema(tmp_path: Path) -> None:
-    """Damaged files, as `make fuzz` lints them: every one gets a schema, and an editor marks nothing that the compiler takes."""
+    """Damaged files, as `make fuzz` lints them: every one gets a schema, and an editor marks nothing that the
+    compiler takes."""
     sound = 0
     with Workbench(tmp_path):
         for number in range(80):

@@ -9,7 +9,15 @@ import pytest
 from deepbots_cli.document import descend, load
 from deepbots_cli.scenario import Scenario, validate, visit_values
 from deepbots_cli.scenario.base import key_description, walk_sections
-from deepbots_cli.scenario.fields import Expression, Pattern, Quantity, Range, Reference, count_literal, read_schedule
+from deepbots_cli.scenario.fields import (
+    Expression,
+    Pattern,
+    Quantity,
+    Range,
+    Reference,
+    count_literal,
+    read_schedule,
+)
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
@@ -44,18 +52,36 @@ def test_every_value_that_is_visited_stands_where_its_path_says(path: Path) -> N
 
 
 def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
-    found = {(place, type(kind)): (kind, value) for place, kind, value in visit_values(read(BY_NAME["cartpole"]))}
-    assert found[("world", "timestep"), Quantity] == (Quantity("time", minimum=0, exclusive=True, usual_unit="ms"), "32 ms")
+    found = {
+        (place, type(kind)): (kind, value) for place, kind, value in visit_values(read(BY_NAME["cartpole"]))
+    }
+    assert found[("world", "timestep"), Quantity] == (
+        Quantity("time", minimum=0, exclusive=True, usual_unit="ms"),
+        "32 ms",
+    )
     assert found[("reward", "alive"), Expression] == (Expression("reward"), 1)
     assert found[("observation", "speed"), Range] == (Range("any", auto=True, vector=True), "-0.8 .. 0.8 m/s")
     assert found[("observation", "speed"), Reference] == (Reference("value"), "speed")
-    assert found[("robots", "cart", "actuators", "wheels", "joints", 0), Reference] == (Reference("joints"), "wheel_*")
-    assert found[("reset", "joints", "cart.pole_hinge"), Quantity] == (Quantity("angle or length", known="episode"), "uniform(-1 .. 1 deg)")
+    assert found[("robots", "cart", "actuators", "wheels", "joints", 0), Reference] == (
+        Reference("joints"),
+        "wheel_*",
+    )
+    assert found[("reset", "joints", "cart.pole_hinge"), Quantity] == (
+        Quantity("angle or length", known="episode"),
+        "uniform(-1 .. 1 deg)",
+    )
 
 
 def test_patterns_of_links_are_visited_as_keys() -> None:
-    places = {place: value for place, kind, value in visit_values(read(BY_NAME["quadruped"])) if kind == Pattern("link")}
-    assert places == {("robots", "dog", "links", "trunk"): "trunk", ("robots", "dog", "links", "*_toe"): "*_toe"}
+    places = {
+        place: value
+        for place, kind, value in visit_values(read(BY_NAME["quadruped"]))
+        if kind == Pattern("link")
+    }
+    assert places == {
+        ("robots", "dog", "links", "trunk"): "trunk",
+        ("robots", "dog", "links", "*_toe"): "*_toe",
+    }
 
 
 def test_the_hyperparameters_of_a_training_are_those_that_were_given() -> None:
@@ -99,11 +125,15 @@ def test_a_literal_is_numbers_with_one_unit(text: str, count: int | None) -> Non
 def test_a_schedule_is_read_into_its_ends() -> None:
     assert read_schedule("3e-4 -> 0") == (3e-4, 0.0)
     assert read_schedule(0.5) == (0.5, 0.5)
-    assert [read_schedule(text) for text in ("high -> low", "3 ->", "1 -> 2 -> 3", "", "0x10", True, 10**400)] == [None] * 7
+    assert [
+        read_schedule(text) for text in ("high -> low", "3 ->", "1 -> 2 -> 3", "", "0x10", True, 10**400)
+    ] == [None] * 7
 
 
 def test_reading_a_scenario_needs_no_simulator_and_no_numbers_library() -> None:
     heavy = "numpy pybullet torch gymnasium stable_baselines3 difflib"
-    code = f"import sys, deepbots_cli.scenario; print([name for name in {heavy.split()} if name in sys.modules])"
+    code = (
+        f"import sys, deepbots_cli.scenario; print([name for name in {heavy.split()} if name in sys.modules])"
+    )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

@@ -31,17 +31,31 @@ def test_a_range_has_units_and_a_logarithm():
 def test_a_key_of_whole_numbers_gets_whole_numbers_and_any_other_key_fractions():
     found = spaces("train.n_epochs: 5 .. 20, train.ent_coef: 0 .. 1")
     assert [space.whole for space in found.values()] == [True, False]
-    assert [space.text(value) for space, value in zip(found.values(), (7.0, 0.12345), strict=True)] == ["7", "0.123"]
+    assert [space.text(value) for space, value in zip(found.values(), (7.0, 0.12345), strict=True)] == [
+        "7",
+        "0.123",
+    ]
 
 
 def test_choices_are_written_with_bars_or_as_a_list():
-    found = spaces("train.network.activation: tanh | relu, train.network.hidden: [[10, 10], [64, 64]], train.gamma: [0.9, 0.99]")
-    assert [space.choices for space in found.values()] == [("tanh", "relu"), ("[10, 10]", "[64, 64]"), ("0.9", "0.99")]
+    found = spaces(
+        "train.network.activation: tanh | relu, train.network.hidden: [[10, 10], [64, 64]], train.gamma:"
+        " [0.9, 0.99]"
+    )
+    assert [space.choices for space in found.values()] == [
+        ("tanh", "relu"),
+        ("[10, 10]", "[64, 64]"),
+        ("0.9", "0.99"),
+    ]
 
 
 def test_a_value_is_rounded_and_stays_in_its_range():
     space = SearchSpace(low=0.99996, high=0.99998, unit="m")
-    assert [space.text(value) for value in (0.99996, 0.999973456, 0.99998)] == ["0.99996 m", "0.99997346 m", "0.99998 m"]
+    assert [space.text(value) for value in (0.99996, 0.999973456, 0.99998)] == [
+        "0.99996 m",
+        "0.99997346 m",
+        "0.99998 m",
+    ]
     assert SearchSpace(low=1e-5, high=1e-2, log=True).text(0.000123456) == "0.0001235"
 
 
@@ -60,13 +74,19 @@ def test_what_cannot_be_searched_is_said_at_its_place():
     assert headlines("train.n_epochs: 5.5 .. 20") == ["DB103 expected a whole number, found the number `5.5`"]
     assert headlines("track: 0.2 .. 0.4") == ["DB503 a length (m) is combined with a plain number"]
     assert headlines("train.network.activation: tanh | relux") == ["DB104 unknown word `relux`"]
-    assert headlines("track: 0.2 m .. 0.3 m, parameters.track: 0.2 .. 0.4 m") == ["DB202 `parameters.track` is already searched"]
+    assert headlines("track: 0.2 m .. 0.3 m, parameters.track: 0.2 .. 0.4 m") == [
+        "DB202 `parameters.track` is already searched"
+    ]
     assert headlines("solved: a | b") == ["DB407 a search cannot change `solved`"]
-    assert headlines("train.total_timesteps: 10 .. 20") == ["DB407 a search cannot change `train.total_timesteps`"]
+    assert headlines("train.total_timesteps: 10 .. 20") == [
+        "DB407 a search cannot change `train.total_timesteps`"
+    ]
     assert headlines("train.ent_coef: 0 .. 1 :log") == ["DB105 `0 .. 1 :log` has no logarithm at its low end"]
     assert headlines("train.gamma: 0.99 .. 0.9") == ["DB105 the range `0.99 .. 0.9` is empty"]
     assert headlines("train.batch_size: 64") == ["DB103 expected a range or choices, found the number `64`"]
-    assert headlines("observation.x: -1 .. 1 m | -2 .. 2 m") == ["DB613 `observation.x: -1 .. 1 m` changes the interface of the policy"]
+    assert headlines("observation.x: -1 .. 1 m | -2 .. 2 m") == [
+        "DB613 `observation.x: -1 .. 1 m` changes the interface of the policy"
+    ]
 
 
 def test_a_run_keeps_the_scenario_without_the_search():

@@ -23,12 +23,12 @@ FILES = sorted(ROOT.glob("scenarios/*.yaml"))
 SAMPLES: list[Any] = [to_data(root) for path in FILES if (root := load(path).root) is not None]
 VALIDATOR = jsonschema.Draft202012Validator(json_schema())
 
-ODD_SCALARS = st.sampled_from([0, -1, 3, 1.5, True, "", "x", "1 m", "1 2 3 m", "0 .. 1", "[key]", "type", "list", "a when b"]) | st.text(
-    max_size=8
-)
-ODD_KEYS = st.sampled_from(["type", "shape", "map", "[key]", "list", "0", "include", "range", "choices", "one_of", "joint"]) | st.text(
-    max_size=6
-)
+ODD_SCALARS = st.sampled_from(
+    [0, -1, 3, 1.5, True, "", "x", "1 m", "1 2 3 m", "0 .. 1", "[key]", "type", "list", "a when b"]
+) | st.text(max_size=8)
+ODD_KEYS = st.sampled_from(
+    ["type", "shape", "map", "[key]", "list", "0", "include", "range", "choices", "one_of", "joint"]
+) | st.text(max_size=6)
 ODD = st.recursive(
     ODD_SCALARS,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(ODD_KEYS, inner, max_size=3),
@@ -56,7 +56,9 @@ def at(data: Any, path: Place) -> Any:
 
 
 @st.composite
-def mutated(draw: st.DrawFn, values: st.SearchStrategy[Any], changes: int = 3, insert: bool = True) -> tuple[Any, list[Place]]:
+def mutated(
+    draw: st.DrawFn, values: st.SearchStrategy[Any], changes: int = 3, insert: bool = True
+) -> tuple[Any, list[Place]]:
     number = draw(st.integers(0, len(SAMPLES) - 1))
     data, changed = copy.deepcopy(SAMPLES[number]), []
     for _ in range(draw(st.integers(1, changes))):
@@ -80,7 +82,9 @@ def mutated(draw: st.DrawFn, values: st.SearchStrategy[Any], changes: int = 3, i
 
 
 @given(case=mutated(ODD))
-def test_no_change_of_a_scenario_raises_and_every_finding_has_a_place(check: Check, case: tuple[Any, list[Place]]) -> None:
+def test_no_change_of_a_scenario_raises_and_every_finding_has_a_place(
+    check: Check, case: tuple[Any, list[Place]]
+) -> None:
     data, _ = case
     text = json.dumps(data, ensure_ascii=False)
     scenario, findings = check(text)
@@ -97,7 +101,9 @@ def test_one_wrong_value_is_one_finding(check: Check, case: tuple[Any, list[Plac
     data, _ = case
     _, findings = check(json.dumps(data))
     # Beside an unknown key, all that is required there is missing as well.
-    assert len([finding for finding in findings if finding.code != "DB102"]) <= 1, [finding.headline for finding in findings]
+    assert len([finding for finding in findings if finding.code != "DB102"]) <= 1, [
+        finding.headline for finding in findings
+    ]
 
 
 @given(case=mutated(ODD, changes=1))

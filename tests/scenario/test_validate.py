@@ -13,7 +13,14 @@ Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 # What is replaced, by what; then the code, the text that is marked, the headline, a piece of the help.
 FAULTS = [
     # unknown keys
-    ("  timestep: 32 ms", "  timstep: 32 ms", "DB101", "timstep", "unknown key `timstep` in `world`", "did you mean `timestep`?"),
+    (
+        "  timestep: 32 ms",
+        "  timstep: 32 ms",
+        "DB101",
+        "timstep",
+        "unknown key `timstep` in `world`",
+        "did you mean `timestep`?",
+    ),
     (
         "name: C",
         "timestep: 1 s\nname: C",
@@ -22,26 +29,117 @@ FAULTS = [
         "unknown key `timestep` at the top level",
         "write `  timestep: 1 s` below `world:` (line 9)",
     ),
-    ("name: C", "agents: {}\nname: C", "DB101", "agents", "unknown key `agents` at the top level", "not supported yet"),
+    (
+        "name: C",
+        "agents: {}\nname: C",
+        "DB101",
+        "agents",
+        "unknown key `agents` at the top level",
+        "not supported yet",
+    ),
     ("PPO,", "PPO, gama: 0.9,", "DB101", "gama", "unknown key `gama` in `train`", "did you mean `gamma`?"),
     ("PPO,", "PPO, tau: 0.9,", "DB101", "tau", "unknown key `tau` in `train`", "only `DQN`, `SAC`"),
     ("PPO,", "PPO, seed: 1,", "DB101", "seed", "unknown key `seed` in `train`", "--seed 1"),
-    ("joint: pole_hinge", "joint: p, rays: 3", "DB101", "rays", "unknown key `rays` in `pole_angle`", "only `infrared`, `sonar`"),
-    ("joint: pole_hinge", "joint: p, joints: q", "DB101", "joints", "`joints` cannot be combined with `joint`", "keep one"),
-    ("x:               -0.4 .. 0.4 m", "x: {range: 0 .. 1 m, histori: 2}", "DB101", "histori", "unknown key `histori` in `x`", "`history`"),
+    (
+        "joint: pole_hinge",
+        "joint: p, rays: 3",
+        "DB101",
+        "rays",
+        "unknown key `rays` in `pole_angle`",
+        "only `infrared`, `sonar`",
+    ),
+    (
+        "joint: pole_hinge",
+        "joint: p, joints: q",
+        "DB101",
+        "joints",
+        "`joints` cannot be combined with `joint`",
+        "keep one",
+    ),
+    (
+        "x:               -0.4 .. 0.4 m",
+        "x: {range: 0 .. 1 m, histori: 2}",
+        "DB101",
+        "histori",
+        "unknown key `histori` in `x`",
+        "`history`",
+    ),
     # missing keys
     ("deepbots: 1\n", "", "DB102", "name: CartPole", "missing key `deepbots` at the top level", "version"),
-    ("reward:\n  alive: 1\n", "", "DB102", "deepbots: 1", "missing key `reward` at the top level", "terms of the reward"),
-    ("  timestep: 32 ms\n", "", "DB102", "world", "missing key `timestep` in `world`", "duration of one control step"),
+    (
+        "reward:\n  alive: 1\n",
+        "",
+        "DB102",
+        "deepbots: 1",
+        "missing key `reward` at the top level",
+        "terms of the reward",
+    ),
+    (
+        "  timestep: 32 ms\n",
+        "",
+        "DB102",
+        "world",
+        "missing key `timestep` in `world`",
+        "duration of one control step",
+    ),
     ("type: joint_position, ", "", "DB102", "pole_angle", "missing key `type` in `pole_angle`", "`gyro`"),
-    ("joints: [wheel_*], ", "", "DB102", "wheels", "missing key `joint` or `joints` in `wheels`", "write one"),
-    ("{max_steps: 200}", "{}", "DB102", "truncation", "missing key `max_steps` or `max_time` in `truncation`", "write one"),
+    (
+        "joints: [wheel_*], ",
+        "",
+        "DB102",
+        "wheels",
+        "missing key `joint` or `joints` in `wheels`",
+        "write one",
+    ),
+    (
+        "{max_steps: 200}",
+        "{}",
+        "DB102",
+        "truncation",
+        "missing key `max_steps` or `max_time` in `truncation`",
+        "write one",
+    ),
     # wrong types
-    ("substeps: 4", "substeps: many", "DB103", "many", "expected a whole number, found the text `many`", "physics steps"),
-    ("substeps: 4", "substeps: true", "DB103", "true", "expected a whole number, found the truth value `true`", None),
-    ("joints: [wheel_*]", "joints: 5", "DB103", "5", "expected a list of joint names, found the number `5`", None),
-    ("joints: [wheel_*]", "joints: [w, 5]", "DB103", "5", "expected the name of a joint, found the number `5`", None),
-    ("emit: [pole_angle]", "emit: x", "DB103", "x", "expected a list of sensor names or a mapping, found the text `x`", None),
+    (
+        "substeps: 4",
+        "substeps: many",
+        "DB103",
+        "many",
+        "expected a whole number, found the text `many`",
+        "physics steps",
+    ),
+    (
+        "substeps: 4",
+        "substeps: true",
+        "DB103",
+        "true",
+        "expected a whole number, found the truth value `true`",
+        None,
+    ),
+    (
+        "joints: [wheel_*]",
+        "joints: 5",
+        "DB103",
+        "5",
+        "expected a list of joint names, found the number `5`",
+        None,
+    ),
+    (
+        "joints: [wheel_*]",
+        "joints: [w, 5]",
+        "DB103",
+        "5",
+        "expected the name of a joint, found the number `5`",
+        None,
+    ),
+    (
+        "emit: [pole_angle]",
+        "emit: x",
+        "DB103",
+        "x",
+        "expected a list of sensor names or a mapping, found the text `x`",
+        None,
+    ),
     (
         "size: 1 1 m",
         "size: [1, 1]",
@@ -50,7 +148,14 @@ FAULTS = [
         "expected a length with 2 components, found a list",
         "in one text: `1 1 m`",
     ),
-    ("alive: 1", "alive:1", "DB103", "alive:1", "expected a mapping, found the text `alive:1`", "put a space after the colon: `alive: 1`"),
+    (
+        "alive: 1",
+        "alive:1",
+        "DB103",
+        "alive:1",
+        "expected a mapping, found the text `alive:1`",
+        "put a space after the colon: `alive: 1`",
+    ),
     (
         "x:               -0.4 .. 0.4 m",
         "x: [-0.4, 0.4]",
@@ -76,26 +181,117 @@ FAULTS = [
         "expected a condition, found the number `3`",
         "`abs(x) > 0.4 m`",
     ),
-    ("drive: {choices: {forward: 1, backward: -1}}", "drive: 3", "DB103", "3", "expected a range, found the number `3`", "`-1 .. 1`"),
-    ("-0.8 .. 0.8 m/s", "0.8 m/s", "DB103", "0.8 m/s", "expected a range, found the text `0.8 m/s`", "or `auto`"),
-    ("urdf: ../robots/urdf/cartpole.urdf", "urdf: 3", "DB103", "3", "expected the path of a robot file, found the number `3`", "shipped"),
-    ("{type: joint_position, joint: pole_hinge}", "5", "DB103", "5", "expected a mapping, found the number `5`", "{type: joint_position}"),
-    ("PPO,", "PPO, gamma: high,", "DB103", "high", "expected a number from 0 to 1, found the text `high`", "`0.9`"),
-    ("PPO,", "PPO, learning_rate: 1 to 0,", "DB103", "1 to 0", "expected a number or a schedule, found the text `1 to 0`", "`3e-4 -> 0`"),
+    (
+        "drive: {choices: {forward: 1, backward: -1}}",
+        "drive: 3",
+        "DB103",
+        "3",
+        "expected a range, found the number `3`",
+        "`-1 .. 1`",
+    ),
+    (
+        "-0.8 .. 0.8 m/s",
+        "0.8 m/s",
+        "DB103",
+        "0.8 m/s",
+        "expected a range, found the text `0.8 m/s`",
+        "or `auto`",
+    ),
+    (
+        "urdf: ../robots/urdf/cartpole.urdf",
+        "urdf: 3",
+        "DB103",
+        "3",
+        "expected the path of a robot file, found the number `3`",
+        "shipped",
+    ),
+    (
+        "{type: joint_position, joint: pole_hinge}",
+        "5",
+        "DB103",
+        "5",
+        "expected a mapping, found the number `5`",
+        "{type: joint_position}",
+    ),
+    (
+        "PPO,",
+        "PPO, gamma: high,",
+        "DB103",
+        "high",
+        "expected a number from 0 to 1, found the text `high`",
+        "`0.9`",
+    ),
+    (
+        "PPO,",
+        "PPO, learning_rate: 1 to 0,",
+        "DB103",
+        "1 to 0",
+        "expected a number or a schedule, found the text `1 to 0`",
+        "`3e-4 -> 0`",
+    ),
     ("deepbots: 1", "deepbots: one", "DB103", "one", "expected a whole number, found the text `one`", None),
     # unknown words
-    ("joint_position,", "joint_positon,", "DB104", "joint_positon", "unknown type `joint_positon`", "did you mean `joint_position`?"),
+    (
+        "joint_position,",
+        "joint_positon,",
+        "DB104",
+        "joint_positon",
+        "unknown type `joint_positon`",
+        "did you mean `joint_position`?",
+    ),
     ("PPO,", "ppo,", "DB104", "ppo", "unknown algorithm `ppo`", "did you mean `PPO`?"),
     ("csv", "xml", "DB104", "xml", "unknown word `xml`", "known names: `csv`, `json`"),
     ("relu", "rellu", "DB104", "rellu", "unknown word `rellu`", "did you mean `relu`?"),
     # out of range
-    ("substeps: 4", "substeps: 0", "DB105", "0", "`0` is below the smallest allowed value", "write at least 1"),
-    ("friction: 1.0", "friction: -1.0", "DB105", "-1.0", "`-1.0` is below the smallest allowed value", "write at least 0"),
-    ("PPO,", "PPO, gamma: 1.5,", "DB105", "1.5", "`1.5` is above the largest allowed value", "write at most 1"),
+    (
+        "substeps: 4",
+        "substeps: 0",
+        "DB105",
+        "0",
+        "`0` is below the smallest allowed value",
+        "write at least 1",
+    ),
+    (
+        "friction: 1.0",
+        "friction: -1.0",
+        "DB105",
+        "-1.0",
+        "`-1.0` is below the smallest allowed value",
+        "write at least 0",
+    ),
+    (
+        "PPO,",
+        "PPO, gamma: 1.5,",
+        "DB105",
+        "1.5",
+        "`1.5` is above the largest allowed value",
+        "write at most 1",
+    ),
     ("  track:", "  m: 1\n  track:", "DB202", "m", "the name `m` is reserved: it is a unit", "another"),
-    ("  track:", "  step: 1\n  track:", "DB202", "step", "the name `step` is reserved: it is built in", "another"),
-    ("  track:", "  topSpeed: 1\n  track:", "DB105", "topSpeed", "`topSpeed` cannot be a name", "write `top_speed`: a name has only"),
-    ("name: CartPole", "name: Cart/Pole", "DB105", "Cart/Pole", "`Cart/Pole` cannot be the name of a scenario", "letters"),
+    (
+        "  track:",
+        "  step: 1\n  track:",
+        "DB202",
+        "step",
+        "the name `step` is reserved: it is built in",
+        "another",
+    ),
+    (
+        "  track:",
+        "  topSpeed: 1\n  track:",
+        "DB105",
+        "topSpeed",
+        "`topSpeed` cannot be a name",
+        "write `top_speed`: a name has only",
+    ),
+    (
+        "name: CartPole",
+        "name: Cart/Pole",
+        "DB105",
+        "Cart/Pole",
+        "`Cart/Pole` cannot be the name of a scenario",
+        "letters",
+    ),
     ("deepbots: 1", "deepbots: 0", "DB105", "0", "`0` is below the smallest allowed value", None),
     (
         "deepbots: 1",
@@ -108,7 +304,14 @@ FAULTS = [
     # wrong length
     ("size: 1 1 m", "size: 1 m", "DB106", "1 m", "expected 2 numbers, found 1", "`0.5 0.5 m`"),
     ("timestep: 32 ms", "timestep: 32 32 ms", "DB106", "32 32 ms", "expected 1 number, found 2", "`32 ms`"),
-    ("{forward: 1, backward: -1}", "{forward: 1}", "DB106", "{forward: 1}", "expected at least 2 choices, found 1", None),
+    (
+        "{forward: 1, backward: -1}",
+        "{forward: 1}",
+        "DB106",
+        "{forward: 1}",
+        "expected at least 2 choices, found 1",
+        None,
+    ),
     # empty values
     ("  alive: 1\n", "  alive: ''\n", "DB107", "alive", "`alive` is empty", None),
     ("joints: [wheel_*]", "joints: []", "DB107", "joints", "`joints` is empty", None),
@@ -116,7 +319,11 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "code", "marked", "headline", "help"), FAULTS, ids=[f"{f[2]}-{f[1].strip()[:40]}" for f in FAULTS])
+@pytest.mark.parametrize(
+    ("old", "new", "code", "marked", "headline", "help"),
+    FAULTS,
+    ids=[f"{f[2]}-{f[1].strip()[:40]}" for f in FAULTS],
+)
 def test_a_fault_is_said_once_where_it_is(
     check: Check, cartpole: str, old: str, new: str, code: str, marked: str, headline: str, help: str | None
 ) -> None:
@@ -136,20 +343,29 @@ def test_a_sound_scenario_has_no_findings(check: Check, cartpole: str) -> None:
     assert scenario.robots["cart"].emit == ("pole_angle",)
 
 
-def test_a_newer_version_of_the_language_is_refused_without_further_findings(check: Check, cartpole: str) -> None:
+def test_a_newer_version_of_the_language_is_refused_without_further_findings(
+    check: Check, cartpole: str
+) -> None:
     scenario, findings = check(cartpole.replace("deepbots: 1", "deepbots: 7").replace("world:", "wurld:"))
     assert scenario is None
     assert [finding.code for finding in findings] == ["DB105"]
 
 
 def test_every_fault_of_a_file_is_found_at_once(check: Check, cartpole: str) -> None:
-    text = cartpole.replace("substeps: 4", "substeps: 0").replace("PPO", "PBO").replace("alive: 1", "alive: []").replace("csv", "tsv")
+    text = (
+        cartpole.replace("substeps: 4", "substeps: 0")
+        .replace("PPO", "PBO")
+        .replace("alive: 1", "alive: []")
+        .replace("csv", "tsv")
+    )
     _, findings = check(text)
     assert [finding.code for finding in findings] == ["DB105", "DB104", "DB103", "DB104"]
 
 
 def test_what_is_sound_survives_the_faults_beside_it(check: Check, cartpole: str) -> None:
-    scenario, _ = check(cartpole.replace("type: velocity_motor", "type: warp").replace("alive: 1", "alive: []\n  pay: 2"))
+    scenario, _ = check(
+        cartpole.replace("type: velocity_motor", "type: warp").replace("alive: 1", "alive: []\n  pay: 2")
+    )
     assert scenario is not None
     cart = scenario.robots["cart"]
     assert list(cart.sensors) == ["pole_angle"]
@@ -171,7 +387,11 @@ def test_a_required_section_with_a_fault_leaves_the_others_to_be_checked(check: 
 
 
 def test_a_key_without_a_value_is_not_also_missing(check: Check, cartpole: str) -> None:
-    for old, new in (("timestep: 32 ms", "timestep:"), ("  alive: 1", "  alive:"), ("type: joint_position", "type: ")):
+    for old, new in (
+        ("timestep: 32 ms", "timestep:"),
+        ("  alive: 1", "  alive:"),
+        ("type: joint_position", "type: "),
+    ):
         _, findings = check(cartpole.replace(old, new))
         assert [finding.code for finding in findings] == ["DB107"], new
 
@@ -182,13 +402,23 @@ def test_a_value_that_the_reader_refused_is_not_also_missing(check: Check, cartp
 
 
 def test_a_fault_in_a_list_of_stages_names_the_entry(check: Check, cartpole: str) -> None:
-    _, findings = check(cartpole + "curriculum:\n  - {name: easy, until: success_rate > 0.7}\n  - {set: {track: 1 m}}\n")
-    assert [(f.code, f.span.text) for f in findings] == [("DB103", "success_rate > 0.7"), ("DB102", "{set: {track: 1 m}}")]
+    _, findings = check(
+        cartpole + "curriculum:\n  - {name: easy, until: success_rate > 0.7}\n  - {set: {track: 1 m}}\n"
+    )
+    assert [(f.code, f.span.text) for f in findings] == [
+        ("DB103", "success_rate > 0.7"),
+        ("DB102", "{set: {track: 1 m}}"),
+    ]
     assert findings[1].headline == "missing key `name` in entry 2 of `curriculum`"
 
 
 @pytest.mark.parametrize(
-    "until", ["success_rate >= 7 over 40 episodes", "success_rate >= 0.7 over 0 episodes", "success_rate >= 120 % in evaluation"]
+    "until",
+    [
+        "success_rate >= 7 over 40 episodes",
+        "success_rate >= 0.7 over 0 episodes",
+        "success_rate >= 120 % in evaluation",
+    ],
 )
 def test_a_stage_that_can_never_end_is_refused(check: Check, cartpole: str, until: str) -> None:
     _, findings = check(cartpole + f"curriculum:\n  - {{name: easy, until: {until}}}\n")
@@ -196,12 +426,16 @@ def test_a_stage_that_can_never_end_is_refused(check: Check, cartpole: str, unti
 
 
 def test_a_criterion_of_more_episodes_than_can_be_confirmed_is_refused(check: Check, cartpole: str) -> None:
-    _, findings = check(re.sub("^solved:.*", "solved: mean_return >= 195 over 100000 episodes", cartpole, flags=re.MULTILINE))
+    _, findings = check(
+        re.sub("^solved:.*", "solved: mean_return >= 195 over 100000 episodes", cartpole, flags=re.MULTILINE)
+    )
     assert [(finding.code, finding.help) for finding in findings] == [("DB105", "write at most 10000")]
 
 
 def test_each_body_is_told_by_its_shape(check: Check, cartpole: str) -> None:
-    objects = "{ball: {shape: sphere, radius: 1 m}, heap: {count: 3, one_of: {a: {shape: box, size: 1 1 1 m}}}}"
+    objects = (
+        "{ball: {shape: sphere, radius: 1 m}, heap: {count: 3, one_of: {a: {shape: box, size: 1 1 1 m}}}}"
+    )
     scenario, findings = check(cartpole + f"objects: {objects}\n")
     assert findings == []
     assert scenario is not None
@@ -238,9 +472,17 @@ UNFINISHED = [
     ("reward:\n", "reward", "Example: `reward: {alive: 1}`"),
     ("reward:\n  near:\n", "near", "write it like `2 * speed`"),
     ("robots:\n  bot:\n    urdf: rover\n    emit:\n", "emit", "Example: `emit: [pole_angle]`"),
-    ("robots:\n  bot:\n    urdf: rover\n    sensors: {eye: }\n", "eye", "write it like `{type: joint_position}`"),
+    (
+        "robots:\n  bot:\n    urdf: rover\n    sensors: {eye: }\n",
+        "eye",
+        "write it like `{type: joint_position}`",
+    ),
     ("world:\n  lines: {track: }\n", "track", "allowed keys: `points`, `closed`, `width`"),
-    ("robots:\n  bot:\n    urdf: rover\n    sensors:\n      eye:\n        type:\n", "type", "one of `joint_position`, `joint_velocity`"),
+    (
+        "robots:\n  bot:\n    urdf: rover\n    sensors:\n      eye:\n        type:\n",
+        "type",
+        "one of `joint_position`, `joint_velocity`",
+    ),
 ]
 
 

@@ -33,7 +33,9 @@ def arm() -> RobotModel:
     """A link on a hinge about z, fixed to the world at (0, 0, 1)."""
     base = Link("base", Inertial(1.0, ixx=0.1, iyy=0.1, izz=0.1))
     arm = Link("arm", Inertial(1.0, Pose((0.25, 0, 0)), ixx=0.1, iyy=0.1, izz=0.1))
-    return RobotModel("arm", (base, arm), (Joint("hinge", "continuous", "base", "arm", axis=(0, 0, 1)),), root="base")
+    return RobotModel(
+        "arm", (base, arm), (Joint("hinge", "continuous", "base", "arm", axis=(0, 0, 1)),), root="base"
+    )
 
 
 @dataclass
@@ -46,7 +48,9 @@ class Scene:
 
     def sensor(self, sensor: Sensor) -> Device:
         sensor = replace(sensor, reader=SENSORS[sensor.kind].reader)
-        made = Device(sensor, "robot", instrument(sensor, "robot", self.world, self.engine), self.world.timestep)
+        made = Device(
+            sensor, "robot", instrument(sensor, "robot", self.world, self.engine), self.world.timestep
+        )
         self.devices.append(made)
         return made
 
@@ -77,7 +81,13 @@ def scene() -> Iterator[Callable[..., Scene]]:
         substeps: int = SUBSTEPS,
     ) -> Scene:
         world = WorldModel(
-            TIMESTEP, substeps, gravity, Ground() if ground else None, None, (RobotBody("robot", model, fixed, pose),), objects
+            TIMESTEP,
+            substeps,
+            gravity,
+            Ground() if ground else None,
+            None,
+            (RobotBody("robot", model, fixed, pose),),
+            objects,
         )
         engine = create("pybullet", world)
         opened.append(engine)
@@ -89,7 +99,11 @@ def scene() -> Iterator[Callable[..., Scene]]:
 
 
 def on(
-    kind: str, link: str, components: tuple[str, ...] = ("x", "y", "z"), mount: Pose = ORIGIN, faults: NoiseModel | None = None
+    kind: str,
+    link: str,
+    components: tuple[str, ...] = ("x", "y", "z"),
+    mount: Pose = ORIGIN,
+    faults: NoiseModel | None = None,
 ) -> Sensor:
     return Sensor(kind, kind, (link,), components, "", mount=mount, faults=faults)
 

@@ -52,7 +52,9 @@ AGAINST = [
 
 
 @pytest.mark.parametrize(("against", "on_ground", "on_stone"), AGAINST)
-def test_touch_may_feel_only_some_bodies(scene: Build, against: tuple[str, ...] | None, on_ground: bool, on_stone: bool) -> None:
+def test_touch_may_feel_only_some_bodies(
+    scene: Build, against: tuple[str, ...] | None, on_ground: bool, on_stone: bool
+) -> None:
     world = scene(brick(), pose=Pose((0, 0, 0.1)), ground=True, objects=(STONE,))
     sensor = world.sensor(touch(against))
     world.begin()

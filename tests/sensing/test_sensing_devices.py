@@ -17,7 +17,9 @@ TIMESTEP = 0.01
 
 
 def device(faults: NoiseModel, read: Callable[[], list[float]], components: tuple[str, ...] = ()) -> Device:
-    made = Device(Sensor("s", "position", ("base",), components, "m", faults=faults), "r", Instrument(read), TIMESTEP)
+    made = Device(
+        Sensor("s", "position", ("base",), components, "m", faults=faults), "r", Instrument(read), TIMESTEP
+    )
     made.reset(Streams(7))
     return made
 
@@ -77,7 +79,9 @@ def test_steps_and_ends_of_the_range_are_exact() -> None:
 
 def test_bias_and_drift_add_to_the_value_and_a_relative_bias_scales_it() -> None:
     faults = NoiseModel(bias=(0.1,), drift=(2.0,), relative_bias=(0.5,))
-    assert run(device(faults, lambda: [4.0]), 100) == pytest.approx([4.0 * 1.5 + 0.1 + 2.0 * TIMESTEP * k for k in range(101)])
+    assert run(device(faults, lambda: [4.0]), 100) == pytest.approx(
+        [4.0 * 1.5 + 0.1 + 2.0 * TIMESTEP * k for k in range(101)]
+    )
 
 
 def figures(faults: NoiseModel, value: float, number: int = 20_000) -> np.ndarray:
@@ -86,7 +90,8 @@ def figures(faults: NoiseModel, value: float, number: int = 20_000) -> np.ndarra
 
 
 def worst_gap(sample: np.ndarray, mean: float, deviation: float) -> float:
-    """Kolmogorov and Smirnov's statistic times the root of the number of figures; 1.95 is passed once in a thousand samples."""
+    """Kolmogorov and Smirnov's statistic times the root of the number of figures; 1.95 is passed once in a
+    thousand samples."""
     expected = np.array([NormalDist(mean, deviation).cdf(x) for x in np.sort(sample)])
     ranks = np.arange(1, len(sample) + 1) / len(sample)
     return float(np.max(np.abs(expected - ranks)) * np.sqrt(len(sample)))
@@ -115,7 +120,10 @@ def test_noise_of_one_tick_says_nothing_of_the_next_or_of_another_component() ->
 
 def test_a_deviation_that_changes_within_an_episode_scales_the_same_draws() -> None:
     """Whatever other faults there are beside the noise, and wherever in a block of draws the change falls."""
-    plain, biased = device(NoiseModel(noise=(1.0,)), lambda: [0.0]), device(NoiseModel(noise=(1.0,), bias=(4.0,)), lambda: [0.0])
+    plain, biased = (
+        device(NoiseModel(noise=(1.0,)), lambda: [0.0]),
+        device(NoiseModel(noise=(1.0,), bias=(4.0,)), lambda: [0.0]),
+    )
     for deviation in (0.25, 8.0, 0.0, 2.0):
         for sensor in (plain, biased):
             sensor.vary("noise", (deviation,))
@@ -133,7 +141,12 @@ def test_the_same_seed_gives_the_same_noise_whatever_came_before() -> None:
 
 def test_two_sensors_never_share_their_noise() -> None:
     first, second = (
-        Device(Sensor(name, "position", ("base",), (), "m", faults=NoiseModel(noise=(1.0,))), "r", Instrument(lambda: [0.0]), TIMESTEP)
+        Device(
+            Sensor(name, "position", ("base",), (), "m", faults=NoiseModel(noise=(1.0,))),
+            "r",
+            Instrument(lambda: [0.0]),
+            TIMESTEP,
+        )
         for name in ("a", "b")
     )
     streams = Streams(7)

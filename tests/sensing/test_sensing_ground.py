@@ -17,13 +17,25 @@ TRACK = Line("track", ((-2.0, 0.0), (2.0, 0.0)), False, 0.02, 0.1)
 SPOT = 0.004
 
 
-def watched(scene: Build, *places: tuple[float, float], turn: tuple[float, float, float] = (0, 0, 0)) -> Scene:
+def watched(
+    scene: Build, *places: tuple[float, float], turn: tuple[float, float, float] = (0, 0, 0)
+) -> Scene:
     """A cube above the line, with eyes at these places of it, 0.1 m below its middle."""
     world = scene(brick(), pose=Pose((0, 0, 0.3), turn), gravity=(0, 0, 0))
     world.world = replace(world.world, lines=(TRACK,))
     rays = tuple(Pose((x, y, -0.1)) for x, y in places)
     names = tuple(f"r{index}" for index in range(len(rays)))
-    world.sensor(Sensor("s", "reflectance", ("brick",), names, "1", beams=RayConfig(rays, 0.0), parameters=(("spot", SPOT),)))
+    world.sensor(
+        Sensor(
+            "s",
+            "reflectance",
+            ("brick",),
+            names,
+            "1",
+            beams=RayConfig(rays, 0.0),
+            parameters=(("spot", SPOT),),
+        )
+    )
     world.begin()
     return world
 
@@ -41,7 +53,8 @@ def test_at_the_edge_of_the_line_the_reading_is_the_mean_of_both(scene: Build) -
 
 
 def test_an_eye_looks_along_its_own_axis(scene: Build) -> None:
-    """Leaning by 45 deg about x, an eye 0.1 m below the middle stands 0.0707 m aside and looks as far again as it is high."""
+    """Leaning by 45 deg about x, an eye 0.1 m below the middle stands 0.0707 m aside and looks as far again
+    as it is high."""
     world = watched(scene, (0, 0), turn=(45 * DEGREE, 0, 0))
     aside = 0.1 * 2**-0.5
     height = 0.3 - aside

@@ -110,7 +110,9 @@ def test_a_knock_within_a_tick_is_felt_however_seldom_the_sensor_is_read(scene: 
 def test_a_sensor_that_is_seldom_read_feels_the_center_of_its_circle_along_its_own_axes(scene: Build) -> None:
     """Between two readings the arm turns by 4 rad, through which the axes are followed tick by tick."""
     world = scene(arm(), fixed=True)
-    accelerometer = world.sensor(on("accelerometer", "arm", mount=Pose((0.5, 0, 0)), faults=NoiseModel(period=50)))
+    accelerometer = world.sensor(
+        on("accelerometer", "arm", mount=Pose((0.5, 0, 0)), faults=NoiseModel(period=50))
+    )
     drive = world.engine.velocity_motor("robot", ["hinge"], [1e6])
     world.engine.reset()
     world.engine.set_joint("robot", "hinge", 0.0, 4.0)
@@ -122,7 +124,8 @@ def test_a_sensor_that_is_seldom_read_feels_the_center_of_its_circle_along_its_o
 
 def test_gravity_that_an_episode_changes_is_felt_as_it_is(scene: Build) -> None:
     world = scene(brick(), pose=Pose((0, 0, 50)))
-    down, accelerometer = world.sensor(on("projected_gravity", "brick")), world.sensor(on("accelerometer", "brick"))
+    down = world.sensor(on("projected_gravity", "brick"))
+    accelerometer = world.sensor(on("accelerometer", "brick"))
     world.engine.reset()
     world.engine.set_parameter("gravity", (), 3.0, 0.0, -4.0)
     world.begin()
@@ -135,7 +138,9 @@ def test_gravity_that_an_episode_changes_is_felt_as_it_is(scene: Build) -> None:
     assert down.reading == pytest.approx((0, 0, -1))
 
 
-@pytest.mark.parametrize(("roll", "pitch", "yaw"), [(0, 0, 0), (30, 0, 0), (0, -40, 0), (20, 30, 100), (170, 10, -60)])
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw"), [(0, 0, 0), (30, 0, 0), (0, -40, 0), (20, 30, 100), (170, 10, -60)]
+)
 def test_down_and_heading_follow_the_attitude(scene: Build, roll: float, pitch: float, yaw: float) -> None:
     rpy = (roll * DEGREE, pitch * DEGREE, yaw * DEGREE)
     world = scene(brick(), pose=Pose((0, 0, 1), rpy))
@@ -156,7 +161,8 @@ def test_down_and_heading_follow_the_attitude(scene: Build, roll: float, pitch: 
 def test_a_sensor_off_the_origin_moves_as_its_point_of_the_link(scene: Build) -> None:
     world = scene(arm(), fixed=True)
     there = Pose((0.5, 0, 0.1))
-    velocity, position = world.sensor(on("velocity", "arm", mount=there)), world.sensor(on("position", "arm", mount=there))
+    velocity = world.sensor(on("velocity", "arm", mount=there))
+    position = world.sensor(on("position", "arm", mount=there))
     turning = world.sensor(on("angular_velocity", "arm", mount=Pose(rpy=(1, 2, 3))))
     world.engine.reset()
     world.engine.set_joint("robot", "hinge", 0.7, 2.0)

@@ -23,7 +23,13 @@ ATTITUDE = Pose((0, 0, 1), (0, 0, 0))
 HERE = Pose()
 
 
-def ranger(*turns: float, reach: float = 5.0, combined: str = "each", mount: Pose = HERE, lookup: CalibrationTable | None = None) -> Sensor:
+def ranger(
+    *turns: float,
+    reach: float = 5.0,
+    combined: str = "each",
+    mount: Pose = HERE,
+    lookup: CalibrationTable | None = None,
+) -> Sensor:
     """Rays at these yaw angles (deg)."""
     rays = tuple(Pose(rpy=(0, 0, turn * DEGREE)) for turn in turns)
     names = tuple(f"r{index}" for index in range(len(turns))) if combined == "each" else ()
@@ -63,7 +69,8 @@ def test_rays_turn_and_move_with_the_robot_and_end_at_their_reach(scene: Build) 
 def test_several_rays_may_give_one_figure(scene: Build) -> None:
     wall = ObjectBody("wall", Box((0.2, 20, 20)), Pose((2.1, 0, 0)), fixed=True)
     world = scene(brick(), gravity=(0, 0, 0), objects=(wall,))
-    nearest, mean = world.sensor(ranger(60, 0, combined="nearest")), world.sensor(ranger(60, 0, combined="mean"))
+    nearest = world.sensor(ranger(60, 0, combined="nearest"))
+    mean = world.sensor(ranger(60, 0, combined="mean"))
     world.begin()
     assert nearest.reading == pytest.approx([2.0], abs=1e-6)
     assert mean.reading == pytest.approx([3.0], abs=1e-6)
@@ -74,7 +81,9 @@ TABLE = CalibrationTable((0.01, 0.02, 0.05, 0.07), (1000.0, 400.0, 100.0, 50.0))
 
 def test_a_lookup_is_straight_between_its_rows_and_flat_beyond_them() -> None:
     distances = [0.0, 0.005, *np.linspace(0.01, 0.07, 61), 0.08, 1.0]
-    assert LookupTable(TABLE, len(distances))(distances) == pytest.approx(np.interp(distances, TABLE.distance, TABLE.value))
+    assert LookupTable(TABLE, len(distances))(distances) == pytest.approx(
+        np.interp(distances, TABLE.distance, TABLE.value)
+    )
 
 
 def test_the_noise_of_a_lookup_is_a_share_of_the_reading_interpolated_between_rows() -> None:
@@ -98,7 +107,11 @@ def test_a_ray_sensor_reports_what_its_table_makes_of_the_distance(scene: Build)
 
 
 def test_readings_fall_with_the_distance(scene: Build) -> None:
-    world = scene(brick(), gravity=(0, 0, 0), objects=(ObjectBody("wall", Box((0.2, 2, 2)), Pose((0.9, 0, 1)), fixed=True),))
+    world = scene(
+        brick(),
+        gravity=(0, 0, 0),
+        objects=(ObjectBody("wall", Box((0.2, 2, 2)), Pose((0.9, 0, 1)), fixed=True),),
+    )
     sensor = world.sensor(ranger(0, reach=0.07, mount=Pose((0.1, 0, 0)), lookup=TABLE))
     readings = []
     for step in range(8):

@@ -103,7 +103,9 @@ def test_drift_grows_with_the_time_since_the_reset(make: Make) -> None:
 
 def test_quantize_and_range_shape_what_the_policy_sees(make: Make) -> None:
     rows = seen(make("{type: joint_position, joint: slider, resolution: 5 cm, range: -10 .. 10 cm}"), 40)
-    assert rows[:, 1] == pytest.approx(np.clip(np.round(np.clip(rows[:, 0], -0.1, 0.1) / 0.05) * 0.05, -0.1, 0.1), abs=1e-6)
+    assert rows[:, 1] == pytest.approx(
+        np.clip(np.round(np.clip(rows[:, 0], -0.1, 0.1) / 0.05) * 0.05, -0.1, 0.1), abs=1e-6
+    )
     assert np.ptp(rows[:, 0]) > 0.3
 
 
@@ -141,7 +143,9 @@ truncation: {max_steps: 10}
         (", noise: 0.1 rad, range: -1 .. 1 rad", [(-1.0, 1.0)] * 4),
     ],
 )
-def test_one_joint_of_a_sensor_of_several_is_not_observed_in_the_range_of_the_others(more: str, ranges: list[tuple[float, float]]) -> None:
+def test_one_joint_of_a_sensor_of_several_is_not_observed_in_the_range_of_the_others(
+    more: str, ranges: list[tuple[float, float]]
+) -> None:
     program = check(loads(ARM % more, base=Path.cwd())).program
     assert program is not None
     ends = [pair for entry in program.agent.observation for pair in zip(entry.low, entry.high, strict=True)]
@@ -149,7 +153,9 @@ def test_one_joint_of_a_sensor_of_several_is_not_observed_in_the_range_of_the_ot
 
 
 def test_the_same_seed_gives_the_same_readings(make: Make) -> None:
-    world = make("{type: joint_position, joint: slider, noise: uniform(1 .. 5 cm), latency: uniform(0 .. 60 ms)}")
+    world = make(
+        "{type: joint_position, joint: slider, noise: uniform(1 .. 5 cm), latency: uniform(0 .. 60 ms)}"
+    )
     first = seen(world, 30)
     seen(world, 7, 2)
     assert np.array_equal(seen(world, 30), first)

@@ -1,4 +1,5 @@
-"""Studies: trials as groups, drivers that are killed or work side by side, pruning, scores, and the best values in a file."""
+"""Studies: trials as groups, drivers that are killed or work side by side, pruning, scores, and the best
+values in a file."""
 
 from __future__ import annotations
 
@@ -22,8 +23,15 @@ from deepbots_cli.insight.study import StudyReport
 from deepbots_cli.learning import trials
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.listing import list_runs, read_listed
-from deepbots_cli.learning.run import RunRecord
-from deepbots_cli.learning.study import SeedScore, Study, StudyReporter, TrialProgress, TrialResult, create_study
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.study import (
+    SeedScore,
+    Study,
+    StudyReporter,
+    TrialProgress,
+    TrialResult,
+    create_study,
+)
 from deepbots_cli.learning.trials import end_trial, next_trial, run_study, score
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
@@ -85,9 +93,13 @@ def weights(study: Study) -> list[str]:
     return [result.weights_digest for run in runs if (result := RunRecord.read(run).result) is not None]
 
 
-def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(file: Path, whole: Study, tmp_path: Path) -> None:
+def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(
+    file: Path, whole: Study, tmp_path: Path
+) -> None:
     study = made(file, tmp_path / "killed", prune=False)
-    driver = subprocess.run([sys.executable, "-c", DRIVER, str(study.path)], check=False, capture_output=True, text=True)
+    driver = subprocess.run(
+        [sys.executable, "-c", DRIVER, str(study.path)], check=False, capture_output=True, text=True
+    )
     assert driver.returncode == 9, driver.stderr
     assert [trial.state for trial in study.trials()] == ["complete", "running"]
     assert run_study(study)
@@ -102,7 +114,9 @@ def test_a_full_disk_ends_tune_with_an_error_and_the_trial_continues_later(
     """It ended with exit code 0, and the trial was failed for ever."""
     study = made(file, tmp_path / "full", prune=False)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))  # which is enough for the journal, and not for a model
+    resource.setrlimit(
+        resource.RLIMIT_FSIZE, (20_000, before[1])
+    )  # which is enough for the journal, and not for a model
     try:
         assert main(["resume", str(study.path), "--quiet"]) == 2
     finally:
@@ -123,7 +137,9 @@ def test_a_journal_that_is_a_pipe_is_refused_at_once(file: Path, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_trials_on_workers_give_the_same_after_a_worker_was_killed(file: Path, whole: Study, tmp_path: Path) -> None:
+def test_trials_on_workers_give_the_same_after_a_worker_was_killed(
+    file: Path, whole: Study, tmp_path: Path
+) -> None:
     from deepbots_cli.cluster import Cluster
     from tests.cluster.test_cluster_shards import workers as pids
 
@@ -154,7 +170,8 @@ def test_a_trial_is_a_group_and_a_study_is_listed_with_the_values_of_its_trials(
     assert first.settings == ("train.learning_rate=0.001", "fall_angle=3 deg")
     assert [run.evaluated_episodes for run in first.runs] == [5]
     assert [round(each.score, 9) for each in whole.trials()[0].seeds] == [
-        round(score("solved", Solved(5, mean_return=195.0), run.mean_return or 0.0, 0.0, None), 9) for run in first.runs
+        round(score("solved", Solved(5, mean_return=195.0), run.mean_return or 0.0, 0.0, None), 9)
+        for run in first.runs
     ]
 
 
@@ -168,13 +185,20 @@ def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_r
         record = json.loads((run / "run.json").read_text())
         for name in ("best", "confirmations", "confirmed_seed"):
             record["result"].pop(name)
-        (run / "run.json").write_text(json.dumps(record | {"result": record["result"] | {"best_return": 12.5}}))
+        (run / "run.json").write_text(
+            json.dumps(record | {"result": record["result"] | {"best_return": 12.5}})
+        )
         (run / "models" / "agent" / "last.zip").write_bytes(b"another model")
     again = f"choose again with: deepbots eval {runs[0]} --keep"
     one = f"an earlier version chose its best model by return; {again}"
     of_group = f"trial-0: an earlier version chose the best model of one of its runs by return; {again}"
     of_study = f"study: an earlier version chose the best model of 2 of its runs by return; for each, {again}"
-    for folder, said in ((runs[0], one), (runs[0].parent, f"{runs[0].name}: {one}"), (study, of_group), (tmp_path, of_study)):
+    for folder, said in (
+        (runs[0], one),
+        (runs[0].parent, f"{runs[0].name}: {one}"),
+        (study, of_group),
+        (tmp_path, of_study),
+    ):
         assert main(["runs", str(folder)]) == 0
         assert said in capsys.readouterr().err
     assert main(["report", str(study), "-o", str(tmp_path / "study.html")]) == 0
@@ -186,14 +210,20 @@ def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_r
 
 
 def test_a_study_is_no_run_and_the_message_names_a_trial(whole: Study) -> None:
-    with pytest.raises(RunError, match=r"is a study of `deepbots tune`.*name one of its trials, such as .*/trial-0"):
+    with pytest.raises(
+        RunError, match=r"is a study of `deepbots tune`.*name one of its trials, such as .*/trial-0"
+    ):
         Group.open(whole.path)
 
 
 def test_a_trial_is_taken_by_one_driver_and_again_when_that_one_has_gone(file: Path, tmp_path: Path) -> None:
     study = made(file, tmp_path / "study", trials=2)
     journal = study.connect()
-    with next_trial(study, journal) as first, next_trial(study, study.connect()) as second, next_trial(study, journal) as third:
+    with (
+        next_trial(study, journal) as first,
+        next_trial(study, study.connect()) as second,
+        next_trial(study, journal) as third,
+    ):
         assert (first, second, third) == (0, 1, None)
     values = [trial.values for trial in study.trials()]
     with next_trial(study, study.connect()) as again:
@@ -202,7 +232,9 @@ def test_a_trial_is_taken_by_one_driver_and_again_when_that_one_has_gone(file: P
 
 
 @pytest.mark.slow
-def test_a_trial_that_is_worse_than_the_median_trains_no_further_seed(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trial_that_is_worse_than_the_median_trains_no_further_seed(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(trials, "MIN_COMPARED", 1)
     study = made(
         file,
@@ -222,7 +254,8 @@ def test_a_trial_that_is_worse_than_the_median_trains_no_further_seed(file: Path
 def test_a_solved_training_scores_below_any_that_is_not_and_distance_counts() -> None:
     solved = Solved(100, mean_return=195.0)
     ordered = [
-        score("solved", solved, mean, 0.0, share) for mean, share in [(200, 0.2), (200, 1.0), (194, None), (100, None), (-1e9, None)]
+        score("solved", solved, mean, 0.0, share)
+        for mean, share in [(200, 0.2), (200, 1.0), (194, None), (100, None), (-1e9, None)]
     ]
     assert ordered == sorted(ordered)
     assert ordered[0] == 0.2
@@ -235,8 +268,14 @@ def test_a_solved_training_scores_below_any_that_is_not_and_distance_counts() ->
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--param", "train.lerning_rate=1..2"], "--param train.lerning_rate=1..2: unknown key `lerning_rate` in `train`; did you mean"),
-        (["--param", "fall_angl=1..2deg"], "--param fall_angl=1..2deg: there is no parameter `fall_angl`; did you mean `fall_angle`?"),
+        (
+            ["--param", "train.lerning_rate=1..2"],
+            "--param train.lerning_rate=1..2: unknown key `lerning_rate` in `train`; did you mean",
+        ),
+        (
+            ["--param", "fall_angl=1..2deg"],
+            "--param fall_angl=1..2deg: there is no parameter `fall_angl`; did you mean `fall_angle`?",
+        ),
         (["--param", "train.gamma=0.9..1.5"], "`1.5` is above the largest allowed value"),
         (["--param", "observation.x=-1..1m | -2..2m"], "changes the interface of the policy"),
         (["--param", "fall_angle"], "write PATH=VALUES"),
@@ -246,7 +285,12 @@ def test_a_solved_training_scores_below_any_that_is_not_and_distance_counts() ->
     ],
 )
 def test_a_wrong_search_is_refused_in_one_sentence_before_anything_starts(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+    file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["tune", str(file), *options]) == 2
@@ -279,7 +323,10 @@ def test_apply_adds_keys_that_a_file_inherits(whole: Study, tmp_path: Path) -> N
     best = whole.ranked(whole.trials())[0].values
     document = Source.open(target, Permissions()).document()
     assert target.read_text().startswith("deepbots: 1\nextends: cartpole\nname: Mine\nparameters: {")
-    assert api.compile(target).digest == api.compile("cartpole", overrides=["name=Mine", *map("=".join, best.items())]).digest
+    assert (
+        api.compile(target).digest
+        == api.compile("cartpole", overrides=["name=Mine", *map("=".join, best.items())]).digest
+    )
     assert document.findings.errors == []
 
 
@@ -320,7 +367,10 @@ def test_where_no_trial_has_a_success_the_higher_return_is_the_best_and_apply_is
     assert [trial.number for trial in study.ranked(study.trials())] == [1, 2, 0]
     assert main(["resume", str(study.path), "-q"]) == 0
     text = "".join(capsys.readouterr())
-    assert "best: trial 1, score 1.5; 2 other trials have this score, and the success rate, then the return chose the best one" in text
+    assert (
+        "best: trial 1, score 1.5; 2 other trials have this score, and the success rate, then the return"
+        " chose the best one" in text
+    )
     assert "not clearly better than the values of the scenario itself (trial 0, score 1.5)" in text
     assert "deepbots apply" not in text
     assert "deepbots train" not in text
@@ -333,7 +383,10 @@ def test_of_equal_scores_the_success_rate_comes_before_the_return(file: Path, tm
 
 def test_unsolved_seeds_score_by_their_mean_success_rate() -> None:
     solved = Solved(100, success_rate=0.9)
-    means = [sum(score("solved", solved, 0.0, rate, None) for rate in rates) / 2 for rates in ((0.0, 0.8), (0.4, 0.4), (0.3, 0.4))]
+    means = [
+        sum(score("solved", solved, 0.0, rate, None) for rate in rates) / 2
+        for rates in ((0.0, 0.8), (0.4, 0.4), (0.3, 0.4))
+    ]
     assert means[0] == pytest.approx(means[1])
     assert means[2] > means[1]
 
@@ -348,7 +401,9 @@ def test_apply_is_advised_where_the_best_trial_is_clearly_better_than_the_values
     assert f"deepbots apply {study.path}" in text
 
 
-def test_the_luckiest_of_many_trials_is_not_clearly_better(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_luckiest_of_many_trials_is_not_clearly_better(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     scores = [[0.8, 0.9, 0.7], *([0.6, 0.95, 0.8] for _ in range(18)), [0.7, 0.6, 0.5]]
     study = _told(file, tmp_path / "study", *map(_seeds, scores))
     assert main(["resume", str(study.path), "-q", "--json"]) == 0
@@ -357,7 +412,9 @@ def test_the_luckiest_of_many_trials_is_not_clearly_better(file: Path, tmp_path:
     assert over_first["difference"]["mean"] == pytest.approx(-0.2)
 
 
-def test_a_trial_with_one_seed_is_never_clearly_better(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_trial_with_one_seed_is_never_clearly_better(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     study = _told(file, tmp_path / "study", _seeds([0.9]), _seeds([0.1]))
     assert main(["resume", str(study.path), "-q"]) == 0
     text = "".join(capsys.readouterr())
@@ -374,8 +431,17 @@ def told(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
         with next_trial(study, journal) as taken:
             assert taken == number
             rate = float(study.trial(journal, number).values["train.learning_rate"])
-            scores = tuple(SeedScore(seed, 0.1 + 100 * abs(rate - 2e-3) * (1 + seed / 10), 100, 200.0, None) for seed in (0, 1))
-            end_trial(journal, number, TrialResult("failed", reason="it diverged") if number == 5 else TrialResult("complete", scores))
+            scores = tuple(
+                SeedScore(seed, 0.1 + 100 * abs(rate - 2e-3) * (1 + seed / 10), 100, 200.0, None)
+                for seed in (0, 1)
+            )
+            end_trial(
+                journal,
+                number,
+                TrialResult("failed", reason="it diverged")
+                if number == 5
+                else TrialResult("complete", scores),
+            )
     return study
 
 

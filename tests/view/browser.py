@@ -19,8 +19,20 @@ from PIL import Image
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = (
-    *("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars"),
-    *("--disable-dev-shm-usage", "--no-first-run", "--disable-background-networking", "--disable-component-update"),
+    *(
+        "--headless=new",
+        "--no-sandbox",
+        "--use-gl=angle",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--hide-scrollbars",
+    ),
+    *(
+        "--disable-dev-shm-usage",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+    ),
     *("--remote-debugging-port=0", "--remote-allow-origins=*"),
 )
 
@@ -71,7 +83,13 @@ class Tab:
         raise AssertionError(f"never true: {script}\n{self.run('document.body.innerText')}\n{self.errors}")
 
     def open(self, address: str, width: int = 800, height: int = 500) -> None:
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
         self.call("Page.navigate", url=address)
         self.wait("document.querySelector('canvas') != null")
 
@@ -84,10 +102,16 @@ class Tab:
         return np.asarray(Image.open(BytesIO(data)).convert("RGB"))
 
     def key(self, code: str, *, down: bool) -> None:
-        self.call("Input.dispatchKeyEvent", type="keyDown" if down else "keyUp", code=code, key=code.removeprefix("Key").lower())
+        self.call(
+            "Input.dispatchKeyEvent",
+            type="keyDown" if down else "keyUp",
+            code=code,
+            key=code.removeprefix("Key").lower(),
+        )
 
     def click(self, text: str) -> None:
-        """Press the first button, tab, or checkbox beside a label that says `text`, with the mouse: tabs heed nothing else."""
+        """Press the first button, tab, or checkbox beside a label that says `text`, with the mouse: tabs heed
+        nothing else."""
         script = """(() => { const x = [...document.querySelectorAll('button, [role=tab], label')].find(
             x => x.innerText.trim() == %s && x.offsetParent); if (!x) return null;
             const y = x.tagName == 'LABEL' ? document.getElementById(x.htmlFor) || x : x;
@@ -108,9 +132,14 @@ def browser() -> Iterator[Any]:
     from websockets.sync.client import connect
 
     assert CHROMIUM is not None
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # helpers of Chromium may still write there
+    with tempfile.TemporaryDirectory(
+        ignore_cleanup_errors=True
+    ) as folder:  # helpers of Chromium may still write there
         process = subprocess.Popen(
-            [CHROMIUM, *FLAGS, f"--user-data-dir={folder}", "about:blank"], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+            [CHROMIUM, *FLAGS, f"--user-data-dir={folder}", "about:blank"],
+            stderr=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            text=True,
         )
         wires = []
         try:

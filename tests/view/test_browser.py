@@ -75,11 +75,15 @@ def test_the_world_is_seen_stands_still_and_moves(new_tab):
         tab.wait("document.body.innerText.includes('step 1,')")
         time.sleep(1.0)
         assert (np.abs(_world(tab) - still).sum(axis=2) > 60).sum() > 20
-        assert {r.split("/")[2] for r in tab.requests if not r.startswith(("data:", "blob:"))} == {page.address.split("/")[2]}
+        assert {r.split("/")[2] for r in tab.requests if not r.startswith(("data:", "blob:"))} == {
+            page.address.split("/")[2]
+        }
         assert tab.errors == []
 
 
-def _soon(holds, seconds=120.0):  # WebGL in software, beside the tabs of earlier tests, draws a frame in seconds
+def _soon(
+    holds, seconds=120.0
+):  # WebGL in software, beside the tabs of earlier tests, draws a frame in seconds
     end = time.monotonic() + seconds
     while not holds() and time.monotonic() < end:
         time.sleep(0.05)
@@ -130,7 +134,10 @@ def test_two_worlds_are_seen_side_by_side(new_tab):
         page._tasks.put(page.step_once)
         tab = new_tab()
         tab.open(page.address)
-        tab.wait("document.body.innerText.includes('A: find_ball') && document.body.innerText.includes('B: find_ball')")
+        tab.wait(
+            "document.body.innerText.includes('A: find_ball') && document.body.innerText.includes('B:"
+            " find_ball')"
+        )
         _soon(lambda: _columns(_world(tab), (215, 200, 80)) == 2)
         assert tab.errors == []
 

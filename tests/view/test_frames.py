@@ -16,7 +16,15 @@ from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, action_fields, observation_fields
 from tests.few import few
 
-SCENARIOS = ("cartpole", "find_ball_random", "quadruped", "multi_cartpole", "see_ball", "panda_push", "line_follower")
+SCENARIOS = (
+    "cartpole",
+    "find_ball_random",
+    "quadruped",
+    "multi_cartpole",
+    "see_ball",
+    "panda_push",
+    "line_follower",
+)
 BATCHES = ("cartpole_wireless", "find_and_avoid", "multi_cartpole", "quadruped", "panda_push")
 
 
@@ -57,8 +65,12 @@ def test_a_frame_holds_what_the_engine_says():
         assert frame.links["ball", "ball"][0] == pytest.approx((0.38, 0.38, 0.07))
         assert len(frame.rays["epuck.proximity"]) == len(reader.layout.sensor_rays["epuck.proximity"].starts)
         assert all(0 <= free <= 0.1 for free in frame.rays["epuck.proximity"])
-        assert frame.readings["epuck.proximity"] == pytest.approx(env.controllers["epuck"].devices["proximity"].reading)
-        fields = dict(zip([f.name for f in reader.layout.observation], frame.agents["agent"].observation, strict=True))
+        assert frame.readings["epuck.proximity"] == pytest.approx(
+            env.controllers["epuck"].devices["proximity"].reading
+        )
+        fields = dict(
+            zip([f.name for f in reader.layout.observation], frame.agents["agent"].observation, strict=True)
+        )
         (x, y, _), _ = frame.links["epuck", "base_link"]
         assert fields["apart"] == pytest.approx(np.hypot(0.38 - x, 0.38 - y), abs=1e-6)
         assert frame.agents["agent"].action is None
@@ -89,7 +101,9 @@ def test_a_world_of_a_batch_has_the_frames_of_a_single_world(name):
             found, expected = dict(_leaves(asdict(one))), dict(_leaves(asdict(other)))
             assert found.keys() == expected.keys()
             for path, value in expected.items():
-                assert found[path] == (pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value), path
+                assert found[path] == (
+                    pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value
+                ), path
 
 
 def _leaves(value, path=""):
@@ -120,7 +134,10 @@ def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
 
 def test_bodies_that_take_no_part_in_the_episode_are_left_out():
     with closing(Player(Showing("find_ball_random").open(), ZERO)) as player:
-        shown = [{body for body, _ in player.begin(0, episode).links if body.startswith("obstacle")} for episode in range(6)]
+        shown = [
+            {body for body, _ in player.begin(0, episode).links if body.startswith("obstacle")}
+            for episode in range(6)
+        ]
         assert len({len(bodies) for bodies in shown}) > 1
         assert set(player.frame.variants.values()) <= {"cube", "plank"}
 
@@ -158,7 +175,8 @@ def test_a_person_drives_by_the_names_of_action_fields():
 
 
 def test_messages_are_those_that_receivers_go_by():
-    """A message that arrives k ticks after it was made has the age k ticks, and holds the value of that tick."""
+    """A message that arrives k ticks after it was made has the age k ticks, and holds the value of that
+    tick."""
     with closing(Player(Showing("cartpole_wireless").open(), RANDOM)) as player:
         frames = list(player.episode(0, 0))
     for frame in frames[1:]:
@@ -181,9 +199,14 @@ def test_forbidden_options_are_told():
     with closing(Player(Showing("find_and_avoid").open(), RANDOM)) as player:
         for frame in player.episode(0, 0, 60):
             allowed = frame.agents["agent"].allowed
-            assert allowed == () or (len(allowed) == sum(len(field.options) for field in player.reader.layout.action) and any(allowed))
+            assert allowed == () or (
+                len(allowed) == sum(len(field.options) for field in player.reader.layout.action)
+                and any(allowed)
+            )
             if frame.ended_by is None:
-                assert (allowed or (True,) * len(player.env.action_masks())) == tuple(player.env.action_masks())
+                assert (allowed or (True,) * len(player.env.action_masks())) == tuple(
+                    player.env.action_masks()
+                )
 
 
 def test_a_start_that_is_given_begins_every_episode():

@@ -38,14 +38,29 @@ CARTPOLE = (
 )
 
 
-CAMERA = {"type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (0, -3, 2), "fov": 0.7, "near": 0.01, "far": 100.0,
-          "image_height": 500, "image_width": 800, "look_at": (0, 0, 0), "up_direction": (0, 0, 1)}  # fmt: skip
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1, 0, 0, 0),
+    "position": (0, -3, 2),
+    "fov": 0.7,
+    "near": 0.01,
+    "far": 100.0,
+    "image_height": 500,
+    "image_width": 800,
+    "look_at": (0, 0, 0),
+    "up_direction": (0, 0, 1),
+}
 """What a browser tells first."""
 
 
 def _client(page):
     """A browser that reads nothing; with a limit on what waits to be read, closing takes 10 s."""
-    return connect(page.address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"], max_size=None, max_queue=None)
+    return connect(
+        page.address.replace("http", "ws"),
+        subprotocols=[f"viser-v{viser.__version__}"],
+        max_size=None,
+        max_queue=None,
+    )
 
 
 def _run(page, until, seconds=30.0):
@@ -95,7 +110,9 @@ def test_keys_drive_and_let_go():
         assert "onward" in page._banner.content or page._compared_player.driver_name == "onward"
 
 
-@pytest.mark.parametrize("name", ["find_ball", "mine.yaml"])  # to the right is positive in one, and to the left in the other
+@pytest.mark.parametrize(
+    "name", ["find_ball", "mine.yaml"]
+)  # to the right is positive in one, and to the left in the other
 def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     assert main(["new", "mine", "--template", "wheeled"]) == 0
@@ -107,16 +124,26 @@ def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, nam
             for _ in range(5):
                 page._manual_input.hold(frozenset({key}), ())
                 page.step_once()
-            one, other = (roll_pitch_yaw(links[robot.name, robot.model.root][1])[2] for links in (before, page.player.frame.links))
+            one, other = (
+                roll_pitch_yaw(links[robot.name, robot.model.root][1])[2]
+                for links in (before, page.player.frame.links)
+            )
             yaws.append(math.remainder(other - one, math.tau))
         assert yaws[0] < -0.05
         assert yaws[1] > 0.05
 
 
 def test_released_keys_give_zero_where_the_range_holds_it():
-    hand = ManualInput([PlottedField("gas", "gas", -0.3, 1.0, ""), PlottedField("turn", "turn", 0.5, 1.0, "rad")], turns_left=True)
+    hand = ManualInput(
+        [PlottedField("gas", "gas", -0.3, 1.0, ""), PlottedField("turn", "turn", 0.5, 1.0, "rad")],
+        turns_left=True,
+    )
     assert hand.values() == pytest.approx({"gas": -0.35 / 0.65, "turn": 0.0})
-    assert hand.help() == "W / up arrow: more gas; S / down arrow: less gas; A / left arrow: more turn; D / right arrow: less turn"
+    assert (
+        hand.help()
+        == "W / up arrow: more gas; S / down arrow: less gas; A / left arrow: more turn; D / right arrow:"
+        " less turn"
+    )
     for keys, axes, values in (
         ({"KeyW", "KeyD"}, (), (1.0, -1.0)),
         ({"KeyS", "KeyA"}, (), (-1.0, 1.0)),
@@ -139,7 +166,9 @@ def test_rays_are_drawn_between_two_steps_as_the_robot_is():
         frame, layout = page.player.frame, page.player.reader.layout
         key = next(iter(layout.sensor_rays))
         lines = layout.sensor_rays[key].lines(frame, key)
-        assert np.linalg.norm(lines[:, 1, :3] - lines[:, 0, :3], axis=1) == pytest.approx(frame.rays[key], abs=1e-6)
+        assert np.linalg.norm(lines[:, 1, :3] - lines[:, 0, :3], axis=1) == pytest.approx(
+            frame.rays[key], abs=1e-6
+        )
 
 
 def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):
@@ -205,10 +234,15 @@ def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, cap
             while not (address := capsys.readouterr().out.strip()):
                 time.sleep(0.05)
             host, _, token = address.removeprefix("http://").partition("/?token=")
-            allowed = {"origin": f"http://{host}", "additional_headers": {"Cookie": f"deepbots-{host.rpartition(':')[2]}={token}"}}
+            allowed = {
+                "origin": f"http://{host}",
+                "additional_headers": {"Cookie": f"deepbots-{host.rpartition(':')[2]}={token}"},
+            }
             protocol = [f"viser-v{viser.__version__}"]
             with (
-                connect(f"ws://{host}/", subprotocols=protocol, max_size=None, max_queue=None, **allowed) as browser,
+                connect(
+                    f"ws://{host}/", subprotocols=protocol, max_size=None, max_queue=None, **allowed
+                ) as browser,
                 connect(f"ws://{host}/drive", **allowed) as keys,
             ):
                 browser.send(msgspec.msgpack.encode(CAMERA))
@@ -249,13 +283,24 @@ def test_a_page_to_play_in_asks_for_its_token_on_loopback_and_records_up_to_a_li
 def test_a_value_that_no_control_offers_changes_nothing_and_prints_nothing(capfd):
     with closing(Page(Showing("find_ball"), port=0)) as page:
         handles = {handle.label: handle for handle in page.server.gui._gui_input_handle_from_uuid.values()}
-        wrong = {"driver": ["nobody", 5], "seed": [-1, "x", 1e300], "speed": [0, 99.0, "fast", math.nan], "time": ["explode", [1]]}
+        wrong = {
+            "driver": ["nobody", 5],
+            "seed": [-1, "x", 1e300],
+            "speed": [0, 99.0, "fast", math.nan],
+            "time": ["explode", [1]],
+        }
         updates = [(handles[name]._impl.uuid, {"value": value}) for name in wrong for value in wrong[name]]
-        updates += [(handles["driver"]._impl.uuid, {"props": 5}), ("nothing", {"value": 1}), (handles["seed"]._impl.uuid, {"value": 7})]
+        updates += [
+            (handles["driver"]._impl.uuid, {"props": 5}),
+            ("nothing", {"value": 1}),
+            (handles["seed"]._impl.uuid, {"value": 7}),
+        ]
         with _client(page) as wire:
             wire.send(msgspec.msgpack.encode(CAMERA))
             for uuid, update in updates:
-                wire.send(msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": uuid, "updates": update}))
+                wire.send(
+                    msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": uuid, "updates": update})
+                )
             end = time.monotonic() + 30.0
             page.run(lambda: page.seed == 7 or time.monotonic() > end)
         assert page.seed == 7  # all of them have arrived, and the last one counts

@@ -19,7 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.curriculum import CompletedStage
-from deepbots_cli.learning.run import FORMAT, RunRecord, RunResult, write_record
+from deepbots_cli.learning.records import FORMAT, RunRecord, RunResult, write_record
 from deepbots_cli.view import plots
 from deepbots_cli.view.panel import training_rows
 
@@ -32,38 +32,94 @@ def _events(folder, **scalars):
     writer = EventFileWriter(str(folder))
     for tag, values in scalars.items():
         for step, value in values:
-            writer.add_event(Event(step=step, summary=Summary(value=[Summary.Value(tag=tag.replace("__", "/"), simple_value=value)])))
+            writer.add_event(
+                Event(
+                    step=step,
+                    summary=Summary(value=[Summary.Value(tag=tag.replace("__", "/"), simple_value=value)]),
+                )
+            )
     writer.close()
     return folder
 
 
-def _run(folder, digest, returns, endings=("found", "crashed", "crashed", "crashed"), stages=("",) * 4, completed=None):
+def _run(
+    folder,
+    digest,
+    returns,
+    endings=("found", "crashed", "crashed", "crashed"),
+    stages=("",) * 4,
+    completed=None,
+):
     """A run directory as far as it is plotted; `completed` are the steps after which each stage was done."""
     folder.mkdir()
-    result = None if completed is None else RunResult(
-        status="finished", steps=100, total_timesteps=100, episodes=4, mean_return=0.0, success_rate=0.0, best_return=None,
-        simulated_hours=0.1, evaluation_steps=0, solved_at=None, cpu_seconds=1.0, wall_seconds=1.0, weights_digest="", stage=stages[-1],
-        stages=tuple(CompletedStage(name, steps, 1, 0.5) for name, steps in completed.items()),
-    )  # fmt: skip
+    result = (
+        None
+        if completed is None
+        else RunResult(
+            status="finished",
+            steps=100,
+            total_timesteps=100,
+            episodes=4,
+            mean_return=0.0,
+            success_rate=0.0,
+            best_return=None,
+            simulated_hours=0.1,
+            evaluation_steps=0,
+            solved_at=None,
+            cpu_seconds=1.0,
+            wall_seconds=1.0,
+            weights_digest="",
+            stage=stages[-1],
+            stages=tuple(CompletedStage(name, steps, 1, 0.5) for name, steps in completed.items()),
+        )
+    )
     record = RunRecord(
-        format=FORMAT, deepbots="0", status="running", scenario="FindBall", source="", digest=digest, interface={}, inputs={},
-        engine="pybullet", seed=0, seeds={}, total_timesteps=100, stop_when_solved=False, first_stage=None, keep_checkpoints=0,
-        initialized_from=None, command=(), versions={}, platform="", started="", updated="", resumed_at=(), result=result,
-    )  # fmt: skip
+        format=FORMAT,
+        deepbots="0",
+        status="running",
+        scenario="FindBall",
+        source="",
+        digest=digest,
+        interface={},
+        inputs={},
+        engine="pybullet",
+        seed=0,
+        seeds={},
+        total_timesteps=100,
+        stop_when_solved=False,
+        first_stage=None,
+        keep_checkpoints=0,
+        initialized_from=None,
+        command=(),
+        versions={},
+        platform="",
+        started="",
+        updated="",
+        resumed_at=(),
+        result=result,
+    )
     write_record(folder, record)
     each = enumerate(zip(returns, endings, stages, strict=True), 1)
     rows = [f"{r},10,0.1,{n},{10 * n},0.1,{int(e == 'found')},{e},{s}" for n, (r, e, s) in each]
     head = "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage"
-    (folder / "monitor.csv").write_text("\n".join(['#{"t_start": 0}', head, *rows]) + "\n7,1")  # the last line is being written
+    (folder / "monitor.csv").write_text(
+        "\n".join(['#{"t_start": 0}', head, *rows]) + "\n7,1"
+    )  # the last line is being written
     (folder / "evaluations").mkdir()
-    evaluation = {"steps": 30, "returns": [1.0, 3.0], "successes": [False, True]} | ({"stage": stages[2]} if stages[2] else {})
+    evaluation = {"steps": 30, "returns": [1.0, 3.0], "successes": [False, True]} | (
+        {"stage": stages[2]} if stages[2] else {}
+    )
     (folder / "evaluations" / "training.jsonl").write_text(json.dumps(evaluation) + "\n")
     _events(folder / "tensorboard", reward__closer=[(10, 1.0), (40, 4.0)])
 
 
 @pytest.fixture
 def runs(tmp_path):
-    for name, digest, returns in (("a0", "x", [0, 2, 4, 6]), ("a1", "x", [2, 4, 6, 8]), ("b0", "y", [5, 5, 5, 5])):
+    for name, digest, returns in (
+        ("a0", "x", [0, 2, 4, 6]),
+        ("a1", "x", [2, 4, 6, 8]),
+        ("b0", "y", [5, 5, 5, 5]),
+    ):
         _run(tmp_path / name, digest, returns)
     return tmp_path
 
@@ -91,7 +147,10 @@ def test_groups_with_runs_of_the_same_seeds_are_lines_of_their_own(tmp_path):
         for seed in (0, 1):
             _run(tmp_path / group / f"seed-{seed}", digest, [seed, 2, 4, 6])
     figure = plots.plot(plots.read_logs([tmp_path / "slow", tmp_path / "fast"]))
-    assert [line.get_label() for line in figure.axes[0].get_legend_handles_labels()[0]] == ["slow (2 seeds)", "fast (2 seeds)"]
+    assert [line.get_label() for line in figure.axes[0].get_legend_handles_labels()[0]] == [
+        "slow (2 seeds)",
+        "fast (2 seeds)",
+    ]
 
 
 def test_runs_of_one_folder_name_are_told_apart_by_their_paths(tmp_path):
@@ -110,7 +169,10 @@ def test_reward_terms_of_scenarios_share_their_scale_and_no_place_is_left_for_un
     assert figure.axes[2].get_ylim()[1] >= 90.0
     for log in logs:
         log.successes = None
-    assert [axes.get_title(loc="left").split(" ")[0] for axes in plots.plot(logs).axes][:2] == ["return", "a0:"]
+    assert [axes.get_title(loc="left").split(" ")[0] for axes in plots.plot(logs).axes][:2] == [
+        "return",
+        "a0:",
+    ]
 
 
 def test_terms_of_scenarios_that_have_none_in_common_have_a_scale_each(runs):
@@ -125,7 +187,8 @@ def test_an_ending_has_one_color_in_a_plot_of_two_runs(tmp_path):
     _run(tmp_path / "b", "y", [0, 2, 4, 6], endings=["crashed", "found", "found", "lost"])
     figure = plots.plot(plots.read_logs([tmp_path / "a", tmp_path / "b"]))
     colors = [
-        {area.get_label(): tuple(area.get_facecolor()[0]) for area in panel.collections} for panel in (figure.axes[3], figure.axes[5])
+        {area.get_label(): tuple(area.get_facecolor()[0]) for area in panel.collections}
+        for panel in (figure.axes[3], figure.axes[5])
     ]
     assert len(set(colors[1].values())) == 3
     assert {name: colors[1][name] for name in colors[0]} == colors[0]
@@ -157,7 +220,9 @@ def test_a_legend_hides_no_curve_and_leaves_the_figure_nowhere(runs):
 STAGES = ("open", "open", "crowded", "crowded")
 
 
-@pytest.mark.parametrize(("completed", "begun"), [({"open": 22}, 22.0), (None, 30.0)])  # while it trains, the first episode says it
+@pytest.mark.parametrize(
+    ("completed", "begun"), [({"open": 22}, 22.0), (None, 30.0)]
+)  # while it trains, the first episode says it
 def test_the_stages_of_a_curriculum_are_marked_with_their_names(tmp_path, completed, begun):
     _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed=completed)
     logs = plots.read_logs([tmp_path / "a"])
@@ -169,14 +234,24 @@ def test_the_stages_of_a_curriculum_are_marked_with_their_names(tmp_path, comple
 
 def test_a_log_with_a_stage_for_each_episode_is_plotted_in_time(tmp_path):
     names = [f"stage_{number}" for number in range(20_000)]
-    _run(tmp_path / "a", "x", [0.0] * 20_000, endings=["crashed"] * 20_000, stages=names, completed={"stage_0": -(10**400)})
+    _run(
+        tmp_path / "a",
+        "x",
+        [0.0] * 20_000,
+        endings=["crashed"] * 20_000,
+        stages=names,
+        completed={"stage_0": -(10**400)},
+    )
     assert len(plots.read_logs([tmp_path / "a"])[0].stages) <= 100
 
 
 def test_a_curve_does_not_join_the_stages_of_a_curriculum(tmp_path):
     _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
     logs = plots.read_logs([tmp_path / "a"])
-    assert [list(part) for part in logs[0].returns] == [[10, 20, 22, 30, 40], pytest.approx([0, 1, np.nan, 40, 50], nan_ok=True)]
+    assert [list(part) for part in logs[0].returns] == [
+        [10, 20, 22, 30, 40],
+        pytest.approx([0, 1, np.nan, 40, 50], nan_ok=True),
+    ]
     returns, _, terms, endings = plots.plot(logs).axes
     for panel in (returns, terms):
         at, values = panel.lines[0].get_data()
@@ -207,7 +282,9 @@ def test_a_stage_whose_name_has_no_room_is_a_number_with_a_key(tmp_path):
 def test_the_page_of_a_run_lists_stages_and_evaluations(tmp_path):
     _run(tmp_path / "a", "x", [0, 2, 40, 60], stages=STAGES, completed={"open": 22})
     episodes, evaluations = plots.logs_of(tmp_path / "a")
-    text = "".join(training_rows(plots.stage_starts(RunRecord.read(tmp_path / "a"), episodes), evaluations, success=True))
+    text = "".join(
+        training_rows(plots.stage_starts(RunRecord.read(tmp_path / "a"), episodes), evaluations, success=True)
+    )
     cells = re.findall(r"<td[^>]*>([^<]+)", text)
     assert cells[1:5] == ["1. open", "0", "2. crowded", "22"]
     assert cells[6:] == ["30 steps, stage crowded", "return 2, success 50%"]
@@ -219,7 +296,12 @@ def _taught(folder, **scalars):
 
 
 def test_the_score_of_a_teacher_is_a_line_and_its_lessons_have_a_panel(runs):
-    _taught(runs / "a0", mean_return=[(10, 7.0), (40, 7.0)], success_rate=[(10, 0.75), (40, 0.75)], weight=[(10, 1.0), (40, 0.0)])
+    _taught(
+        runs / "a0",
+        mean_return=[(10, 7.0), (40, 7.0)],
+        success_rate=[(10, 0.75), (40, 0.75)],
+        weight=[(10, 1.0), (40, 0.0)],
+    )
     returns, successes, lessons, *_ = plots.plot(plots.read_logs([runs / "a0"])).axes
     for panel, score in ((returns, 7.0), (successes, 0.75)):
         (line,) = (line for line in panel.lines if line.get_label() == "teacher by_hand")
@@ -233,7 +315,10 @@ def test_trainings_with_a_teacher_have_a_panel_each_beside_one_without(runs):
     _taught(runs / "a0", agreement=[(10, 0.5), (40, 1.0)])
     _taught(runs / "b0", agreement=[(10, 0.5), (40, 1.0)])
     _run(runs / "c0", "z", [1, 2, 3, 4])
-    titles = [panel.get_title("left") for panel in plots.plot(plots.read_logs([runs / "a0", runs / "b0", runs / "c0"])).axes]
+    titles = [
+        panel.get_title("left")
+        for panel in plots.plot(plots.read_logs([runs / "a0", runs / "b0", runs / "c0"])).axes
+    ]
     assert titles[2:5] == ["a0: teacher by_hand", "b0: teacher by_hand", "a0: reward terms of an episode"]
 
 
@@ -245,7 +330,9 @@ def test_a_training_that_a_recording_teaches_has_a_line_of_its_own(runs):
 
 def test_the_success_rates_of_evaluations_are_dots_too(runs):
     successes = plots.plot(plots.read_logs([runs / "a0"])).axes[1]
-    assert [line.get_xydata().tolist() for line in successes.lines if line.get_marker() == "o"] == [[[30.0, 0.5]]]
+    assert [line.get_xydata().tolist() for line in successes.lines if line.get_marker() == "o"] == [
+        [[30.0, 0.5]]
+    ]
 
 
 def test_endings_are_shares_of_episodes(runs):
@@ -256,7 +343,10 @@ def test_endings_are_shares_of_episodes(runs):
 
 
 def test_a_part_of_the_training_with_one_episode_is_no_spike_of_endings(runs):
-    lines = [f"1,10,0.1,{n},{n if n < 99 else 900 + n},0.1,{int(n == 99)},{'found' if n == 99 else 'crashed'}," for n in range(100)]
+    lines = [
+        f"1,10,0.1,{n},{n if n < 99 else 900 + n},0.1,{int(n == 99)},{'found' if n == 99 else 'crashed'},"
+        for n in range(100)
+    ]
     head = "r,l,t,episode,steps,simulated_hours,is_success,ended_by,stage"
     (runs / "a0" / "monitor.csv").write_text("\n".join(['#{"t_start": 0}', head, *lines, ""]))
     areas = plots.plot(plots.read_logs([runs / "a0"])).axes[3].collections
@@ -269,8 +359,18 @@ def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_
     figure = plots.plot(plots.read_logs([runs / "a0"]))
     assert figure.axes[0].get_title("left") == "return of training episodes; dots: evaluations"
     (runs / "a0" / "evaluations" / "training.jsonl").unlink()
-    found = {"evaluated": "9", "model": "best", "seed": 0, "episodes": 9, "mean_return": 3.5, "return_interval": None,
-             "success_defined": True, "success_rate": 0.5, "success_interval": [0.1, 0.9], "solved": None}  # fmt: skip
+    found = {
+        "evaluated": "9",
+        "model": "best",
+        "seed": 0,
+        "episodes": 9,
+        "mean_return": 3.5,
+        "return_interval": None,
+        "success_defined": True,
+        "success_rate": 0.5,
+        "success_interval": [0.1, 0.9],
+        "solved": None,
+    }
     (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(found))
     figure = plots.plot(plots.read_logs([runs / "a0"]))
     returns, successes = figure.axes[:2]
@@ -280,8 +380,19 @@ def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_
 
 
 def test_the_diamond_stands_at_the_step_of_the_best_model_and_not_at_the_end(runs):
-    found = {"evaluated": "9", "model": "best", "seed": 0, "episodes": 9, "mean_return": 3.5, "return_interval": None,
-             "success_defined": True, "success_rate": 0.5, "success_interval": [0.1, 0.9], "solved": None, "model_steps": 17}  # fmt: skip
+    found = {
+        "evaluated": "9",
+        "model": "best",
+        "seed": 0,
+        "episodes": 9,
+        "mean_return": 3.5,
+        "return_interval": None,
+        "success_defined": True,
+        "success_rate": 0.5,
+        "success_interval": [0.1, 0.9],
+        "solved": None,
+        "model_steps": 17,
+    }
     (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(found))
     figure = plots.plot(plots.read_logs([runs / "a0"]))
     assert [panel.lines[-1].get_xydata().tolist() for panel in figure.axes[:2]] == [[[17, 3.5]], [[17, 0.5]]]
@@ -315,7 +426,9 @@ def test_a_log_with_impossible_steps_is_damaged(runs, steps):
         plots.read_logs([runs / "a0"])
 
 
-@pytest.mark.parametrize("name", ["monitor.csv", "evaluations/training.jsonl", "tensorboard/events.out.tfevents.9"])
+@pytest.mark.parametrize(
+    "name", ["monitor.csv", "evaluations/training.jsonl", "tensorboard/events.out.tfevents.9"]
+)
 def test_a_pipe_in_the_place_of_a_log_is_not_opened(runs, name):
     (runs / "a0" / name).unlink(missing_ok=True)
     os.mkfifo(runs / "a0" / name)

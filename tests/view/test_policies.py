@@ -26,7 +26,8 @@ def _trained(folder, name, *overrides):
 
 
 @pytest.mark.parametrize(
-    ("name", "algorithm"), [pytest.param("find_and_avoid", "MaskablePPO", marks=pytest.mark.slow), ("cartpole", "RecurrentPPO")]
+    ("name", "algorithm"),
+    [pytest.param("find_and_avoid", "MaskablePPO", marks=pytest.mark.slow), ("cartpole", "RecurrentPPO")],
 )
 def test_the_policy_of_the_page_acts_as_in_an_evaluation(tmp_path, name, algorithm):
     run = _trained(tmp_path, name, f"train.algorithm={algorithm}")

@@ -1,4 +1,5 @@
-"""Recordings: what is read is what was recorded, a replay is the same to the bit, and files of others do no harm."""
+"""Recordings: what is read is what was recorded, a replay is the same to the bit, and files of others do no
+harm."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ from deepbots_cli.view.frames import SensorRays, WorldFrame
 from deepbots_cli.view.replay import ReplayPlayer, verify
 
 
-def _recorded(folder: Path, name: str, driver: str = "random", engine: str | None = None) -> tuple[Path, list[WorldFrame]]:
+def _recorded(
+    folder: Path, name: str, driver: str = "random", engine: str | None = None
+) -> tuple[Path, list[WorldFrame]]:
     """A recording of the episodes 2 and 3, and their frames."""
     path, kept = folder / f"{name}.mcap", []
 
@@ -80,14 +83,17 @@ def test_frames_come_back_and_a_replay_is_the_same(tmp_path, name, engine):
 
 
 def _changed(path: Path, out: Path, **change) -> Path:
-    """The recording written again, with other metadata, other attachments, or another payload of a topic in one step."""
+    """The recording written again, with other metadata, other attachments, or another payload of a topic in
+    one step."""
     with path.open("rb") as stream, out.open("wb") as target:
         reader, writer, channels = make_reader(stream), Writer(target), {}
         writer.start("", "test")
         for found in reader.iter_metadata():
             writer.add_metadata(found.name, found.metadata | change.get("metadata", {}))
         for found in reader.iter_attachments():
-            writer.add_attachment(0, 0, change.get("attachments", {}).get(found.name, found.name), found.media_type, found.data)
+            writer.add_attachment(
+                0, 0, change.get("attachments", {}).get(found.name, found.name), found.media_type, found.data
+            )
         for place, (schema, channel, message) in enumerate(reader.iter_messages()):
             if channel.topic not in channels:
                 known = writer.register_schema(schema.name, schema.encoding, schema.data)
@@ -95,7 +101,10 @@ def _changed(path: Path, out: Path, **change) -> Path:
             edit = change.get("payload", lambda place, topic, content: content)
             content = edit(place, channel.topic, json.loads(message.data))
             writer.add_message(
-                channels[channel.topic], message.log_time, json.dumps(content, separators=(",", ":")).encode(), message.log_time
+                channels[channel.topic],
+                message.log_time,
+                json.dumps(content, separators=(",", ":")).encode(),
+                message.log_time,
             )
         writer.finish()
     return out
@@ -106,7 +115,9 @@ def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, 
 
     def edit(place, topic, content):
         if topic == "/tf" and content["transforms"][0]["timestamp"] == {"sec": 1, "nsec": 280_000_000}:
-            moved = next(each for each in content["transforms"] if each["child_frame_id"] == "epuck/left_wheel")
+            moved = next(
+                each for each in content["transforms"] if each["child_frame_id"] == "epuck/left_wheel"
+            )
             moved["translation"]["y"] = np.nextafter(moved["translation"]["y"], 9.0)
         return content
 
@@ -119,10 +130,18 @@ def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, 
 
 @pytest.mark.parametrize(
     "name",
-    ["cartpole", "find_ball", *(pytest.param(n, marks=pytest.mark.slow) for n in ("line_follower", "panda_reach", "quadrotor", "tag"))],
+    [
+        "cartpole",
+        "find_ball",
+        *(
+            pytest.param(n, marks=pytest.mark.slow)
+            for n in ("line_follower", "panda_reach", "quadrotor", "tag")
+        ),
+    ],
 )
 def test_what_was_recorded_once_happens_again(name, tmp_path, capsys):
-    """Recordings in the folder `golden`, which `deepbots render NAME --seed 1 --steps N` wrote; the tolerance is for other machines."""
+    """Recordings in the folder `golden`, which `deepbots render NAME --seed 1 --steps N` wrote; the tolerance
+    is for other machines."""
     pytest.importorskip("pybullet")  # with which they were recorded
     path = tmp_path / f"{name}.mcap"
     path.write_bytes(lzma.decompress((Path(__file__).parent / "golden" / f"{name}.mcap.xz").read_bytes()))
@@ -160,7 +179,10 @@ def test_a_tolerance_bears_small_differences_only(find_ball, tmp_path, by, same)
 def test_a_hundred_recordings_happen_again_to_the_bit(tmp_path, capsys):
     for name in ("cartpole", "find_ball", "line_follower", "panda_reach", "quadrotor", "tag"):
         path = tmp_path / f"{name}.mcap"
-        assert main(["render", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--output", str(path)]) == 0
+        assert (
+            main(["render", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--output", str(path)])
+            == 0
+        )
         assert main(["replay", "--verify", str(path)]) == 0
         assert "17 episodes and " in capsys.readouterr().out
 
@@ -174,7 +196,11 @@ def test_foxglove_finds_its_types(find_ball):
         assert names["/scan/epuck.proximity"].name == "foxglove.PointCloud"
         data = json.loads(names["/scan/epuck.proximity"].data)["properties"]["data"]
         assert data == {"type": "string", "contentEncoding": "base64"}
-        first = next(json.loads(message.data) for _, channel, message in reader.iter_messages() if channel.topic == "/tf")
+        first = next(
+            json.loads(message.data)
+            for _, channel, message in reader.iter_messages()
+            if channel.topic == "/tf"
+        )
     frame = find_ball[1][0]
     for each in first["transforms"]:
         place, turn = frame.links[tuple(each["child_frame_id"].split("/"))]
@@ -195,7 +221,9 @@ def test_the_points_of_a_scan_are_where_the_rays_end(count):
 
     at = np.linspace(scan["start_angle"], scan["end_angle"], count)
     flat = np.array(scan["ranges"])[:, None] * np.stack([np.cos(at), np.sin(at), 0 * at], axis=1)
-    points = Rotation.from_quat(list(scan["pose"]["orientation"].values())).apply(flat) + list(scan["pose"]["position"].values())
+    points = Rotation.from_quat(list(scan["pose"]["orientation"].values())).apply(flat) + list(
+        scan["pose"]["position"].values()
+    )
     assert points == pytest.approx(beams.starts + np.array(free)[:, None] * ways, abs=1e-6)
 
 
@@ -234,25 +262,48 @@ def test_what_cannot_be_read_is_told_in_a_sentence(find_ball, tmp_path, change, 
         ("/world", lambda content: content | {"time": 1e300}),
         ("/world", lambda content: content | {"time": 10**400}),
         ("/episode", lambda content: content | {"seed": -1}),
-        ("/tf", lambda content: {"transforms": [each | {"translation": dict.fromkeys("xyz", 1e300)} for each in content["transforms"]]}),
-        ("/tf", lambda content: {"transforms": [each | {"rotation": dict.fromkeys("xyzw", 0.0)} for each in content["transforms"]]}),
+        (
+            "/tf",
+            lambda content: {
+                "transforms": [
+                    each | {"translation": dict.fromkeys("xyz", 1e300)} for each in content["transforms"]
+                ]
+            },
+        ),
+        (
+            "/tf",
+            lambda content: {
+                "transforms": [
+                    each | {"rotation": dict.fromkeys("xyzw", 0.0)} for each in content["transforms"]
+                ]
+            },
+        ),
         ("/agent/agent", lambda content: content | {"observation": {"apart": 1.0}}),
         ("/agent/agent", lambda content: content | {"terms": [1, 2]}),
         ("/message/epuck/to_robot", lambda content: []),
     ],
 )
 def test_a_step_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys, topic, edit):
-    path = _changed(find_ball[0], tmp_path / "changed.mcap", payload=lambda _, name, content: edit(content) if name == topic else content)
+    path = _changed(
+        find_ball[0],
+        tmp_path / "changed.mcap",
+        payload=lambda _, name, content: edit(content) if name == topic else content,
+    )
     assert main(["render", str(path), "--episode", "2", "--output", str(tmp_path / "x.png")]) == 2
     assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("action", [{}, {"action": {"dtype": "object", "rows": 0, "data": ""}}, {"action": {"dtype": "int64", "data": ""}}])
+@pytest.mark.parametrize(
+    "action",
+    [{}, {"action": {"dtype": "object", "rows": 0, "data": ""}}, {"action": {"dtype": "int64", "data": ""}}],
+)
 def test_an_action_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys, action):
     path = _changed(
         find_ball[0],
         tmp_path / "changed.mcap",
-        payload=lambda _, name, content: content | {"action": action} if name == "/step" and content["step"] else content,
+        payload=lambda _, name, content: (
+            content | {"action": action} if name == "/step" and content["step"] else content
+        ),
     )
     assert main(["replay", "--verify", str(path)]) == 2
     assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
@@ -265,7 +316,9 @@ def test_a_pipe_is_no_recording(tmp_path):
 
 
 def test_a_file_that_is_a_folder_too_is_told_in_a_sentence(find_ball, tmp_path):
-    path = _changed(find_ball[0], tmp_path / "changed.mcap", attachments={"inputs/scenarios/find_ball.yaml": "inputs"})
+    path = _changed(
+        find_ball[0], tmp_path / "changed.mcap", attachments={"inputs/scenarios/find_ball.yaml": "inputs"}
+    )
     with pytest.raises(RecordingError, match="a file and a folder of the same name"):
         Recording.read(path)
 

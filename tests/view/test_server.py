@@ -31,7 +31,9 @@ def page():
 
 def _get(port, path="/", **headers):
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-    connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    connection.request(
+        "GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()}
+    )
     answer = connection.getresponse()
     body = answer.read()
     connection.close()
@@ -40,7 +42,13 @@ def _get(port, path="/", **headers):
 
 def _open(port, path="/", origin=None, cookie=None, protocol=f"viser-v{viser.__version__}"):
     headers = {"Cookie": cookie} if cookie else {}
-    return connect(f"ws://127.0.0.1:{port}{path}", origin=origin, subprotocols=[protocol], additional_headers=headers, max_size=None)
+    return connect(
+        f"ws://127.0.0.1:{port}{path}",
+        origin=origin,
+        subprotocols=[protocol],
+        additional_headers=headers,
+        max_size=None,
+    )
 
 
 def test_it_serves_its_page_with_keys_and_no_other_source(page):
@@ -51,7 +59,15 @@ def test_it_serves_its_page_with_keys_and_no_other_source(page):
 
 
 @pytest.mark.parametrize(
-    "path", ["/etc/passwd", "/../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/index.html", "//etc/passwd", "/x\\y"]
+    "path",
+    [
+        "/etc/passwd",
+        "/../../../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/index.html",
+        "//etc/passwd",
+        "/x\\y",
+    ],
 )
 def test_it_serves_no_file(page, path):
     answer, body = _get(page[0], path)

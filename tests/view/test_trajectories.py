@@ -26,16 +26,23 @@ def push():
 
 def _positions(world, **ways):
     """Positions of all bodies in four steps, of which those in `ways` go so far (m) along x."""
-    names = [(robot.name, link.name) for robot in world.robots for link in robot.model.links] + [(o.name, o.name) for o in world.objects]
+    names = [(robot.name, link.name) for robot in world.robots for link in robot.model.links] + [
+        (o.name, o.name) for o in world.objects
+    ]
     steps = np.arange(4.0)[:, None] / 3 * np.array([[1.0, 0.0, 0.0]])
     return {part: ways.get(part[1], 0.0) * steps for part in names}
 
 
 def test_the_path_of_an_arm_is_not_a_dot_at_its_base(push):
     program, world = push
-    moving = trajectories.find_moving(program, world, [_positions(world, block=0.1, panda_grasptarget=0.3, panda_link7=0.4)])
+    moving = trajectories.find_moving(
+        program, world, [_positions(world, block=0.1, panda_grasptarget=0.3, panda_link7=0.4)]
+    )
     assert moving.parts == (("block", "block"), ("panda", "panda_grasptarget"))
-    assert [trajectories.describe(world, part) for part in moving.parts] == ["block", "panda.panda_grasptarget"]
+    assert [trajectories.describe(world, part) for part in moving.parts] == [
+        "block",
+        "panda.panda_grasptarget",
+    ]
 
 
 def test_a_block_that_no_episode_moves_has_no_path(push):
@@ -47,7 +54,9 @@ def test_a_block_that_no_episode_moves_has_no_path(push):
 def test_an_arm_whose_links_the_task_does_not_read_moves_as_the_link_that_goes_farthest(push):
     program, world = push
     silent = program.with_agents(goal=None, observation=(), reward=())
-    moving = trajectories.find_moving(replace(silent, endings=()), world, [_positions(world, panda_link5=0.2, panda_hand=0.3)])
+    moving = trajectories.find_moving(
+        replace(silent, endings=()), world, [_positions(world, panda_link5=0.2, panda_hand=0.3)]
+    )
     assert moving.parts == (("panda", "panda_hand"),)
 
 
@@ -61,7 +70,8 @@ def test_a_target_that_moves_is_followed():
 
 
 def test_a_wall_that_a_failure_reads_is_no_target():
-    overrides = ["objects.post={shape: box, size: 5 5 5 cm, fixed: true}", "reset.place.post={x: 0.3 m, y: 0.3 m}",
+    overrides = ["objects.post={shape: box, size: 5 5 5 cm, fixed: true}", "reset.place.post={x: 0.3 m, y:"
+                                                                           " 0.3 m}",
                  "termination.failure.hit=contact(cart, post)", "reward.hit=-5 when hit"]  # fmt: skip
     program = api.compile(api.load("cartpole", overrides=overrides)).program
     moving = trajectories.find_moving(program, program.world, [_positions(program.world, base_link=0.2)])

@@ -1,4 +1,5 @@
-"""Painted lines: places beside and along them, the light they throw back, and what a scenario makes of them."""
+"""Painted lines: places beside and along them, the light they throw back, and what a scenario makes of
+them."""
 
 import math
 from contextlib import closing
@@ -9,13 +10,17 @@ from deepbots_cli import api
 from deepbots_cli.program.world import Line
 from deepbots_cli.runtime.paths import Follower, PaintedGround
 
-SQUARE = Line("square", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), closed=True, width=0.02, reflectance=0.1)
+SQUARE = Line(
+    "square", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), closed=True, width=0.02, reflectance=0.1
+)
 ROAD = Line("road", ((0.0, 0.0), (1.0, 0.0)), closed=False, width=0.02)
 
 
 def circle(corners: int, radius: float = 1.0) -> Line:
     angles = [2 * math.pi * n / corners for n in range(corners)]
-    return Line("circle", tuple((radius * math.cos(a), radius * math.sin(a)) for a in angles), closed=True, width=0.02)
+    return Line(
+        "circle", tuple((radius * math.cos(a), radius * math.sin(a)) for a in angles), closed=True, width=0.02
+    )
 
 
 def test_left_of_a_line_is_positive() -> None:
@@ -81,7 +86,9 @@ def test_bare_ground_is_white_and_paint_throws_back_what_it_says() -> None:
     assert light(0.5, 0.0) == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize(("y", "share"), [(0.01, 0.5), (0.011, 0.25), (0.009, 0.75), (0.012, 0.0), (0.008, 1.0)])
+@pytest.mark.parametrize(
+    ("y", "share"), [(0.01, 0.5), (0.011, 0.25), (0.009, 0.75), (0.012, 0.0), (0.008, 1.0)]
+)
 def test_at_the_edge_of_the_paint_the_light_is_a_mean_over_the_spot(y: float, share: float) -> None:
     assert PaintedGround([SQUARE], spot=0.002)(0.5, -y) == pytest.approx(1.0 - 0.9 * share)
 

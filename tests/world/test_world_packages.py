@@ -1,4 +1,5 @@
-"""Robots of an installed package: read, shown, sensed and run as their files are; what is odd in them is a warning."""
+"""Robots of an installed package: read, shown, sensed and run as their files are; what is odd in them is a
+warning."""
 
 from contextlib import closing
 from pathlib import Path

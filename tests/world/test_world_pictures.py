@@ -25,7 +25,9 @@ def seen_at(view: View, point: tuple[float, float, float]) -> tuple[float, float
     offset = subtract(point, view.eye)
     depth, tall = dot(offset, ahead), math.tan(view.fov / 2)
     assert depth > 0
-    return dot(offset, right) / depth / tall * view.height / view.width, dot(offset, cross(right, ahead)) / depth / tall
+    return dot(offset, right) / depth / tall * view.height / view.width, dot(
+        offset, cross(right, ahead)
+    ) / depth / tall
 
 
 TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
@@ -40,9 +42,16 @@ BOXES = [
 @pytest.mark.parametrize("box", BOXES)
 def test_a_view_holds_a_box_and_hardly_more(box) -> None:
     view = view_around([box])
-    corners = [seen_at(view, (x, y, z)) for x in (box[0][0], box[1][0]) for y in (box[0][1], box[1][1]) for z in (box[0][2], box[1][2])]
+    corners = [
+        seen_at(view, (x, y, z))
+        for x in (box[0][0], box[1][0])
+        for y in (box[0][1], box[1][1])
+        for z in (box[0][2], box[1][2])
+    ]
     greatest = max(abs(part) for corner in corners for part in corner)
-    assert greatest == pytest.approx(1 / 1.08) or (max(box[1][2] - box[0][2], box[1][0] - box[0][0]) < 0.1 and greatest < 1.0)
+    assert greatest == pytest.approx(1 / 1.08) or (
+        max(box[1][2] - box[0][2], box[1][0] - box[0][0]) < 0.1 and greatest < 1.0
+    )
 
 
 def test_scenes_stand_side_by_side_and_long_ones_lie_across() -> None:
@@ -72,7 +81,9 @@ def robot_bodies(environment: Supervisor) -> list[str]:
 
 
 def test_every_copy_of_a_row_begins_in_the_picture() -> None:
-    with closing(api.make(TEAM, overrides=["robots.cart.count=9", "robots.cart.spacing=0 4 0 m"])) as environment:
+    with closing(
+        api.make(TEAM, overrides=["robots.cart.count=9", "robots.cart.spacing=0 4 0 m"])
+    ) as environment:
         view = overview(environment.scenario)
         environment.reset(seed=0)
         for number in range(1, 10):

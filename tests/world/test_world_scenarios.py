@@ -16,7 +16,9 @@ def drive(name: str, steps: int) -> None:
         environment.action_space.seed(0)
         environment.reset(seed=0)
         for _ in range(steps):
-            observation, reward, terminated, truncated, _ = environment.step(environment.action_space.sample())
+            observation, reward, terminated, truncated, _ = environment.step(
+                environment.action_space.sample()
+            )
             parts = observation.values() if isinstance(observation, dict) else [observation]
             assert all(np.isfinite(part).all() for part in parts)
             assert np.isfinite(reward)

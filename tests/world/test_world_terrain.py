@@ -1,4 +1,5 @@
-"""Terrain: the same surface for engine, placing and pictures; pictures, formulas and meshes as ground; what is refused."""
+"""Terrain: the same surface for engine, placing and pictures; pictures, formulas and meshes as ground; what
+is refused."""
 
 import math
 import random
@@ -36,9 +37,14 @@ def gray_png(rows: list[list[int]], depth: int = 1, filtering: int = 0) -> bytes
             1: left,
             2: above,
             3: bytes((a + b) // 2 for a, b in zip(left, above, strict=True)),
-            4: bytes(min((a, b, c), key=lambda n: abs(a + b - c - n)) for a, b, c in zip(left, above, corner, strict=True)),
+            4: bytes(
+                min((a, b, c), key=lambda n: abs(a + b - c - n))
+                for a, b, c in zip(left, above, corner, strict=True)
+            ),
         }[filtering]
-        packed += bytes([filtering]) + bytes((byte - guess) & 255 for byte, guess in zip(raw, near, strict=True))
+        packed += bytes([filtering]) + bytes(
+            (byte - guess) & 255 for byte, guess in zip(raw, near, strict=True)
+        )
         above = raw
     return b"\x89PNG\r\n\x1a\n" + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -51,7 +57,10 @@ def gray_png(rows: list[list[int]], depth: int = 1, filtering: int = 0) -> bytes
 
 
 def stl(triangles: list[list[tuple[float, float, float]]]) -> bytes:
-    body = b"".join(struct.pack("<12fH", 0, 0, 1, *(number for corner in triangle for number in corner), 0) for triangle in triangles)
+    body = b"".join(
+        struct.pack("<12fH", 0, 0, 1, *(number for corner in triangle for number in corner), 0)
+        for triangle in triangles
+    )
     return bytes(80) + struct.pack("<I", len(triangles)) + body
 
 
@@ -60,7 +69,9 @@ def world(relief: TerrainShape, **more: object) -> WorldModel:
     return WorldModel(0.032, 8, ground=None, objects=(ball,), terrain=Terrain(relief), **more)
 
 
-@pytest.mark.parametrize(("radius", "expected"), [(0.5, 0.0569), (1.0, 0.2106), (1.5, 0.4168), (2.0, 0.6199), (2.7, 0.8115)])
+@pytest.mark.parametrize(
+    ("radius", "expected"), [(0.5, 0.0569), (1.0, 0.2106), (1.5, 0.4168), (2.0, 0.6199), (2.7, 0.8115)]
+)
 def test_a_pit_has_the_profile_of_its_formula(radius: float, expected: float) -> None:
     at = ground_height(Terrain(Pit(0.85 * 4.0, 2.7 * RIM_RADIUS_PER_SIGMA)))
     for angle in (0.0, 1.0, 2.5):
@@ -117,7 +128,10 @@ def test_an_episode_on_terrain_after_a_reset_is_that_of_a_fresh_world() -> None:
             places.append(read())
         return places
 
-    with closing(engines.create("pybullet", world(PIT))) as first, closing(engines.create("pybullet", world(PIT))) as second:
+    with (
+        closing(engines.create("pybullet", world(PIT))) as first,
+        closing(engines.create("pybullet", world(PIT))) as second,
+    ):
         fresh = roll(first)
         for steps in (1, 17, 100):
             second.place("ball", (-1.0, 0.2, 1.0), IDENTITY_ROTATION)
@@ -129,7 +143,9 @@ def test_an_episode_on_terrain_after_a_reset_is_that_of_a_fresh_world() -> None:
 
 
 @given(st.data(), st.sampled_from([1, 2]), st.integers(0, 4), st.integers(2, 7), st.integers(2, 7))
-def test_a_gray_picture_is_read_as_it_was_written(data, depth: int, filtering: int, width: int, tall: int) -> None:
+def test_a_gray_picture_is_read_as_it_was_written(
+    data, depth: int, filtering: int, width: int, tall: int
+) -> None:
     rows = [[data.draw(st.integers(0, 256**depth - 1)) for _ in range(width)] for _ in range(tall)]
     written = gray_png(rows, depth, filtering)
     assert files.picture_problem(written) is None
@@ -147,8 +163,12 @@ def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at:
 
 HOSTILE = {
     "not a PNG": b"GIF89a",
-    "1000000 x 1000000 pixels": b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 10**6, 10**6, 8, 0, 0, 0, 0) + bytes(20),
-    "not gray": b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 4, 4, 8, 2, 0, 0, 0) + bytes(20),
+    "1000000 x 1000000 pixels": b"\x89PNG\r\n\x1a\n"
+    + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 10**6, 10**6, 8, 0, 0, 0, 0)
+    + bytes(20),
+    "not gray": b"\x89PNG\r\n\x1a\n"
+    + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 4, 4, 8, 2, 0, 0, 0)
+    + bytes(20),
     "fewer or more pixels than it says": gray_png([[1, 2], [3, 4]])[:33] + gray_png([[1, 2]])[33:],
 }
 
@@ -199,7 +219,9 @@ def lowest(scenario: api.Compiled) -> float:
 
 
 def test_hills_may_be_written_as_a_formula_of_place(tmp_path: Path) -> None:
-    scenario = compiled(tmp_path, "type: formula, heights: 0.2 m * sin(x / m * 90 deg) + 0.1 * y, size: 40 40 m")
+    scenario = compiled(
+        tmp_path, "type: formula, heights: 0.2 m * sin(x / m * 90 deg) + 0.1 * y, size: 40 40 m"
+    )
     at = ground_height(scenario.program.world.terrain)
     assert at(1.0, 2.0) == pytest.approx(0.4, abs=1e-3)
     assert at(-1.0, 0.0) == pytest.approx(-0.2, abs=1e-3)
@@ -228,7 +250,9 @@ def test_a_picture_that_changed_after_compiling_is_refused(tmp_path: Path) -> No
 
 def test_the_ground_may_be_a_mesh(tmp_path: Path) -> None:
     corners = [(-10.0, -10.0, 0.0), (10.0, -10.0, 0.0), (10.0, 10.0, 2.0), (-10.0, 10.0, 2.0)]
-    (tmp_path / "ramp.stl").write_bytes(stl([[corners[0], corners[1], corners[2]], [corners[0], corners[2], corners[3]]]))
+    (tmp_path / "ramp.stl").write_bytes(
+        stl([[corners[0], corners[1], corners[2]], [corners[0], corners[2], corners[3]]])
+    )
     text = "\n".join([*(f"v {x} {y} {z}" for x, y, z in corners), "f 1 2 3 4"])
     (tmp_path / "ramp.obj").write_text(text, encoding="utf-8")
     for file in ("ramp.stl", "ramp.obj"):

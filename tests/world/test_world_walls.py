@@ -12,7 +12,8 @@ from deepbots_cli import api
 from deepbots_cli.compiler.inventory import definition, names_at
 from deepbots_cli.runtime import Supervisor
 
-# The puck is 4 cm high and 2 cm in radius; the faces of `bay` are at x = 0.39 and 0.41 m, those of the arena at 1 m.
+# The puck is 4 cm high and 2 cm in radius; the faces of `bay` are at x = 0.39 and 0.41 m, those of the arena
+# at 1 m.
 YARD = """
 deepbots: 1
 name: Yard
@@ -66,17 +67,22 @@ def seen(environment: Supervisor) -> dict[str, float]:
     entries = environment.scenario.agent.numbers
     shown = environment.get_observations()
     return {
-        f"{entry.name}{f'.{entry.component}' if entry.component else ''}": entry.low + (value + 1) / 2 * (entry.high - entry.low)
+        f"{entry.name}{f'.{entry.component}' if entry.component else ''}": entry.low
+        + (value + 1) / 2 * (entry.high - entry.low)
         for entry, value in zip(entries, shown.tolist(), strict=True)
     }
 
 
-def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(make: Callable[..., Supervisor]) -> None:
+def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(
+    make: Callable[..., Supervisor],
+) -> None:
     environment = make()
     environment.reset(seed=0)
     told = seen(environment)
     assert told["to_bay"] == pytest.approx(0.39 - 0.22, abs=2e-3)
-    assert told["to_nook"] == pytest.approx(math.hypot(0.29, 0.04) - 0.02, abs=2e-3)  # to the corner of the nearer of its two pieces
+    assert told["to_nook"] == pytest.approx(
+        math.hypot(0.29, 0.04) - 0.02, abs=2e-3
+    )  # to the corner of the nearer of its two pieces
     assert told["to_arena"] == pytest.approx(1 - 0.27, abs=2e-3)  # the left wall
 
 
@@ -112,7 +118,9 @@ def test_contact_with_the_arena_is_contact_with_any_of_its_walls(make: Callable[
 def test_a_touch_sensor_feels_a_wall_that_is_named(tmp_path: Path) -> None:
     file = tmp_path / "yard.yaml"
     sensors = "    sensors: {bump: {type: touch, link: pole, against: [nook, arena]}}\n    emit: [bump]\n"
-    file.write_text(YARD.replace("    pose: {x: 5 m}\n", f"    pose: {{x: 5 m}}\n{sensors}"), encoding="utf-8")
+    file.write_text(
+        YARD.replace("    pose: {x: 5 m}\n", f"    pose: {{x: 5 m}}\n{sensors}"), encoding="utf-8"
+    )
     (sensor,) = api.compile(file).program.robots[0].sensors
     assert sensor.against == ("nook 1", "nook 2", "front wall", "back wall", "left wall", "right wall")
 
@@ -121,7 +129,10 @@ def test_editors_offer_walls_and_the_arena_and_lead_to_where_they_stand(tmp_path
     file = tmp_path / "yard.yaml"
     file.write_text(YARD, encoding="utf-8")
     checked = api.load(file)
-    felt = [found.name for found in names_at(checked, "bodies or links", ("robots", "stand", "sensors", "bump", "against"))]
+    felt = [
+        found.name
+        for found in names_at(checked, "bodies or links", ("robots", "stand", "sensors", "bump", "against"))
+    ]
     assert {"bay", "nook", "arena"} <= set(felt)
     assert not {"bay", "arena"} & {found.name for found in names_at(checked, "body", ("reset", "place"))}
     for name in ("bay", "arena"):

@@ -1,4 +1,5 @@
-"""The commands in the groups and the order of `deepbots --help`: the module and function of each, and its line in the help.
+"""The commands in the groups and the order of `deepbots --help`: the module and function of each, and its
+line in the help.
 
 A module is imported when one of its commands is called.
 """
@@ -30,7 +31,10 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "eval": ("eval.command", "Evaluate the policy of a run on held-out episodes."),
         "runs": ("runs.command", "List your trainings, with their results."),
         "compare": ("compare.command", "Compare trained policies on the same start states."),
-        "robustness": ("robustness.command", "Evaluate a policy with sensor noise, delays and weaker motors."),
+        "robustness": (
+            "robustness.command",
+            "Evaluate a policy with sensor noise, delays and weaker motors.",
+        ),
     },
     "Understand": {
         "view": ("view.view", "Watch a policy, a scenario or a recording in the browser."),
@@ -56,7 +60,9 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
 }
 
-COMMANDS: Mapping[str, tuple[str, str]] = {name: entry for group in GROUPS.values() for name, entry in group.items()}
+COMMANDS: Mapping[str, tuple[str, str]] = {
+    name: entry for group in GROUPS.values() for name, entry in group.items()
+}
 
 REPLACEMENTS: Mapping[str, str] = {
     "run": "deepbots try SCENARIO",

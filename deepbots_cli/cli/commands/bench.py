@@ -40,17 +40,28 @@ def command(
     scenario: Scenario,
     overrides: Overrides = None,
     steps: Annotated[
-        int | None, integer("--steps N", "Steps per measurement; by default as many as fit into 20 s, at most 2,000.", 100, group=ADVANCED)
+        int | None,
+        integer(
+            "--steps N",
+            "Steps per measurement; by default as many as fit into 20 s, at most 2,000.",
+            100,
+            group=ADVANCED,
+        ),
     ] = None,
     pairs: Annotated[
         int | None,
-        integer("--pairs N", "Number of measurements, whose medians count; 5 by default, 3 with several engines.", group=ADVANCED),
+        integer(
+            "--pairs N",
+            "Number of measurements, whose medians count; 5 by default, 3 with several engines.",
+            group=ADVANCED,
+        ),
     ] = None,
     quick: Annotated[
         bool,
         option(
             "--quick",
-            "Measure only 3 times (see --pairs) 600 steps. With several engines or `batch`, measure each once instead of three times.",
+            "Measure only 3 times (see --pairs) 600 steps. With several engines or `batch`, measure each"
+            " once instead of three times.",
         ),
     ] = False,
     seed: Seed = 0,
@@ -58,7 +69,8 @@ def command(
         str | None,
         option(
             "--engine NAME[,NAME]",
-            "Physics engine; by default that of the scenario. Several, with commas between, are compared. `batch` steps many"
+            "Physics engine; by default that of the scenario. Several, with commas between, are compared."
+            " `batch` steps many"
             " worlds in MuJoCo.",
         ),
     ] = None,
@@ -66,28 +78,34 @@ def command(
         str | None,
         option(
             "--shards N,N",
-            "Measure a training with these numbers of shards on processes of this machine, such as 1,2,4; one shard runs without them.",
+            "Measure a training with these numbers of shards on processes of this machine, such as 1,2,4;"
+            " one shard runs without them.",
         ),
     ] = None,
     workers: Workers = None,
     address: ClusterAddress = None,
-    worlds: Annotated[str | None, option("--worlds N,N", "With `batch`, how many worlds; 1,16,64,256 by default.", ADVANCED)] = None,
+    worlds: Annotated[
+        str | None, option("--worlds N,N", "With `batch`, how many worlds; 1,16,64,256 by default.", ADVANCED)
+    ] = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Measure how long a step takes, and the physics in it.
 
-    The command steps a world with random actions, and times the steps, the physics in them and the resets. It prints a ratio: the CPU time
-    of a step divided by that of its physics, both without resets. The difference is the cost of messages, observation, reward and
-    endings. If another engine steps this world at least 1.5 times as fast, a line names it.
+    The command steps a world with random actions, and times the steps, the physics in them and the resets. It
+    prints a ratio: the CPU time of a step divided by that of its physics, both without resets. The difference
+    is the cost of messages, observation, reward and endings. If another engine steps this world at least 1.5
+    times as fast, a line names it.
 
     With several engines, or with `--engine batch` (many worlds in MuJoCo), a table compares them.
 
-    --shards trains for a few seconds with each number of shards, and prints steps per second and where the time goes: steps of the worlds,
-    the policy, transfer between the processes, waiting for the slowest one, and updates. Efficiency is the gain in speed per process.
+    --shards trains for a few seconds with each number of shards, and prints steps per second and where the
+    time goes: steps of the worlds, the policy, transfer between the processes, waiting for the slowest one,
+    and updates. Efficiency is the gain in speed per process.
 
-    By default, the measurement takes at most 20 s. With several engines, each is measured at least once, even if that takes more than
-    20 s. With --steps or --pairs, this limit does not apply. Larger numbers take longer, and the ratio varies less between measurements.
+    By default, the measurement takes at most 20 s. With several engines, each is measured at least once, even
+    if that takes more than 20 s. With --steps or --pairs, this limit does not apply. Larger numbers take
+    longer, and the ratio varies less between measurements.
 
     \b
       deepbots bench cartpole
@@ -106,16 +124,27 @@ def command(
         if several:
             raise UsageError("--shards measures a training with one engine; name one with --engine")
         others = {"--steps": steps, "--pairs": pairs, "--quick": quick or None}
-        if given := [name for name, value in others.items() if value is not None]:
-            raise UsageError(f"--shards and {given[0]} cannot be combined")
+        if present := [name for name, value in others.items() if value is not None]:
+            raise UsageError(f"--shards and {present[0]} cannot be combined")
         _bench_shards(
-            scenario, with_engine(overrides, engine), shards, workers, address, seed=seed, as_json=as_json, permissions=permissions
+            scenario,
+            with_engine(overrides, engine),
+            shards,
+            workers,
+            address,
+            seed=seed,
+            as_json=as_json,
+            permissions=permissions,
         )
         return
     if workers is not None or address is not None:
         raise UsageError("--workers and --cluster need --shards")
     end = math.inf if steps or pairs else time.perf_counter() + LIMIT_S
-    compiled = api.compile(scenario, overrides=with_engine(overrides, None if several or not names else names[0]), permissions=permissions)
+    compiled = api.compile(
+        scenario,
+        overrides=with_engine(overrides, None if several or not names else names[0]),
+        permissions=permissions,
+    )
     terminal.note_warnings(compiled.findings, scenario)
     faster = None
     if several:
@@ -130,17 +159,25 @@ def command(
     of_each = f", and at least {speed.MIN_STEPS} of each world of a batch" if speed.BATCH in names else ""
     terminal.note(f"measuring {counted_noun(rounds, 'round')} of {steps:,} steps{of_each}")
     with terminal.progress("measurements") as show:
-        found = speed.measure(compiled, names, numbers, steps=steps, rounds=rounds, seed=seed, end=end, on_measured=show)
-    medians, rounds = [*map(speed.medians, found)], len(found[0])
+        measured = speed.measure(
+            compiled, names, numbers, steps=steps, rounds=rounds, seed=seed, end=end, on_measured=show
+        )
+    medians, rounds = [*map(speed.medians, measured)], len(measured[0])
     text = speed_table(compiled.program.name, medians, rounds)
     if several:
         terminal.show(medians, text, as_json=as_json)
         return
-    _show_one(compiled.program, found[0], steps, faster, text, as_json=as_json)
+    _show_one(compiled.program, measured[0], steps, faster, text, as_json=as_json)
 
 
 def _show_one(
-    program: Program, rounds: list[speed.Speed], steps: int, faster: speed.FasterEngine | None, text: str, *, as_json: bool
+    program: Program,
+    rounds: list[speed.Speed],
+    steps: int,
+    faster: speed.FasterEngine | None,
+    text: str,
+    *,
+    as_json: bool,
 ) -> None:
     """Show the speed of one engine, with the ratio of a step to its physics."""
     only, ratios = speed.medians(rounds), sorted(measured.ratio for measured in rounds)
@@ -158,7 +195,9 @@ def _show_one(
         "steps_per_second": 1e6 / only.without_resets_us,
         "faster_engine": faster,
     }
-    ratio = f"  ratio of a step to its physics: {median(ratios):.3f} (min {ratios[0]:.3f}, max {ratios[-1]:.3f})"
+    ratio = (
+        f"  ratio of a step to its physics: {median(ratios):.3f} (min {ratios[0]:.3f}, max {ratios[-1]:.3f})"
+    )
     terminal.show(figures, text, ratio, *([] if faster is None else [faster.text]), as_json=as_json)
 
 
@@ -187,13 +226,18 @@ def _bench_shards(
 ) -> None:
     """Measure trainings with several numbers of shards."""
     numbers = counts(listed, "--shards")
-    compiled = api.compile(scenario, overrides=[*overrides, f"train.shards={max(numbers)}"], permissions=permissions)
+    compiled = api.compile(
+        scenario, overrides=[*overrides, f"train.shards={max(numbers)}"], permissions=permissions
+    )
     terminal.note_warnings(compiled.findings, scenario)
     with terminal.transient_line("loading PyTorch ..."):
         from deepbots_cli.learning import scaling
     if address is None and workers is None and max(numbers) > 1:
         workers = min(max(numbers), available_cores())
-    terminal.note(f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their processes")
+    terminal.note(
+        f"training for about {scaling.SECONDS:.0f} s with each number of shards, after the start of their"
+        " processes"
+    )
     with processes.executor(workers, address) as executor, terminal.progress("measurements") as show:
         timings = scaling.measure(
             scenario,

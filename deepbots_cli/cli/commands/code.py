@@ -1,4 +1,5 @@
-"""What a scenario generates: `compile` prints a Python module or writes a project around it, `schema` prints a JSON Schema."""
+"""What a scenario generates: `compile` prints a Python module or writes a project around it, `schema` prints
+a JSON Schema."""
 
 from __future__ import annotations
 
@@ -27,25 +28,41 @@ from deepbots_cli.scenario.json_schema import schema_text
 def compile_(
     scenario: Scenario,
     overrides: Overrides = None,
-    output: Annotated[Path | None, option("--output -o FILE", "Write to this file; by default, print.", OUTPUT)] = None,
+    output: Annotated[
+        Path | None, option("--output -o FILE", "Write to this file; by default, print.", OUTPUT)
+    ] = None,
     project: Annotated[
         Path | None,
-        option("--project DIR", "Write a Python project to this folder: the module, and scripts that run and train it.", OUTPUT),
+        option(
+            "--project DIR",
+            "Write a Python project to this folder: the module, and scripts that run and train it.",
+            OUTPUT,
+        ),
     ] = None,
     as_json: Json = False,
-    program: Annotated[bool, option("--program", "Print the compiled scenario as canonical JSON instead of Python.", ADVANCED)] = False,
+    program: Annotated[
+        bool,
+        option("--program", "Print the compiled scenario as canonical JSON instead of Python.", ADVANCED),
+    ] = False,
     target: Annotated[
-        str, option("--target TARGET", "scalar: one world; batch: many worlds, where each number is an array.", ADVANCED)
+        str,
+        option(
+            "--target TARGET",
+            "scalar: one world; batch: many worlds, where each number is an array.",
+            ADVANCED,
+        ),
     ] = "scalar",
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Print the Python module that a scenario compiles to.
 
-    deepbots runs exactly this module. It has a controller class for each robot, and a supervisor, which is a Gymnasium environment.
+    deepbots runs exactly this module. It has a controller class for each robot, and a supervisor, which is a
+    Gymnasium environment.
 
-    --project writes a Python project that you can edit: the module, the scenario with its files, and scripts that run and train it. The
-    project needs deepbots as a library. Change the classes only where the scenario cannot express the change.
+    --project writes a Python project that you can edit: the module, the scenario with its files, and scripts
+    that run and train it. The project needs deepbots as a library. Change the classes only where the scenario
+    cannot express the change.
 
     \b
       deepbots compile cartpole
@@ -62,7 +79,9 @@ def compile_(
         raise UsageError(f"there is no target '{target}'; use scalar or batch")
     if project is not None:
         if output is not None or program or target != "scalar":
-            raise UsageError("--project writes the module for one world; leave out --output, --program and --target")
+            raise UsageError(
+                "--project writes the module for one world; leave out --output, --program and --target"
+            )
         check_new_folder(project, force=force)
     compiled = api.compile(scenario, overrides=overrides or (), permissions=permissions)
     if output is not None and output.is_file() and output.read_bytes() in compiled.inputs.values():
@@ -71,11 +90,18 @@ def compile_(
     if project is not None:
         written = write_new(project_files(compiled), project, force=force)
         further = [f"cd {quote(str(project))} && python run.py"]
-        terminal.show({"project": project, "files": written}, *map(str, written), as_json=as_json, next_commands=further)
+        terminal.show(
+            {"project": project, "files": written}, *map(str, written), as_json=as_json, next_commands=further
+        )
         return
     code = compiled.code if target == "scalar" else generate_module(compiled.program, target)
     if as_json:
-        data = {"name": compiled.program.name, "digest": compiled.digest, "code": code, "inputs": list(compiled.inputs)}
+        data = {
+            "name": compiled.program.name,
+            "digest": compiled.digest,
+            "code": code,
+            "inputs": list(compiled.inputs),
+        }
         text = terminal.json_text(data)
     else:
         text = f"{identity.to_json(compiled.program)}\n" if program else code
@@ -87,7 +113,12 @@ def project_files(compiled: api.Compiled) -> Files:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     folder = Path(__file__).parents[1] / "project"
-    templates = Environment(loader=FileSystemLoader(folder), undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False)
+    templates = Environment(
+        loader=FileSystemLoader(folder),
+        undefined=StrictUndefined,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
     words = {
         "name": compiled.program.name,
         "summary": compiled.program.summary,
@@ -98,35 +129,56 @@ def project_files(compiled: api.Compiled) -> Files:
         "inputs": INPUTS_FOLDER,
         "code": compiled.permissions.code,
     }
-    made = {name: templates.get_template(f"{name}.j2").render(words) for name in ("README.md", "task.py", "run.py", "train.py")}
-    made |= {"environment.py": compiled.code, RESOLVED_NAME: compiled.resolved, "requirements.txt": _requirements()}
+    contents = {
+        name: templates.get_template(f"{name}.j2").render(words)
+        for name in ("README.md", "task.py", "run.py", "train.py")
+    }
+    contents |= {
+        "environment.py": compiled.code,
+        RESOLVED_NAME: compiled.resolved,
+        "requirements.txt": _requirements(),
+    }
     copies = {PurePosixPath(INPUTS_FOLDER, path): content for path, content in compiled.inputs.items()}
-    return {PurePosixPath(path): text.encode() for path, text in made.items()} | copies
+    return {PurePosixPath(path): text.encode() for path, text in contents.items()} | copies
 
 
 def _requirements() -> str:
-    """The requirements of the project: the clone that deepbots was installed from, if pip knows it; no package index has deepbots."""
+    """The requirements of the project: the clone that deepbots was installed from, if pip knows it; no
+    package index has deepbots."""
     clone = install_source()
     is_clone = clone != "deepbots-cli"
-    here = f"deepbots-cli[train] @ {Path(clone).as_uri()}" if is_clone else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
+    here = (
+        f"deepbots-cli[train] @ {Path(clone).as_uri()}"
+        if is_clone
+        else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
+    )
     moved = " if it has moved" if is_clone else ""
-    return f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here{moved}\n{here}\n"
+    return (
+        f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path"
+        f" here{moved}\n{here}\n"
+    )
 
 
 def schema(
     scenario: Annotated[
-        str | None, option("--for SCENARIO", "Also list the joints, links, sensors and other names of this scenario.")
+        str | None,
+        option("--for SCENARIO", "Also list the joints, links, sensors and other names of this scenario."),
     ] = None,
     output: Annotated[
-        Path | None, option("--output -o FILE", "Write to this file. By default, or with - as FILE, print to standard output.", OUTPUT)
+        Path | None,
+        option(
+            "--output -o FILE",
+            "Write to this file. By default, or with - as FILE, print to standard output.",
+            OUTPUT,
+        ),
     ] = None,
     force: Force = False,
     allow_paths: AllowPaths = None,
 ) -> None:
     """Print the JSON Schema of scenario files, for editors.
 
-    With the schema, an editor with a YAML language server completes keys, shows their descriptions and marks mistakes. With --for, the
-    schema also lists the names of one scenario.
+    With the schema, an editor with a YAML language server completes keys, shows their descriptions and marks
+    mistakes. With --for, the schema also lists the names of one scenario.
 
     \b
       deepbots schema -o deepbots.schema.json
@@ -147,9 +199,15 @@ def schema(
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     _write(schema_text(scenario_names(checked)), output, force=force)
     if checked.findings.errors:
-        terminal.note(f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint {quote(scenario)}")
+        terminal.note(
+            f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint"
+            f" {quote(scenario)}"
+        )
     if output is not None and Path(scenario).is_file():
-        terminal.note(f"write as the first line of {checked.document.path.name}: {modeline(checked.document.path, output)}")
+        terminal.note(
+            f"write as the first line of {checked.document.path.name}:"
+            f" {modeline(checked.document.path, output)}"
+        )
 
 
 def _is_read(checked: CheckedScenario, output: Path) -> bool:

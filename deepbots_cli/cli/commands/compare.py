@@ -14,7 +14,7 @@ from deepbots_cli.cli import processes, records, terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, integer, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
-from deepbots_cli.learning.run import RunRecord, changed_settings, short_settings
+from deepbots_cli.learning.records import RunRecord, changed_settings, short_settings
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings
@@ -24,15 +24,32 @@ if TYPE_CHECKING:
 def command(
     runs: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN|MODEL", help="Groups, run directories, models in them, or folders of run directories; at least two."),
+        typer.Argument(
+            metavar="RUN|MODEL",
+            help="Groups, run directories, models in them, or folders of run directories; at least two.",
+        ),
     ],
-    episodes: Annotated[int | None, integer("--episodes N", "Episodes of each run; by default those of the scenario.")] = None,
-    seed: Annotated[int, integer("--seed N", "Root seed of the starts, the same for all runs.", 0, MAX_SEED, group=ADVANCED)] = 0,
-    last: Annotated[bool, option("--last", "Compare the last models instead of the best ones.", ADVANCED)] = False,
-    scenario: Annotated[str | None, option("--scenario SCENARIO", "Evaluate all of them in this scenario.")] = None,
+    episodes: Annotated[
+        int | None, integer("--episodes N", "Episodes of each run; by default those of the scenario.")
+    ] = None,
+    seed: Annotated[
+        int,
+        integer("--seed N", "Root seed of the starts, the same for all runs.", 0, MAX_SEED, group=ADVANCED),
+    ] = 0,
+    last: Annotated[
+        bool, option("--last", "Compare the last models instead of the best ones.", ADVANCED)
+    ] = False,
+    scenario: Annotated[
+        str | None, option("--scenario SCENARIO", "Evaluate all of them in this scenario.")
+    ] = None,
     case: Annotated[str | None, option("--case NAME", "Evaluate in this case of the scenario.")] = None,
     own: Annotated[
-        bool, option("--own", "Evaluate each run in its own scenario, also where observations and actions mean the same.", ADVANCED)
+        bool,
+        option(
+            "--own",
+            "Evaluate each run in its own scenario, also where observations and actions mean the same.",
+            ADVANCED,
+        ),
     ] = False,
     workers: Workers = None,
     address: ClusterAddress = None,
@@ -41,18 +58,20 @@ def command(
 ) -> None:
     """Compare trained policies on the same start states.
 
-    A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine, form a group too. If this
-    gives only one group, each of its runs is a group of its own.
+    A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine,
+    form a group too. If this gives only one group, each of its runs is a group of its own.
 
-    Every run is evaluated on the same held-out starts, and every group is compared with the first group. A group is evaluated in the
-    scenario of the first run if its robots, actuators, `apply`, observation and action mean the same there. Otherwise each of the two is
-    evaluated in its own scenario; the command says so and lists what differs. It then leaves out what does not mean the same, such as
-    returns if the rewards differ.
+    Every run is evaluated on the same held-out starts, and every group is compared with the first group. A
+    group is evaluated in the scenario of the first run if its robots, actuators, `apply`, observation and
+    action mean the same there. Otherwise each of the two is evaluated in its own scenario; the command says
+    so and lists what differs. It then leaves out what does not mean the same, such as returns if the rewards
+    differ.
 
-    The verdict is about what the task asks for: the success rate, or the mean return if `solved` asks for one or the scenario defines no
-    success. For each group, the table shows how much it differs from the first group, with a 95 % confidence interval (Welch's, over the
-    seeds). It also shows the probability that a run of the group is better than a run of the first group. Two groups of one run each are
-    compared episode by episode: the table then shows the share of the episodes that are better than in the first run.
+    The verdict is about what the task asks for: the success rate, or the mean return if `solved` asks for one
+    or the scenario defines no success. For each group, the table shows how much it differs from the first
+    group, with a 95 % confidence interval (Welch's, over the seeds). It also shows the probability that a run
+    of the group is better than a run of the first group. Two groups of one run each are compared episode by
+    episode: the table then shows the share of the episodes that are better than in the first run.
 
     \b
       deepbots compare runs/cartpole-0-1 runs/cartpole-1-1
@@ -69,7 +88,7 @@ def command(
     with terminal.transient_line("loading the policies ..."):
         compare = learning.compare  # which imports torch
     with processes.executor(workers, address) as executor, terminal.progress(always=False) as show:
-        found = compare(
+        comparison = compare(
             runs,
             episodes=episodes,
             seed=seed,
@@ -81,7 +100,7 @@ def command(
             on_run=show,
             executor=executor,
         )
-    terminal.show(_data(found), *_lines(found), as_json=as_json)
+    terminal.show(_data(comparison), *_lines(comparison), as_json=as_json)
 
 
 _BETTER = {
@@ -90,25 +109,36 @@ _BETTER = {
 }
 
 
-def _lines(found: Comparison) -> Iterator[str]:
-    own = any(entry.own_scenarios for entry in found.differences)
-    where = f"{found.scenario}: " if found.scenario else "each run in its own scenario: " if own else ""
-    yield f"{where}{found.episodes:,} held-out episode{'' if found.episodes == 1 else 's'} of each run, from seed {found.seed}"
-    has_success = all(group.success_defined for group in found.groups)
-    yield table([_row(group, success_defined=has_success) for group in found.groups])
-    yield f"\nagainst {found.groups[0].name}"
+def _lines(comparison: Comparison) -> Iterator[str]:
+    own = any(entry.own_scenarios for entry in comparison.differences)
+    if comparison.scenario:
+        where = f"{comparison.scenario}: "
+    elif own:
+        where = "each run in its own scenario: "
+    else:
+        where = ""
+    yield (
+        f"{where}{comparison.episodes:,} held-out episode{'' if comparison.episodes == 1 else 's'} of each"
+        f" run, from seed {comparison.seed}"
+    )
+    has_success = all(group.success_defined for group in comparison.groups)
+    yield table([_row(group, success_defined=has_success) for group in comparison.groups])
+    yield f"\nagainst {comparison.groups[0].name}"
     rows: list[Row] = []
-    for entry in found.differences:
+    for entry in comparison.differences:
         steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
         share = "probability_of_improvement" if entry.between_seeds else "episodes_better"
         row = {"group": entry.group, **records.differences(entry), "solved_after_steps": steps}
         measured = None if entry.compared is None else getattr(entry, entry.compared)
         rows.append(row | {share: None if measured is None else measured.improvement})
     yield table(rows)
-    if not all(entry.between_seeds for entry in found.differences):
-        yield f"episodes_better: fraction of episodes with {_BETTER[found.measure]}; an equal episode is counted as one half"
-    yield from (entry.verdict for entry in found.differences)
-    yield from (f"note: {note}" for note in found.notes)
+    if not all(entry.between_seeds for entry in comparison.differences):
+        yield (
+            f"episodes_better: fraction of episodes with {_BETTER[comparison.measure]}; an equal episode"
+            " is counted as one half"
+        )
+    yield from (entry.verdict for entry in comparison.differences)
+    yield from (f"note: {note}" for note in comparison.notes)
 
 
 def _row(group: GroupResult, *, success_defined: bool) -> Row:
@@ -117,7 +147,9 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
     return {
         "group": group.name,
         "model": ", ".join(dict.fromkeys(result.model for result in group.evaluations)),
-        "after_steps": _range([result.model_steps for result in group.evaluations if result.model_steps is not None]),
+        "after_steps": _range(
+            [result.model_steps for result in group.evaluations if result.model_steps is not None]
+        ),
         "set": short_settings(changed_settings(RunRecord.read(group.evaluations[0].run).command)),
         "runs": len(group.evaluations),
         **records.scores(group, success_defined=success_defined),
@@ -127,18 +159,28 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
 
 
 def _range(steps: Sequence[int]) -> int | str | None:
-    """The steps of the models of a group: one number if they are the same, else the lowest and the highest."""
+    """The steps of the models of a group: one number if they are the same, else the lowest and the
+    highest."""
     if not steps:
         return None
     return steps[0] if len(set(steps)) == 1 else f"{min(steps):,} .. {max(steps):,}"
 
 
-def _data(found: Comparison) -> dict[str, Any]:
+def _data(comparison: Comparison) -> dict[str, Any]:
     differences = [
-        {**vars(entry), "meanings": _paths(entry.meanings), "verdict": entry.verdict, "compared": entry.compared}
-        for entry in found.differences
+        {
+            **vars(entry),
+            "meanings": _paths(entry.meanings),
+            "verdict": entry.verdict,
+            "compared": entry.compared,
+        }
+        for entry in comparison.differences
     ]
-    return {**vars(found), "groups": [records.group_json(group) for group in found.groups], "differences": differences}
+    return {
+        **vars(comparison),
+        "groups": [records.group_json(group) for group in comparison.groups],
+        "differences": differences,
+    }
 
 
 def _paths(meanings: Meanings) -> dict[str, list[str]]:

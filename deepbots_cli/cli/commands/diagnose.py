@@ -21,7 +21,7 @@ from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 if TYPE_CHECKING:
     from deepbots_cli.insight.trace import Trace
     from deepbots_cli.insight.training import TrainingEvidence
-    from deepbots_cli.learning.run import EvaluationWithEpisodes
+    from deepbots_cli.learning.records import EvaluationWithEpisodes
 
 
 FAILED_EPISODES = "failed"
@@ -37,7 +37,8 @@ def command(
         str,
         typer.Argument(
             metavar="RUN|MODEL|GROUP|RECORDING|FAILURE",
-            help="A run directory, with --episode also a model in it, the folder of a group, a recording (.mcap), or the file of an"
+            help="A run directory, with --episode also a model in it, the folder of a group, a recording"
+            " (.mcap), or the file of an"
             " episode that raised an error, in `failures` of a run.",
         ),
     ],
@@ -45,30 +46,42 @@ def command(
         Any,
         option(
             "--episode K|failed",
-            "Explain this episode of the evaluation or of the recording; `failed`: the first failed one of the last evaluation.",
+            "Explain this episode of the evaluation or of the recording; `failed`: the first failed one of"
+            " the last evaluation.",
             parser=partial(episodes_or_failed, minimum=0),
         ),
     ] = None,
-    only_logs: Annotated[bool, option("--only-logs", "Read the logs of the training only, and run no short episodes.")] = False,
+    only_logs: Annotated[
+        bool, option("--only-logs", "Read the logs of the training only, and run no short episodes.")
+    ] = False,
     as_json: Json = False,
     seed: Annotated[
         int | None,
-        integer("--seed N", "With --episode, root seed of the starts; by default that of the evaluation.", 0, MAX_SEED, ADVANCED),
+        integer(
+            "--seed N",
+            "With --episode, root seed of the starts; by default that of the evaluation.",
+            0,
+            MAX_SEED,
+            ADVANCED,
+        ),
     ] = None,
-    last: Annotated[bool, option("--last", "With --episode, let the last model act instead of the best one.", ADVANCED)] = False,
+    last: Annotated[
+        bool, option("--last", "With --episode, let the last model act instead of the best one.", ADVANCED)
+    ] = False,
     allow_code: AllowCode = False,
 ) -> None:
     """Explain why a training does not learn, or why an episode ended.
 
-    For a run, deepbots reads the logs of the training, and runs a few short episodes with its policy, with random actions and with
-    constant ones. It prints the causes that apply, the most likely first, each with its numbers and what to try. If the policy already
-    solves the task in the training episodes, in which it still explores, deepbots normally finds no cause. For a group, every seed has its
-    own causes.
+    For a run, deepbots reads the logs of the training, and runs a few short episodes with its policy, with
+    random actions and with constant ones. It prints the causes that apply, the most likely first, each with
+    its numbers and what to try. If the policy already solves the task in the training episodes, in which it
+    still explores, deepbots normally finds no cause. For a group, every seed has its own causes.
 
-    With --episode, deepbots runs this episode again, from its seed or with its recorded actions. It prints which ending came, and when.
-    If the ending compares a value with a limit, it prints the margin: how far the value is past the limit. It also prints how
-    much each reward term adds to the return, the largest drop of the critic's value, and the observations and actions that reached an end
-    of their range. For a recording, it explains the first episode by default.
+    With --episode, deepbots runs this episode again, from its seed or with its recorded actions. It prints
+    which ending came, and when. If the ending compares a value with a limit, it prints the margin: how far
+    the value is past the limit. It also prints how much each reward term adds to the return, the largest drop
+    of the critic's value, and the observations and actions that reached an end of their range. For a
+    recording, it explains the first episode by default.
 
     \b
       deepbots diagnose runs/mine-0-1
@@ -78,9 +91,11 @@ def command(
       deepbots diagnose find_ball-0-0.mcap --json
       deepbots diagnose runs/mine-0-1/failures/0001.json
 
-    Of the log of a robot, which `deepbots serve --log` writes, the command prints when and why the robot went into the safe posture.
+    Of the log of a robot, which `deepbots serve --log` writes, the command prints when and why the robot went
+    into the safe posture.
 
-    Next: `deepbots render RUN -o video.mp4 --episode K` shows an episode. docs/diagnose.md describes every cause.
+    Next: `deepbots render RUN -o video.mp4 --episode K` shows an episode. docs/diagnose.md describes every
+    cause.
     """
     permissions = Permissions(code=allow_code)
     if source.endswith(RECORDING_SUFFIX) and _explain_log(Path(source), episode, as_json=as_json):
@@ -96,22 +111,35 @@ def command(
 
 
 def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool:
-    """Print what happened in the log of a robot, in one episode or in all; False for a recording of a simulation."""
+    """Print what happened in the log of a robot, in one episode or in all; False for a recording of a
+    simulation."""
     from deepbots_cli.insight.robot_log import explain_log, logged_episodes
     from deepbots_cli.rollout.robot_logs import is_robot_log
 
     if not is_robot_log(path):
         return False
-    found = [each for each in logged_episodes(path, terminal.note) if number is None or str(each.number) == str(number)]
-    if not found:
-        raise UsageError(f"{path} has no episode {number}; list them with: deepbots replay {quote(str(path))}")
-    data = [{**vars(each), "events": [event._asdict() for event in each.events]} for each in found]
-    terminal.show(data, *(line for each in found for line in explain_log(each)), as_json=as_json)
+    episodes = [
+        each
+        for each in logged_episodes(path, terminal.note)
+        if number is None or str(each.number) == str(number)
+    ]
+    if not episodes:
+        raise UsageError(
+            f"{path} has no episode {number}; list them with: deepbots replay {quote(str(path))}"
+        )
+    data = [{**vars(each), "events": [event._asdict() for event in each.events]} for each in episodes]
+    terminal.show(data, *(line for each in episodes for line in explain_log(each)), as_json=as_json)
     return True
 
 
 def _explain_episode(
-    source: str, episode: int | str | None, seed: int | None, *, last: bool, as_json: bool, permissions: Permissions
+    source: str,
+    episode: int | str | None,
+    seed: int | None,
+    *,
+    last: bool,
+    as_json: bool,
+    permissions: Permissions,
 ) -> None:
     with terminal.transient_line("running the episode again ..."):
         from deepbots_cli.insight.episode import explain, explanation_json
@@ -120,18 +148,29 @@ def _explain_episode(
         statements = explain(trace)
     for note in () if as_json else trace.notes:
         terminal.note(f"note: {note}")
-    terminal.show(explanation_json(trace, statements), *(statement.text for statement in statements), as_json=as_json)
+    terminal.show(
+        explanation_json(trace, statements), *(statement.text for statement in statements), as_json=as_json
+    )
 
 
-def _trace(shown: str, episode: int | str | None, seed: int | None, *, last: bool, permissions: Permissions) -> Trace:
+def _trace(
+    shown: str, episode: int | str | None, seed: int | None, *, last: bool, permissions: Permissions
+) -> Trace:
     from deepbots_cli.insight import trace
     from deepbots_cli.view.episodes import Showing
 
     is_failure = shown.endswith(".json")
-    source = None if is_failure else Source.open(shown, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
+    source = (
+        None
+        if is_failure
+        else Source.open(shown, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
+    )
     is_recording = source is not None and source.kind is SourceKind.RECORDING
     if (is_failure or is_recording) and (seed is not None or last or episode == FAILED_EPISODES):
-        raise UsageError("a recording or a failure has its own start and actions; leave out --seed, --last and --episode failed")
+        raise UsageError(
+            "a recording or a failure has its own start and actions; leave out --seed, --last and --episode"
+            " failed"
+        )
     if is_recording:
         opened = Showing(shown, permissions=permissions).open()
         recorded = opened.recording.episodes[0] if episode is None else opened.recording.episode(episode)
@@ -148,35 +187,48 @@ def _trace(shown: str, episode: int | str | None, seed: int | None, *, last: boo
         _, kept = last_evaluation(ref)
         failed = kept.failed(run.program)
         if not failed:
-            raise UsageError(f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {run.path} failed")
+            raise UsageError(
+                f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {run.path} failed"
+            )
         return next(trace.trace_episodes(run, failed[:1], **kept.replay_options, permissions=permissions))
-    found = last_episodes(ref) if seed is None and not last else None
-    options = found[1].replay_options if found else {"seed": run.record.seed if seed is None else seed, "model": ref.name}
+    evaluation = last_episodes(ref) if seed is None and not last else None
+    options = (
+        evaluation[1].replay_options
+        if evaluation
+        else {"seed": run.record.seed if seed is None else seed, "model": ref.name}
+    )
     return next(trace.trace_episodes(run, [int(episode or 0)], **options, permissions=permissions))
 
 
 def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
-    """The last evaluation of a run, or of a model of it that is named, in its own scenario and engine, with its episodes.
+    """The last evaluation of a run, or of a model of it that is named, in its own scenario and engine, with
+    its episodes.
 
     Raises:
         UsageError: There is none.
     """
-    found = last_episodes(ref)
-    if found is None:
+    evaluation = last_episodes(ref)
+    if evaluation is None:
         path = ref.path if ref.is_named else ref.run.path
         of = f" of {ref.name}" if ref.is_named else ""
         raise UsageError(
-            f"{ref.run.path} keeps no evaluation{of} in its own scenario and engine; make one with: deepbots eval {quote(str(path))}"
+            f"{ref.run.path} keeps no evaluation{of} in its own scenario and engine; make one with: deepbots"
+            f" eval {quote(str(path))}"
         )
-    return found
+    return evaluation
 
 
 def _outcome(training: TrainingEvidence) -> str:
-    """What the verdict says: `; solved (mean return >= 195 over 100 episodes); mean return 199 (95 % interval ...), over 100 ...`."""
+    """What the verdict says: `; solved (mean return >= 195 over 100 episodes); mean return 199 (95 % interval
+    ...), over 100 ...`."""
     wanted, verdict = training.run.program.agent.solved, training.verdict
     states = {True: "solved", False: "not solved", None: "not known whether it is solved"}
     state = "" if wanted is None else f"; {states[verdict.solved]} ({wanted.description})"
-    return state + (f"; {verdict.evaluation.text}" if verdict.evaluation is not None else "; not evaluated since the end of the training")
+    return state + (
+        f"; {verdict.evaluation.text}"
+        if verdict.evaluation is not None
+        else "; not evaluated since the end of the training"
+    )
 
 
 _ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
@@ -186,7 +238,8 @@ MAX_SHOWN = 10
 
 
 def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> None:
-    """Repeat the failed episodes of the last evaluation of a run or a model, count their endings, and show the first."""
+    """Repeat the failed episodes of the last evaluation of a run or a model, count their endings, and show
+    the first."""
     from deepbots_cli.insight import trace
     from deepbots_cli.insight.episode import explain, explanation_json
 
@@ -194,25 +247,32 @@ def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> 
     run = ref.run
     failed = kept.failed(run.program)
     first = failed[:MAX_SHOWN]
-    found = []
+    rows = []
     with terminal.progress("episodes", always=False) as show:
-        again = trace.trace_episodes(run, failed, **kept.replay_options, permissions=permissions) if failed else ()
+        again = (
+            trace.trace_episodes(run, failed, **kept.replay_options, permissions=permissions)
+            if failed
+            else ()
+        )
         for number, traced in zip(failed, again, strict=True):
             statements = explain(traced)
-            found.append({"number": number, **explanation_json(traced, statements)})
+            rows.append({"number": number, **explanation_json(traced, statements)})
             if show is not None:
-                show(len(found), len(failed))
+                show(len(rows), len(failed))
             if not as_json and number in first:
                 terminal.print_result(f"episode {number}: '{traced.ended_by}' at {traced.time:.2f} s")
                 if ends := [statement.text for statement in statements if statement.cause in _ENDS]:
                     terminal.print_result(f"  {' '.join(ends)}")
     lines = [f"and {len(failed) - len(first)} more; --json shows all"] if len(failed) > len(first) else []
     lines.append(f"{len(failed)} of {len(kept.outcomes)} episodes of {path} failed")
-    lines += [f"  '{ending}' ended {count}" for ending, count in Counter(each["ended_by"] for each in found).most_common()]
+    lines += [
+        f"  '{ending}' ended {count}"
+        for ending, count in Counter(each["ended_by"] for each in rows).most_common()
+    ]
     name = quote(str(ref.path if ref.is_named else run.path))
     commands = [f"deepbots diagnose {name} --episode {number}" for number in failed[:1]]
     commands += [f"deepbots render {name} -o failed.mp4 --episodes failed"] if failed else []
-    data = {"run": run.path, "evaluation": path, "episodes": len(kept.outcomes), "failed": found}
+    data = {"run": run.path, "evaluation": path, "episodes": len(kept.outcomes), "failed": rows}
     terminal.show(data, *lines, as_json=as_json, next_commands=commands)
 
 
@@ -222,14 +282,16 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.GROUP)
     folders = Group.open(source).runs if source.kind is SourceKind.GROUP else [run]
     if not folders:
-        raise UsageError(f"{run} is a group without a run yet; train it with: deepbots resume {quote(str(run))}")
+        raise UsageError(
+            f"{run} is a group without a run yet; train it with: deepbots resume {quote(str(run))}"
+        )
     with terminal.transient_line("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
         from deepbots_cli.insight.diagnosis import has_learned
         from deepbots_cli.insight.stages import present_stage
         from deepbots_cli.insight.statements import statements_about
         from deepbots_cli.insight.training import read_training, run_probes
-    found: list[dict[str, Any]] = []
+    reports: list[dict[str, Any]] = []
     for folder in folders:
         try:
             training = read_training(Run.open(folder))
@@ -241,10 +303,10 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
             if folder == run:
                 raise
             terminal.note(f"note: {error}")
-            found.append({"run": folder, "error": str(error)})
+            reports.append({"run": folder, "error": str(error)})
             continue
         stage = next(iter(statements_about((present_stage,), training)), None)
-        found.append(
+        reports.append(
             {
                 "run": folder,
                 "steps": training.steps,
@@ -258,19 +320,25 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
             continue
         runs = "; it still runs" if training.is_running else ""
         if causes:
-            terminal.print_result(f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first{runs}")
+            terminal.print_result(
+                f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first{runs}"
+            )
         else:
-            terminal.print_result(f"{folder}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}")
+            terminal.print_result(
+                f"{folder}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}"
+            )
         if stage is not None:
             terminal.print_result(stage.text)
         for number, cause in enumerate(causes, start=1):
             terminal.print_result(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
-    if all("error" in each for each in found):
+    if all("error" in each for each in reports):
         raise RunError(f"{run} contains no run that can be diagnosed")
-    commands = [each["causes"][0].get("command") for each in found if each.get("causes")]
+    commands = [each["causes"][0].get("command") for each in reports if each.get("causes")]
     commands += [
         f"deepbots eval {quote(str(each['run']))} --details"
-        for each in found
+        for each in reports
         if each.get("causes") == [] and not (each["solved"] or each["running"])
     ]
-    terminal.show({"runs": found}, as_json=as_json, next_commands=list(dict.fromkeys(filter(None, commands))))
+    terminal.show(
+        {"runs": reports}, as_json=as_json, next_commands=list(dict.fromkeys(filter(None, commands)))
+    )

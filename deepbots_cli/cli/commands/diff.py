@@ -20,13 +20,15 @@ _HEADINGS = {
     Effect.task: "sensors, actuators, rewards or endings differ",
     Effect.world: "world, messages or starts differ, so the difficulty differs",
     Effect.training: "training or evaluation differs",
-    Effect.cosmetic: "the meaning is the same: names of the scenario or a robot, summary, unseen colors, order of keys, rounding",
+    Effect.cosmetic: "the meaning is the same: names of the scenario or a robot, summary, unseen colors,"
+    " order of keys, rounding",
 }
 _Side = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO|RUN|GROUP",
-        help="A scenario file, the name of a shipped scenario, the directory of a run or a group, or a model of a run.",
+        help="A scenario file, the name of a shipped scenario, the directory of a run or a group, or a model"
+        " of a run.",
     ),
 ]
 
@@ -40,13 +42,14 @@ def command(
 ) -> None:
     """Show what differs between two scenarios.
 
-    The command compiles both scenarios and compares the values, so layout, comments and units make no difference. For a run or a
-    group it uses the scenario of the training. --set overrides values of the second scenario.
+    The command compiles both scenarios and compares the values, so layout, comments and units make no
+    difference. For a run or a group it uses the scenario of the training. --set overrides values of the
+    second scenario.
 
-    Differences are cosmetic if they are in the name or summary of the scenario, in the name of a robot in its URDF file, in colors
-    that no camera sees, in the order of keys, or in a number from its 13th digit on. The order of observations and actions is not
-    cosmetic. The exit code is 0 if there are no differences or only cosmetic ones, 1 if there are others, and 2 if a scenario cannot be
-    compiled.
+    Differences are cosmetic if they are in the name or summary of the scenario, in the name of a robot in its
+    URDF file, in colors that no camera sees, in the order of keys, or in a number from its 13th digit on. The
+    order of observations and actions is not cosmetic. The exit code is 0 if there are no differences or only
+    cosmetic ones, 1 if there are others, and 2 if a scenario cannot be compiled.
 
     \b
       deepbots diff pit_escape pit_escape_as_printed
@@ -54,28 +57,31 @@ def command(
       deepbots diff runs/cartpole-0-1 cartpole.yaml
     """
     try:
-        sides = [open_source(name, given, permissions) for name, given in ((one, ()), (other, overrides or ()))]
+        sides = [
+            open_source(name, settings, permissions)
+            for name, settings in ((one, ()), (other, overrides or ()))
+        ]
     except ScenarioError as error:
         terminal.show_findings(error.findings)
         raise typer.Exit(WRONG_USAGE) from None
-    found = scenario_changes(*sides)
+    changes = scenario_changes(*sides)
     data = {
         "one": one,
         "other": other,
-        "same_meaning": all(change.group is Effect.cosmetic for change in found),
-        "policy_fits": all(change.group is not Effect.policy for change in found),
-        "differences": found,
+        "same_meaning": all(change.group is Effect.cosmetic for change in changes),
+        "policy_fits": all(change.group is not Effect.policy for change in changes),
+        "differences": changes,
     }
-    terminal.show(data, *_lines(found, one, other), as_json=as_json)
-    if any(change.group is not Effect.cosmetic for change in found):
+    terminal.show(data, *_lines(changes, one, other), as_json=as_json)
+    if any(change.group is not Effect.cosmetic for change in changes):
         raise typer.Exit(FAILED)
 
 
-def _lines(found: Sequence[Change], one: str, other: str) -> Iterator[str]:
-    if not found:
+def _lines(changes: Sequence[Change], one: str, other: str) -> Iterator[str]:
+    if not changes:
         yield f"{one} and {other} have the same meaning"
     for group, heading in _HEADINGS.items():
-        here = [change for change in found if change.group is group]
+        here = [change for change in changes if change.group is group]
         if here:
             yield f"{group.value}: {heading}"
             for change in here:

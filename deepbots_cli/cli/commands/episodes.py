@@ -1,4 +1,5 @@
-"""`deepbots try`: episodes without learning: random or zero actions, a list of actions, or a script of the scenario."""
+"""`deepbots try`: episodes without learning: random or zero actions, a list of actions, or a script of the
+scenario."""
 
 from __future__ import annotations
 
@@ -52,7 +53,8 @@ def command(
         str,
         typer.Argument(
             metavar="SCENARIO",
-            help="A scenario file, the name of a scenario that comes with deepbots, or the file of a failed episode (.json).",
+            help="A scenario file, the name of a scenario that comes with deepbots, or the file of a failed"
+            " episode (.json).",
         ),
     ],
     overrides: Overrides = None,
@@ -62,13 +64,20 @@ def command(
         str | None,
         option(
             "--driver NAME",
-            "Who acts: `random`, `zero` (the middle of each range and the first option of each choice), a script of the scenario, or"
-            " actions to repeat. By default `random`; with --robot there is no default for a scenario, and a run acts with its policy.",
+            "Who acts: `random`, `zero` (the middle of each range and the first option of each choice), a"
+            " script of the scenario, or"
+            " actions to repeat. By default `random`; with --robot there is no default for a scenario, and a"
+            " run acts with its policy.",
         ),
     ] = None,
-    episodes: Annotated[int | None, integer("--episodes N", f"Number of episodes, {COUNT} by default; with --robot 1.")] = None,
+    episodes: Annotated[
+        int | None, integer("--episodes N", f"Number of episodes, {COUNT} by default; with --robot 1.")
+    ] = None,
     steps: Annotated[
-        int | None, integer("--steps N", "Stop after this total number of steps; by default at the end of the last episode.")
+        int | None,
+        integer(
+            "--steps N", "Stop after this total number of steps; by default at the end of the last episode."
+        ),
     ] = None,
     seed: Seed = 0,
     start: Start = None,
@@ -76,23 +85,32 @@ def command(
         str | None,
         option(
             "--robot ADDRESS",
-            "Act for the robot at an address in place of the simulated one: ros, ros:DOMAIN, ros1, tcp://HOST:PORT, ipc://FILE or"
+            "Act for the robot at an address in place of the simulated one: ros, ros:DOMAIN, ros1,"
+            " tcp://HOST:PORT, ipc://FILE or"
             " ws://HOST:PORT. A scenario needs --driver with it; of a run, the policy acts.",
             ROBOT,
         ),
     ] = None,
     lockstep: Annotated[
-        bool, option("--lockstep", "With --robot, answer each set of values once; a simulated robot then waits for the answer.", ROBOT)
+        bool,
+        option(
+            "--lockstep",
+            "With --robot, answer each set of values once; a simulated robot then waits for the answer.",
+            ROBOT,
+        ),
     ] = False,
-    speed: Annotated[float, option("--speed X", "With --robot, how many seconds of the robot pass in one second.", ROBOT)] = 1.0,
+    speed: Annotated[
+        float, option("--speed X", "With --robot, how many seconds of the robot pass in one second.", ROBOT)
+    ] = 1.0,
     engine: Engine = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Run a few episodes without training, and show the reward.
 
-    The tables show the returns, the reward terms and the endings of a scenario, before you train anything. By default the actions are
-    random. Compare them with a script of the scenario: a policy written by hand, under `scripts`.
+    The tables show the returns, the reward terms and the endings of a scenario, before you train anything. By
+    default the actions are random. Compare them with a script of the scenario: a policy written by hand,
+    under `scripts`.
 
     \b
       deepbots try cartpole
@@ -104,19 +122,21 @@ def command(
 
     Commas separate actions, and colons separate the numbers of one action: --driver 0.5:0.5,0.5:-0.5
 
-    For the same seed, episode K of `try` starts differently than in `test`, `eval`, `view` and `render`, which use held-out starts.
-    `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out episode K. No command shows the episodes of `try`
-    themselves.
+    For the same seed, episode K of `try` starts differently than in `test`, `eval`, `view` and `render`,
+    which use held-out starts. `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out
+    episode K. No command shows the episodes of `try` themselves.
 
-    If an episode raises an error, training and evaluation save this episode in the run directory. To repeat it, give its file:
+    If an episode raises an error, training and evaluation save this episode in the run directory. To repeat
+    it, give its file:
 
     \b
       deepbots try runs/cartpole-0-1/failures/0001.json
 
-    --robot ADDRESS runs one episode on a robot, or on a simulation that `deepbots serve SCENARIO --as-robot` runs. The robot sends what its
-    sensors measure and obeys commands, by the messages and topics of `deepbots serve`. Reward terms and endings are computed from what is
-    measured; those that need other facts are named and left out. Further --episodes begin when the robot says so. SCENARIO may be a run,
-    whose policy then acts.
+    --robot ADDRESS runs one episode on a robot, or on a simulation that `deepbots serve SCENARIO --as-robot`
+    runs. The robot sends what its sensors measure and obeys commands, by the messages and topics of `deepbots
+    serve`. Reward terms and endings are computed from what is measured; those that need other facts are named
+    and left out. Further --episodes begin when the robot says so. SCENARIO may be a run, whose policy then
+    acts.
 
     \b
       deepbots serve cartpole --as-robot --zmq tcp://127.0.0.1:5555 --episodes 1    one terminal
@@ -126,10 +146,13 @@ def command(
     Next: `deepbots train SCENARIO` trains a policy.
     """
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
-        given = any((overrides, case, stage, engine, permissions.folders, steps, seed, start, robot, episodes))
-        if given or driver is not None:
+        changed = any(
+            (overrides, case, stage, engine, permissions.folders, steps, seed, start, robot, episodes)
+        )
+        if changed or driver is not None:
             raise UsageError(
-                "the file of a failed episode already contains its scenario, start and actions; only --json and --allow-code can be added"
+                "the file of a failed episode already contains its scenario, start and actions; only --json"
+                " and --allow-code can be added"
             )
         _reproduce(Path(scenario), permissions=permissions, as_json=as_json)
         return
@@ -138,14 +161,35 @@ def command(
     options = start_values(start)
     data = {"seed": seed, "start": options, "case": case, "stage": stage}
     if robot is not None:
-        made: dict[str, Any] = {"episodes": episodes or 1, "seed": seed, "options": options, "max_steps": steps, "engine": engine}
+        recorded_with: dict[str, Any] = {
+            "episodes": episodes or 1,
+            "seed": seed,
+            "options": options,
+            "max_steps": steps,
+            "engine": engine,
+        }
         from deepbots_cli.cli.sources import open_source
         from deepbots_robot.server import report_lines
 
         source = open_source(scenario, overrides or (), permissions, engine)
         program = source.program.variant(case, stage)
-        found, report = _on_robot(source, program, driver, robot, lockstep=lockstep, speed=speed, permissions=permissions, **made)
-        _show(program, found, data | {"driver": driver or POLICY, "link": report}, report_lines(report), as_json=as_json)
+        result, report = _on_robot(
+            source,
+            program,
+            driver,
+            robot,
+            lockstep=lockstep,
+            speed=speed,
+            permissions=permissions,
+            **recorded_with,
+        )
+        _show(
+            program,
+            result,
+            data | {"driver": driver or POLICY, "link": report},
+            report_lines(report),
+            as_json=as_json,
+        )
         return
     compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
@@ -154,14 +198,22 @@ def command(
     with closing(api.make(program, permissions=permissions)) as environment:
         name = environment.engine.name
         acting = named_driver(environment, driver)
-        running = run_episodes(environment, acting, count=episodes, seed=seed, max_steps=steps, options=options)
+        running = run_episodes(
+            environment, acting, count=episodes, seed=seed, max_steps=steps, options=options
+        )
         done: list[Episode] = []
         with terminal.progress() as show:
             for episode in running:
                 done.append(episode)
                 if episodes > MAX_SHOWN:
                     show(len(done), episodes)
-    _show(program, done, {"digest": compiled.digest, "engine": name, **data, "driver": driver}, (), as_json=as_json)
+    _show(
+        program,
+        done,
+        {"digest": compiled.digest, "engine": name, **data, "driver": driver},
+        (),
+        as_json=as_json,
+    )
 
 
 def _on_robot(
@@ -170,7 +222,8 @@ def _on_robot(
     """Episodes on the robot at an address; by the policy of a run, or a driver that is named."""
     if driver is None and source.run is None:
         raise UsageError(
-            "--robot needs --driver NAME: random, zero, a script of the scenario, or actions; or name a run, whose policy acts"
+            "--robot needs --driver NAME: random, zero, a script of the scenario, or actions; or name a run,"
+            " whose policy acts"
         )
     if not 0.0 < settings["speed"] <= 1000.0:
         raise UsageError(f"--speed {settings['speed']:g}: write a number above 0, at most 1000")
@@ -197,7 +250,9 @@ def _on_robot(
     return try_robot(program, transport, acting, note=terminal.note, **settings)
 
 
-def _show(program: Program, done: list[Episode], data: dict[str, Any], more: Sequence[str], *, as_json: bool) -> None:
+def _show(
+    program: Program, done: list[Episode], data: dict[str, Any], more: Sequence[str], *, as_json: bool
+) -> None:
     summary = Summary.of_episodes(done, possible_returns(program))
     data = {"scenario": program.name, **data, "episodes": list(map(_row, done))}
     totals = "\n" + records.summary_text(summary, success_defined=program.defines_success)
@@ -209,8 +264,13 @@ def _reproduce(path: Path, permissions: Permissions, as_json: bool) -> None:
     from deepbots_cli.learning import failures  # which imports gymnasium
 
     failure, error = failures.reproduce(path, permissions=permissions)
-    repeated = f"repeated {len(failure.actions):,} actions: {'the episode does not fail' if error is None else error}"
-    terminal.show({**failure.model_dump(), "reproduced": error}, f"{path}: {failure.error}", repeated, as_json=as_json)
+    repeated = (
+        f"repeated {len(failure.actions):,} actions:"
+        f" {'the episode does not fail' if error is None else error}"
+    )
+    terminal.show(
+        {**failure.model_dump(), "reproduced": error}, f"{path}: {failure.error}", repeated, as_json=as_json
+    )
 
 
 def _row(episode: Episode) -> Row:
@@ -227,7 +287,9 @@ def _row(episode: Episode) -> Row:
 def _lines(done: list[Episode]) -> Iterator[str]:
     shown = done if len(done) <= MAX_SHOWN else done[:FIRST_EPISODES]
     rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(shown)]
-    listed = [{name: value for name, value in row.items() if name not in ("reward_terms", "drawn")} for row in rows]
+    listed = [
+        {name: value for name, value in row.items() if name not in ("reward_terms", "drawn")} for row in rows
+    ]
     yield "episodes\n" + table(listed)
     if len(shown) < len(done):
         yield f"  and {len(done) - len(shown):,} more"
@@ -239,11 +301,23 @@ def _term(done: list[Episode], name: str) -> Row:
     sums = [episode.terms[name] for episode in done]
     steps = sum(episode.length for episode in done)
     per_step = sum(sums) / max(1, steps)  # a robot may restart before the first step
-    return {"term": name, "per_episode": fmean(sums), "min_episode": min(sums), "max_episode": max(sums), "per_step": per_step}
+    return {
+        "term": name,
+        "per_episode": fmean(sums),
+        "min_episode": min(sums),
+        "max_episode": max(sums),
+        "per_step": per_step,
+    }
 
 
 def run_episodes(
-    environment: Supervisor, driver: Driver, *, count: int, seed: int, max_steps: int | None, options: dict[str, Any] | None = None
+    environment: Supervisor,
+    driver: Driver,
+    *,
+    count: int,
+    seed: int,
+    max_steps: int | None,
+    options: dict[str, Any] | None = None,
 ) -> Iterator[Episode]:
     """Up to `count` episodes with the `options` of `reset`, the first with `seed`.
 

@@ -1,4 +1,5 @@
-"""`deepbots eval`: a run or a group in its scenario, its cases and several engines, what its result must reach (`Gates`)."""
+"""`deepbots eval`: a run or a group in its scenario, its cases and several engines, what its result must
+reach (`Gates`)."""
 
 from __future__ import annotations
 
@@ -36,9 +37,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
-from deepbots_cli.learning import report
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.run import ModelRef, Run, in_parentheses
+from deepbots_cli.learning.records import in_parentheses
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -56,12 +57,12 @@ if TYPE_CHECKING:
 
 def _engines(names: list[str] | None) -> list[str] | None:
     """A callback: the names between commas, each of which is known and installed."""
-    found = [name.strip() for text in names or () for name in text.split(",")]
-    for name in found:
+    engines = [name.strip() for text in names or () for name in text.split(",")]
+    for name in engines:
         known_engine(name)
-    if len(set(found)) < len(found):
+    if len(set(engines)) < len(engines):
         raise typer.BadParameter("an engine is named twice")
-    return found or None
+    return engines or None
 
 
 _REQUIREMENTS = "Requirements"
@@ -69,73 +70,123 @@ _REQUIREMENTS = "Requirements"
 
 def command(
     run: Annotated[
-        Path, typer.Argument(metavar="RUN|MODEL", help="A run directory of `deepbots train`, a model in it, or the folder of a group.")
+        Path,
+        typer.Argument(
+            metavar="RUN|MODEL",
+            help="A run directory of `deepbots train`, a model in it, or the folder of a group.",
+        ),
     ],
     episodes: Annotated[
         Any,
         option(
             "--episodes N|failed",
-            "Number of episodes, by default `evaluation.episodes` of the scenario, or as many as `solved` asks for if these are more;"
+            "Number of episodes, by default `evaluation.episodes` of the scenario, or as many as `solved`"
+            " asks for if these are more;"
             " `failed` repeats those that failed.",
             parser=episodes_or_failed,
         ),
     ] = None,
     baselines: Annotated[
         bool,
-        option("--baselines", "Evaluate random actions, zero actions and the policies under `scripts` of the scenario on the same starts."),
+        option(
+            "--baselines",
+            "Evaluate random actions, zero actions and the policies under `scripts` of the scenario on the"
+            " same starts.",
+        ),
     ] = False,
     details: Annotated[
         bool,
         option(
             "--details",
-            "Also show the result in each stage of the curriculum, and for each value drawn at random: the result of each quarter of the"
+            "Also show the result in each stage of the curriculum, and for each value drawn at random: the"
+            " result of each quarter of the"
             " episodes, ordered by this value (of each value, if there are at most 6).",
         ),
     ] = False,
     as_json: Annotated[bool, option("--json", "Print the result as JSON.")] = False,
     scenario: Annotated[
-        str | None, option("--scenario SCENARIO", "Evaluate in this scenario; by default in the scenario of the run.", SCENARIO)
+        str | None,
+        option(
+            "--scenario SCENARIO",
+            "Evaluate in this scenario; by default in the scenario of the run.",
+            SCENARIO,
+        ),
     ] = None,
     overrides: Overrides = None,
     case: Annotated[
-        str | None, option("--case NAME", "Evaluate in this case only; by default in the scenario and in all its cases.", SCENARIO)
+        str | None,
+        option(
+            "--case NAME",
+            "Evaluate in this case only; by default in the scenario and in all its cases.",
+            SCENARIO,
+        ),
     ] = None,
     engine: Annotated[
         list[str] | None,
         option(
             "--engine NAME[,NAME]",
-            "Physics engine, by default that of the training; several, with commas between, are compared on the same starts.",
+            "Physics engine, by default that of the training; several, with commas between, are compared on"
+            " the same starts.",
             SCENARIO,
             callback=_engines,
         ),
     ] = None,
-    require_solved: Annotated[bool, option("--require-solved", "Exit with 1 unless the task is solved.", _REQUIREMENTS)] = False,
+    require_solved: Annotated[
+        bool, option("--require-solved", "Exit with 1 unless the task is solved.", _REQUIREMENTS)
+    ] = False,
     min_success: Annotated[
         float | None,
-        option("--min-success RATE", "Exit with 1 if the success rate is below RATE, such as 0.8 or 80%.", _REQUIREMENTS, parser=fraction),
+        option(
+            "--min-success RATE",
+            "Exit with 1 if the success rate is below RATE, such as 0.8 or 80%.",
+            _REQUIREMENTS,
+            parser=fraction,
+        ),
     ] = None,
     min_return: Annotated[
-        float | None, option("--min-return VALUE", "Exit with 1 if the mean return is lower than VALUE.", _REQUIREMENTS)
+        float | None,
+        option("--min-return VALUE", "Exit with 1 if the mean return is lower than VALUE.", _REQUIREMENTS),
     ] = None,
     seed: Annotated[
         int | None,
-        integer("--seed N", "Root seed of the starts; by default the seed of the training, and 0 for a group.", 0, MAX_SEED, ADVANCED),
+        integer(
+            "--seed N",
+            "Root seed of the starts; by default the seed of the training, and 0 for a group.",
+            0,
+            MAX_SEED,
+            ADVANCED,
+        ),
     ] = None,
     keep: Annotated[
         bool,
         option(
             "--keep",
-            "Choose the best model of the run again: the best of its models on new starts, or the model that RUN names.",
+            "Choose the best model of the run again: the best of its models on new starts, or the model that"
+            " RUN names.",
             ADVANCED,
         ),
     ] = False,
-    last: Annotated[bool, option("--last", "Evaluate the last model instead of the best one.", ADVANCED)] = False,
-    stage: Annotated[str | None, option("--stage NAME", "Evaluate in this stage of the curriculum only.", ADVANCED)] = None,
-    stochastic: Annotated[
-        bool, option("--stochastic", "Sample the actions of the policy; by default it takes its likeliest action.", ADVANCED)
+    last: Annotated[
+        bool, option("--last", "Evaluate the last model instead of the best one.", ADVANCED)
     ] = False,
-    csv: Annotated[Path | None, option("--csv FILE", "Write a CSV file with a line for each episode.", ADVANCED)] = None,
-    junit: Annotated[Path | None, option("--junit FILE", "Write the requirements as JUnit XML, a test case for each.", ADVANCED)] = None,
+    stage: Annotated[
+        str | None, option("--stage NAME", "Evaluate in this stage of the curriculum only.", ADVANCED)
+    ] = None,
+    stochastic: Annotated[
+        bool,
+        option(
+            "--stochastic",
+            "Sample the actions of the policy; by default it takes its likeliest action.",
+            ADVANCED,
+        ),
+    ] = False,
+    csv: Annotated[
+        Path | None, option("--csv FILE", "Write a CSV file with a line for each episode.", ADVANCED)
+    ] = None,
+    junit: Annotated[
+        Path | None,
+        option("--junit FILE", "Write the requirements as JUnit XML, a test case for each.", ADVANCED),
+    ] = None,
     force: Force = False,
     workers: Workers = None,
     address: ClusterAddress = None,
@@ -143,30 +194,36 @@ def command(
 ) -> None:
     """Evaluate the policy of a run on held-out episodes.
 
-    The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are evaluated too, with the same starts.
-    --require-solved, --min-success and --min-return check the result without the cases. With --case or --stage, they check the result
-    in that case or stage. For a group, every seed is evaluated on the same starts, and the requirements apply to the means over the seeds.
-    --workers N divides the episodes of a run among N processes, or the runs of a group, with the same results.
+    The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are
+    evaluated too, with the same starts. --require-solved, --min-success and --min-return check the result
+    without the cases. With --case or --stage, they check the result in that case or stage. For a group, every
+    seed is evaluated on the same starts, and the requirements apply to the means over the seeds. --workers N
+    divides the episodes of a run among N processes, or the runs of a group, with the same results.
 
-    With --min-success or --min-return, the evaluation of a run stops early once the answer is clear. That is the case when the remaining
-    episodes can no longer change the answer, or when the required value lies outside a 95 % confidence sequence of the result. The
-    evaluation of a group stops early only for --min-success, and only if the remaining episodes of all seeds cannot change the answer.
-    With --require-solved, or with several engines, all episodes run.
+    With --min-success or --min-return, the evaluation of a run stops early once the answer is clear. That is
+    the case when the remaining episodes can no longer change the answer, or when the required value lies
+    outside a 95 % confidence sequence of the result. The evaluation of a group stops early only for
+    --min-success, and only if the remaining episodes of all seeds cannot change the answer. With
+    --require-solved, or with several engines, all episodes run.
 
-    --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario must have the observation,
-    action and messages of the training; its world may differ. --engine runs the episodes in another engine. With several engines, such as
-    --engine mujoco,pybullet, every engine runs episodes from the same starts. A second table shows how much the result in each other
-    engine differs from that in the first, with a 95 % interval. For a run, the interval is computed from one difference for each start;
-    for a group, from one difference for each seed. With several engines, the requirements apply to each of them.
+    --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario
+    must have the observation, action and messages of the training; its world may differ. --engine runs the
+    episodes in another engine. With several engines, such as --engine mujoco,pybullet, every engine runs
+    episodes from the same starts. A second table shows how much the result in each other engine differs from
+    that in the first, with a 95 % interval. For a run, the interval is computed from one difference for each
+    start; for a group, from one difference for each seed. With several engines, the requirements apply to
+    each of them.
 
-    With `--episodes failed`, the command repeats the failed episodes of the last evaluation of the run, and counts how they end.
-    Evaluations with --set, --scenario, --case, --stage or another engine do not count as the last one. For the first 10 episodes, the
-    command prints the ending and its margin. If an ending compares a value with a limit, the margin is how far the value is past the limit.
-    After a time limit, it prints how near the episode came to a success.
+    With `--episodes failed`, the command repeats the failed episodes of the last evaluation of the run, and
+    counts how they end. Evaluations with --set, --scenario, --case, --stage or another engine do not count as
+    the last one. For the first 10 episodes, the command prints the ending and its margin. If an ending
+    compares a value with a limit, the margin is how far the value is past the limit. After a time limit, it
+    prints how near the episode came to a success.
 
-    With --keep, all models of the run play new starts, the better half of them twice as many in each further round. The best one becomes
-    best.zip in the run, and the earlier best one earlier-1.zip. If RUN is a model, this model becomes best.zip. Then the command
-    evaluates the best model on further new starts, which did not choose it. A run that is training is refused.
+    With --keep, all models of the run play new starts, the better half of them twice as many in each further
+    round. The best one becomes best.zip in the run, and the earlier best one earlier-1.zip. If RUN is a
+    model, this model becomes best.zip. Then the command evaluates the best model on further new starts, which
+    did not choose it. A run that is training is refused.
 
     \b
       deepbots eval runs/cartpole-0-1
@@ -182,14 +239,24 @@ def command(
       deepbots eval runs/find_ball_random-0-1 --case many --details
       deepbots eval runs/find_ball-0-1 --min-success 90% --junit gate.xml
 
-    Next: `deepbots render RUN -o video.mp4` makes a video of episode 0, `deepbots diagnose RUN` says why a policy is not better, and
-    `deepbots resume RUN --timesteps N` continues the training.
+    Next: `deepbots render RUN -o video.mp4` makes a video of episode 0, `deepbots diagnose RUN` says why a
+    policy is not better, and `deepbots resume RUN --timesteps N` continues the training.
     """
-    given = {name.replace("_", "-"): value for name, value in locals().items() if value is not None and value is not False}
+    present = {
+        name.replace("_", "-"): value
+        for name, value in locals().items()
+        if value is not None and value is not False
+    }
     single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
-        others = [name for name in given if name not in ("run", "episodes", "force", "as-json", "permissions")]
-        _refuse("cannot be combined with --episodes failed, which repeats the last evaluation unchanged", given, others)
+        others = [
+            name for name in present if name not in ("run", "episodes", "force", "as-json", "permissions")
+        ]
+        _refuse(
+            "cannot be combined with --episodes failed, which repeats the last evaluation unchanged",
+            present,
+            others,
+        )
         repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
         return
     gates = Gates(min_success, min_return, require_solved)
@@ -197,30 +264,45 @@ def command(
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.GROUP)
     if keep:
         judging = ("scenario", "overrides", "case", "stage", "engine", "seed", "last", "stochastic")
-        _refuse("cannot be combined with --keep, which judges models in the scenario of their training", given, judging)
+        _refuse(
+            "cannot be combined with --keep, which judges models in the scenario of their training",
+            present,
+            judging,
+        )
     chosen: dict[str, Any] = {"episodes": episodes, "model": "last" if last else "best"}
     chosen |= {"permissions": permissions, "deterministic": not stochastic}
     several: Sequence[str | None] = engine or [None]
     if len(several) > 1:
-        _refuse("needs a single engine; name only one with --engine", given, single)
+        _refuse("needs a single engine; name only one with --engine", present, single)
     if source.kind is SourceKind.GROUP:
         group = Group.open(source)
-        one = f"needs a single run, but {run} is a group; name one of its runs, such as {group.runs[0] if group.runs else run}"
-        _refuse(one, given, (*single, "keep"))
-        scenarios = [evaluation_scenario(source, group.record.engine, scenario, overrides, name) for name in several]
+        one = (
+            f"needs a single run, but {run} is a group; name one of its runs, such as"
+            f" {group.runs[0] if group.runs else run}"
+        )
+        _refuse(one, present, (*single, "keep"))
+        scenarios = [
+            evaluation_scenario(source, group.record.engine, scenario, overrides, name) for name in several
+        ]
         chosen |= {"seed": seed or 0, "case": case, "stage": stage}
         count = len(group.runs_with_model)
-        processes.check_dividable(workers, address, count, f"{run} contains {count} trained run{'' if count == 1 else 's'}")
+        processes.check_dividable(
+            workers, address, count, f"{run} contains {count} trained run{'' if count == 1 else 's'}"
+        )
         with processes.executor(workers, address, count) as executor:
-            _evaluate_group(run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, executor=executor, **chosen)
+            _evaluate_group(
+                run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, executor=executor, **chosen
+            )
         return
     ref = ModelRef.open(source, model=chosen["model"])
     kept = _kept(ref, workers, address, permissions, as_json=as_json) if keep else None
     ref = ref if kept is None else ModelRef(kept.run)
-    known = ref.run
+    trained = ref.run
     chosen |= {"seed": seed, "model": ref.name}
-    compiled = [evaluation_scenario(source, known.record.engine, scenario, overrides, name) for name in several]
-    programs = [known.program if each is None else each.program for each in compiled]
+    compiled = [
+        evaluation_scenario(source, trained.record.engine, scenario, overrides, name) for name in several
+    ]
+    programs = [trained.program if each is None else each.program for each in compiled]
     for program in programs:
         gates.check(program)
         program.variant(case, stage)
@@ -230,37 +312,58 @@ def command(
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
     processes.check_dividable(workers, address, parts, reason)
-    found: list[_EngineEvaluations] = []
+    evaluations: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
     with processes.executor(workers, address, parts) as executor:
         for name, judged, program, count in zip(several, compiled, programs, planned, strict=True):
             until = gates.stop_condition(program.variant(case, stage), count) if len(several) == 1 else None
-            with terminal.progress("episodes" if name is None else f"episodes in {name}", always=False) as show_episode:
+            with terminal.progress(
+                "episodes" if name is None else f"episodes in {name}", always=False
+            ) as show_episode:
                 options = chosen | {"scenario": judged, "engine": name, "on_episode": show_episode}
-                result = learning.evaluate(known, case=case, stage=stage, until=until, executor=executor, **options)
+                result = learning.evaluate(
+                    trained, case=case, stage=stage, until=until, executor=executor, **options
+                )
                 alone = case is not None or stage is not None
-                cases = () if alone else learning.evaluate_cases(known, stages=details, executor=executor, **options)
+                cases = (
+                    ()
+                    if alone
+                    else learning.evaluate_cases(trained, stages=details, executor=executor, **options)
+                )
                 scripted: Sequence[EvaluationResult] = ()
                 if baselines:
-                    options = {key: value for key, value in options.items() if key not in ("model", "deterministic")}
-                    scripted = learning.evaluate_baselines(known, case=case, stage=stage, **options | {"episodes": result.episodes})
-            found.append(_EngineEvaluations(result, cases, scripted, scenario_label(known, scenario, overrides or (), judged)))
-            records.write_evaluation(known, found[-1].as_json())
+                    options = {
+                        key: value for key, value in options.items() if key not in ("model", "deterministic")
+                    }
+                    scripted = learning.evaluate_baselines(
+                        trained, case=case, stage=stage, **options | {"episodes": result.episodes}
+                    )
+            evaluations.append(
+                _EngineEvaluations(
+                    result, cases, scripted, scenario_label(trained, scenario, overrides or (), judged)
+                )
+            )
+            records.write_evaluation(trained, evaluations[-1].as_json())
             of = f"{result.engine}: " if len(several) > 1 else ""
-            requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, count)]
+            requirements += [
+                (f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, count)
+            ]
     if csv is not None:
-        records.write_csv(csv, [each for one in found for each in (one.result, *one.cases, *one.baselines)])
-    if len(found) > 1:
-        _show_engines(known, found, as_json=as_json)
+        records.write_csv(
+            csv, [each for one in evaluations for each in (one.result, *one.cases, *one.baselines)]
+        )
+    if len(evaluations) > 1:
+        _show_engines(trained, evaluations, as_json=as_json)
     else:
-        data = found[0].as_json() | ({} if kept is None else {"kept": records.kept_json(kept)})
-        terminal.show(data, *found[0].lines(details=details), as_json=as_json)
-    _require(requirements, [each.result for each in found], junit)
+        data = evaluations[0].as_json() | ({} if kept is None else {"kept": records.kept_json(kept)})
+        terminal.show(data, *evaluations[0].lines(details=details), as_json=as_json)
+    _require(requirements, [each.result for each in evaluations], junit)
 
 
 @dataclass(frozen=True)
 class _EngineEvaluations:
-    """The evaluations of a run in one engine; `scenario` is a scenario in words that replaces the scenario of the run."""
+    """The evaluations of a run in one engine; `scenario` is a scenario in words that replaces the scenario of
+    the run."""
 
     result: EvaluationResult
     cases: Sequence[EvaluationResult]
@@ -268,52 +371,68 @@ class _EngineEvaluations:
     scenario: str | None
 
     def as_json(self) -> dict[str, Any]:
-        return {**records.evaluation_json(self.result, self.cases), "baselines": list(map(report.to_json, self.baselines))}
+        return {
+            **records.evaluation_json(self.result, self.cases),
+            "baselines": [each.model_dump(mode="json") for each in self.baselines],
+        }
 
     def lines(self, *, details: bool) -> Iterator[str]:
         yield records.evaluation_text(self.result, self.cases, scenario=self.scenario)
         if self.baselines:
-            policies = [("the trained policy", self.result), *((other.model, other) for other in self.baselines)]
+            policies = [
+                ("the trained policy", self.result),
+                *((other.model, other) for other in self.baselines),
+            ]
             yield "\nbaselines, on the same starts\n" + table(records.evaluation_rows("policy", policies))
         if details:
             yield "\n" + records.drawn_text(self.result)
 
 
-def _kept(ref: ModelRef, workers: int | None, address: str | None, permissions: Permissions, *, as_json: bool) -> KeptModel:
+def _kept(
+    ref: ModelRef, workers: int | None, address: str | None, permissions: Permissions, *, as_json: bool
+) -> KeptModel:
     """Choose the best model of a run again, and show how."""
     with terminal.transient_line("loading the policies ..."):
         from deepbots_cli.learning.keeping import keep  # which imports torch
-    with processes.executor(workers, address) as executor, terminal.progress("models", always=False) as show_model:
+    with (
+        processes.executor(workers, address) as executor,
+        terminal.progress("models", always=False) as show_model,
+    ):
         kept = keep(ref, permissions=permissions, on_model=show_model, executor=executor)
     if not as_json:
         terminal.print_result(records.kept_text(kept))
     return kept
 
 
-def _refuse(reason: str, given: Container[str], options: Iterable[str]) -> None:
+def _refuse(reason: str, present: Container[str], options: Iterable[str]) -> None:
     """Raises: UsageError: One of the options is given."""
     for name in options:
-        if name in given:
+        if name in present:
             raise UsageError(f"--{'set' if name == 'overrides' else name} {reason}")
 
 
-def _show_engines(run: Run, found: Sequence[_EngineEvaluations], *, as_json: bool) -> None:
-    """The evaluations in several engines side by side, and the difference of each from the first, from the same starts."""
+def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_json: bool) -> None:
+    """The evaluations in several engines side by side, and the difference of each from the first, from the
+    same starts."""
     from deepbots_cli.learning.comparison import compare_engines
 
-    columns = zip(*((each.result, *each.cases) for each in found), strict=True)
+    columns = zip(*((each.result, *each.cases) for each in evaluations), strict=True)
     pairs = [compare_engines(column[0], other) for column in columns for other in column[1:]]
-    first, scenario = found[0].result, f"; scenario {found[0].scenario}" if found[0].scenario else ""
-    every = [result for each in found for result in (each.result, *each.cases)]
-    rows = [{"engine": result.engine, **row} for result, row in zip(every, records.case_rows(every), strict=True)]
+    first = evaluations[0].result
+    scenario = f"; scenario {evaluations[0].scenario}" if evaluations[0].scenario else ""
+    every = [result for each in evaluations for result in (each.result, *each.cases)]
+    rows = [
+        {"engine": result.engine, **row} for result, row in zip(every, records.case_rows(every), strict=True)
+    ]
     terminal.show(
-        {"evaluations": [each.as_json() for each in found], "differences": pairs},
-        f"evaluation of {first.scenario} in {len(found)} engines, trained in {run.record.engine}{scenario}",
+        {"evaluations": [each.as_json() for each in evaluations], "differences": pairs},
+        f"evaluation of {first.scenario} in {len(evaluations)} engines, trained in"
+        f" {run.record.engine}{scenario}",
         f"  {records.held_out(first.episodes)} from seed {first.seed}, the same in every engine",
         table(rows),
         "\ndifferences on the same starts, with 95 % intervals\n" + records.engines_table(pairs),
-        *(f"{each.result.engine}: {each.result.verdict}" for each in found),
-        *dict.fromkeys(f"note: {note}" for each in found for note in each.result.notes),
+        *(f"{each.result.engine}: {each.result.verdict}" for each in evaluations),
+        *dict.fromkeys(f"note: {note}" for each in evaluations for note in each.result.notes),
         as_json=as_json,
     )
 
@@ -335,7 +454,9 @@ def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: b
     """Find out before a long evaluation whether its files can be written, and have a content."""
     check_output(*filter(None, (csv, junit)), force=force)
     if junit is not None and gates == Gates(None, None, False):
-        raise UsageError("--junit needs a requirement to write; add --min-success, --min-return or --require-solved")
+        raise UsageError(
+            "--junit needs a requirement to write; add --min-success, --min-return or --require-solved"
+        )
 
 
 Requirement = tuple[str, bool, str]
@@ -356,7 +477,8 @@ class Gates:
         if self.min_success is not None and not program.defines_success:
             others = "--min-return" if solved is None else "--min-return or --require-solved"
             raise UsageError(
-                f"--min-success: {program.name} defines no success; use {others}, or add `termination.success` or a `goal` to the scenario"
+                f"--min-success: {program.name} defines no success; use {others}, or add"
+                " `termination.success` or a `goal` to the scenario"
             )
         if self.solved and solved is None:
             others = "--min-success or --min-return" if program.defines_success else "--min-return"
@@ -365,16 +487,25 @@ class Gates:
                 " or add a criterion such as `solved: mean_return >= 195 over 100 episodes` to the scenario"
             )
 
-    def verdicts(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> Iterator[tuple[str, Verdict]]:
-        """Each requirement of a number in words, and its answer after these of `planned` episodes; `bounds` are those of a return."""
+    def verdicts(
+        self, episodes: Sequence[Episode], planned: int, bounds: Interval
+    ) -> Iterator[tuple[str, Verdict]]:
+        """Each requirement of a number in words, and its answer after these of `planned` episodes; `bounds`
+        are those of a return."""
         from deepbots_cli.learning.statistics import gate_mean, gate_rate
 
         if self.min_success is not None:
             successes = sum(episode.is_success for episode in episodes)
-            yield f"success rate of at least {self.min_success:g}", gate_rate(self.min_success, successes, len(episodes), planned)
+            yield (
+                f"success rate of at least {self.min_success:g}",
+                gate_rate(self.min_success, successes, len(episodes), planned),
+            )
         if self.min_return is not None:
             returns = [episode.total_return for episode in episodes]
-            yield f"mean return of at least {self.min_return:g}", gate_mean(self.min_return, returns, planned, bounds)
+            yield (
+                f"mean return of at least {self.min_return:g}",
+                gate_mean(self.min_return, returns, planned, bounds),
+            )
 
     def decided(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> bool:
         """Whether every requirement is certainly met, or one certainly not."""
@@ -382,21 +513,32 @@ class Gates:
         return bool(answers) and (False in answers or None not in answers)
 
     def stop_condition(self, program: Program, planned: int) -> StopCondition | None:
-        """Whether the episodes so far decide every requirement of a number; None if all planned episodes are needed."""
-        return None if self.solved else partial(self.decided, planned=planned, bounds=possible_returns(program))
+        """Whether the episodes so far decide every requirement of a number; None if all planned episodes are
+        needed."""
+        return (
+            None if self.solved else partial(self.decided, planned=planned, bounds=possible_returns(program))
+        )
 
     def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
         """The answers for a run; a requirement that another one has left undecided is left out."""
         remarks = in_parentheses(result.circumstances)
-        found = [("the task is solved", bool(result.solved), result.verdict.removesuffix(remarks))] if self.solved else []
+        requirements = (
+            [("the task is solved", bool(result.solved), result.verdict.removesuffix(remarks))]
+            if self.solved
+            else []
+        )
         answers = self.verdicts(result.outcomes, planned, result.possible_returns)
-        found += [(words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None]
-        return [(f"{words}{remarks}", met, reason) for words, met, reason in found]
+        requirements += [
+            (words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None
+        ]
+        return [(f"{words}{remarks}", met, reason) for words, met, reason in requirements]
 
     def decided_of_group(self, episodes: Sequence[Episode], planned: int) -> bool:
-        """Whether the planned episodes that are left, of all runs together, cannot change the answer to `--min-success`.
+        """Whether the planned episodes that are left, of all runs together, cannot change the answer to
+        `--min-success`.
 
-        Other requirements need all episodes: a confidence sequence says nothing about other seeds, and returns have no limit.
+        Other requirements need all episodes: a confidence sequence says nothing about other seeds, and
+        returns have no limit.
         """
         if self.min_success is None or self.min_return is not None or self.solved:
             return False
@@ -409,19 +551,35 @@ class Gates:
         over = f"over {count} seed{'' if count == 1 else 's'}"
         over += f"; the remaining {left} episodes cannot change the result" if left > 0 else ""
         unsolved = [result.run.name for result in group.evaluations if not result.solved]
-        found = []
+        requirements = []
         if self.solved:
-            found.append(
-                ("the task is solved", not unsolved, f"not solved by {', '.join(unsolved)}" if unsolved else "solved by every seed")
+            requirements.append(
+                (
+                    "the task is solved",
+                    not unsolved,
+                    f"not solved by {', '.join(unsolved)}" if unsolved else "solved by every seed",
+                )
             )
         if self.min_success is not None:
             met = group.success_rate >= self.min_success
-            found.append((f"success rate of at least {self.min_success:g}", met, f"mean success rate {group.success_rate:.4g} {over}"))
+            requirements.append(
+                (
+                    f"success rate of at least {self.min_success:g}",
+                    met,
+                    f"mean success rate {group.success_rate:.4g} {over}",
+                )
+            )
         if self.min_return is not None:
             met = group.mean_return >= self.min_return
-            found.append((f"mean return of at least {self.min_return:g}", met, f"mean return {group.mean_return:.4g} {over}"))
+            requirements.append(
+                (
+                    f"mean return of at least {self.min_return:g}",
+                    met,
+                    f"mean return {group.mean_return:.4g} {over}",
+                )
+            )
         remarks = in_parentheses(words for each in group.evaluations for words in each.circumstances)
-        return [(f"{words}{remarks}", met, reason) for words, met, reason in found]
+        return [(f"{words}{remarks}", met, reason) for words, met, reason in requirements]
 
 
 def _evaluate_group(
@@ -435,7 +593,8 @@ def _evaluate_group(
     executor: Executor,
     **chosen: Any,
 ) -> None:
-    """Evaluate a group in each of the `scenarios`, which differ in their engine; None is the scenario of the group."""
+    """Evaluate a group in each of the `scenarios`, which differ in their engine; None is the scenario of the
+    group."""
     with terminal.transient_line("loading the policies ..."):
         from deepbots_cli.learning.comparison import compare_engines, evaluate_group  # which import torch
     ready = Group.open(folder).runs_with_model
@@ -449,45 +608,73 @@ def _evaluate_group(
             planned = (chosen["episodes"] or program.evaluation_episodes(chosen["case"])) * len(ready)
         until = partial(gates.decided_of_group, planned=planned) if planned and len(scenarios) == 1 else None
         with terminal.progress("runs", always=False) as show_run:
-            found = evaluate_group(folder, scenario=compiled, on_run=show_run, until=until, executor=executor, **chosen)
-        for result in found.evaluations:
+            group_result = evaluate_group(
+                folder, scenario=compiled, on_run=show_run, until=until, executor=executor, **chosen
+            )
+        for result in group_result.evaluations:
             records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
-        of = f"{found.evaluations[0].engine}: " if len(scenarios) > 1 else ""
-        requirements += [(f"{of}{words}", met, reason) for words, met, reason in gates.requirements_of_group(found, planned)]
-        groups.append(found)
+        of = f"{group_result.evaluations[0].engine}: " if len(scenarios) > 1 else ""
+        requirements += [
+            (f"{of}{words}", met, reason)
+            for words, met, reason in gates.requirements_of_group(group_result, planned)
+        ]
+        groups.append(group_result)
         if not as_json:
-            terminal.print_result((f"in {found.evaluations[0].engine}: " if of else "") + records.group_text(found) + ("\n" if of else ""))
+            terminal.print_result(
+                (f"in {group_result.evaluations[0].engine}: " if of else "")
+                + records.group_text(group_result)
+                + ("\n" if of else "")
+            )
     if csv is not None:
-        records.write_csv(csv, [result for found in groups for result in found.evaluations])
+        records.write_csv(csv, [result for group_result in groups for result in group_result.evaluations])
     pairs = [compare_engines(groups[0], other) for other in groups[1:]]
     if as_json:
-        rows = [records.group_json(found) for found in groups]
+        rows = [records.group_json(group_result) for group_result in groups]
         terminal.show_json({"groups": rows, "differences": pairs} if pairs else rows[0])
     elif pairs:
-        terminal.print_result("differences of each run on the same starts, with 95 % intervals over the seeds")
+        terminal.print_result(
+            "differences of each run on the same starts, with 95 % intervals over the seeds"
+        )
         terminal.print_result(records.engines_table(pairs))
-    _require(requirements, [result for found in groups for result in found.evaluations], junit)
+    _require(requirements, [result for group_result in groups for result in group_result.evaluations], junit)
 
 
-def scenario_label(run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None) -> str | None:
-    """A scenario in words that replaces the scenario of the run; None where none of --scenario and --set is given."""
+def scenario_label(
+    run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None
+) -> str | None:
+    """A scenario in words that replaces the scenario of the run; None where none of --scenario and --set is
+    given."""
     if compiled is None or not (scenario or overrides):
         return None
     same = task_digest(compiled.program) == task_digest(run.program)
     changed = "".join(f" --set {quote(text)}" for text in overrides)
-    return f"{scenario or 'of the run'}{changed}, {'with the same episodes as the training' if same else 'different from the training'}"
+    return (
+        f"{scenario or 'of the run'}{changed},"
+        f" {'with the same episodes as the training' if same else 'different from the training'}"
+    )
 
 
-def _require(requirements: Sequence[Requirement], judged: Sequence[EvaluationResult], junit: Path | None) -> None:
+def _require(
+    requirements: Sequence[Requirement], judged: Sequence[EvaluationResult], junit: Path | None
+) -> None:
     """Report each requirement on the `judged` evaluations, and exit with 1 if one is not met."""
     if junit is not None:
         first = judged[0]
-        properties = {"run": ", ".join(dict.fromkeys(str(each.run) for each in judged)), "model": first.model, "seed": str(first.seed)}
+        properties = {
+            "run": ", ".join(dict.fromkeys(str(each.run) for each in judged)),
+            "model": first.model,
+            "seed": str(first.seed),
+        }
         properties |= {"episodes": str(sum(each.episodes for each in judged))} | records.evaluated_in(first)
         properties["engine"] = ", ".join(dict.fromkeys(each.engine or "" for each in judged))
-        cases = [Case(words, reason, "" if met else f"not met: {words} ({reason})") for words, met, reason in requirements]
+        cases = [
+            Case(words, reason, "" if met else f"not met: {words} ({reason})")
+            for words, met, reason in requirements
+        ]
         with atomic_write(junit) as draft:
-            draft.write_bytes(xml_report({first.scenario: cases}, prefix="deepbots eval ", properties=properties).encode())
+            draft.write_bytes(
+                xml_report({first.scenario: cases}, prefix="deepbots eval ", properties=properties).encode()
+            )
     for words, met, reason in requirements:
         if met:
             terminal.note(f"met: {words} ({reason})")

@@ -22,7 +22,7 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS, suggest_unit
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.lint import pages_of
+from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.scenario.base import (
     Kinds,
     Section,
@@ -47,16 +47,17 @@ def command(
         list[str] | None,
         typer.Argument(
             metavar="WORD",
-            help="Code or name of a finding, prefix of codes, word of the scenario language, or term; by default all findings.",
+            help="Code or name of a finding, prefix of codes, word of the scenario language, or term; by"
+            " default all findings.",
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Explain a finding of lint, a key of scenario files, or a term.
 
-    Words of the scenario language are keys, functions, units, and kinds of sensors, actuators, objects and algorithms. The
-    glossary has terms of reinforcement learning, such as episode, HER or time limit. Without a word, the command lists all
-    findings. --json prints the same as JSON.
+    Words of the scenario language are keys, functions, units, and kinds of sensors, actuators, objects and
+    algorithms. The glossary has terms of reinforcement learning, such as episode, HER or time limit. Without
+    a word, the command lists all findings. --json prints the same as JSON.
 
     \b
       deepbots explain DB603
@@ -69,25 +70,27 @@ def command(
       deepbots explain
     """
     finding = " ".join(words or ())
-    found = matching_rules(finding)
-    if not found:
+    rules = matching_rules(finding)
+    if not rules:
         explained = explain_word(finding)
         if not explained.entries and not _FINDING.match(finding) and (meant := misspelled_word(finding)):
             terminal.note(f"there is no entry '{finding}'; this is the entry '{meant}'\n")
             explained = explain_word(meant)
         if not explained.entries:
-            raise UsageError(unknown_rule_message(finding) if _FINDING.match(finding) else unknown_word_message(finding))
+            raise UsageError(
+                unknown_rule_message(finding) if _FINDING.match(finding) else unknown_word_message(finding)
+            )
         if as_json:
             entries = [{"title": title, "text": "\n".join(text)} for title, *text in explained.entries]
             terminal.show_json({"version": 1, "entries": entries, "see_also": explained.others})
         else:
             terminal.print_result("\n".join(map(_wrapped, explained.lines())))
     elif as_json:
-        terminal.show_json(rules_data(found))
-    elif len(found) > 1:
-        terminal.print_result(table([_row(entry) for entry in found], indent=""))
+        terminal.show_json(rules_data(rules))
+    elif len(rules) > 1:
+        terminal.print_result(table([_row(entry) for entry in rules], indent=""))
     else:
-        terminal.print_result("\n".join(_lines(found[0])))
+        terminal.print_result("\n".join(_lines(rules[0])))
 
 
 def _row(entry: Rule) -> Row:
@@ -99,13 +102,23 @@ def _severity(rule: Rule) -> str:
 
 
 def rules_data(rules: Iterable[Rule] = tuple(RULES.values())) -> dict[str, object]:
-    """The registry of findings with the text, example and remedy of each page, as `deepbots explain --json` prints it."""
+    """The registry of findings with the text, example and remedy of each page, as `deepbots explain --json`
+    prints it."""
     return {"version": 1, "rules": [_data(entry) for entry in rules]}
 
 
 def _data(entry: Rule) -> Row:
-    pages = [{"about": page.about, "example": page.example, "instead": page.instead} for page in pages_of(entry.code)]
-    named: Row = {"code": entry.code, "name": entry.name, "severity": entry.severity, "preview": entry.preview, "deep": entry.deep}
+    pages = [
+        {"about": page.about, "example": page.example, "instead": page.instead}
+        for page in pages_of(entry.code)
+    ]
+    named: Row = {
+        "code": entry.code,
+        "name": entry.name,
+        "severity": entry.severity,
+        "preview": entry.preview,
+        "deep": entry.deep,
+    }
     return {**named, "summary": entry.summary, "pages": pages}
 
 
@@ -135,7 +148,10 @@ def _suppression(rule: Rule) -> Iterator[str]:
         if rule.deep:
             yield "The finding cannot be suppressed."
     else:
-        yield f"A comment on the line of the finding, or on the line above, suppresses it: # deepbots: ignore[{rule.code}]"
+        yield (
+            "A comment on the line of the finding, or on the line above, suppresses it: # deepbots:"
+            f" ignore[{rule.code}]"
+        )
 
 
 def _wrapped(text: str) -> str:
@@ -161,7 +177,8 @@ Lines = tuple[str, ...]
 
 
 class Topic(NamedTuple):
-    """A concept: its other names, a paragraph, a fragment of a scenario (may be empty), and the page to read."""
+    """A concept: its other names, a paragraph, a fragment of a scenario (may be empty), and the page to
+    read."""
 
     name: str
     names: tuple[str, ...]
@@ -187,7 +204,8 @@ def _topic(name: str, entry: dict[str, str]) -> Topic:
 
 
 class Explained(NamedTuple):
-    """What is known about a word: a title and paragraphs for each meaning, and other entries that contain the word."""
+    """What is known about a word: a title and paragraphs for each meaning, and other entries that contain the
+    word."""
 
     entries: list[list[str]]
     others: list[str]
@@ -200,24 +218,30 @@ class Explained(NamedTuple):
 def explain_word(word: str) -> Explained:
     """The entries about `word`; none if nothing has this name.
 
-    A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count only if the language has no
-    word of exactly this spelling.
+    A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count
+    only if the language has no word of exactly this spelling.
     """
     plain = _plain(word)
-    spelled = word if word in _words() else next((other for other in _words() if _plain(other) == plain), word)
+    spelled = (
+        word if word in _words() else next((other for other in _words() if _plain(other) == plain), word)
+    )
     blocks = _blocks(spelled)
-    found = [topic for topic in topics() if plain == _plain(topic.name)]
-    if not found and word not in _words():
-        found = [topic for topic in topics() if plain in map(_plain, topic.names)]
-    blocks = [*map(_of_topic, found), *blocks]
+    matching = [topic for topic in topics() if plain == _plain(topic.name)]
+    if not matching and word not in _words():
+        matching = [topic for topic in topics() if plain in map(_plain, topic.names)]
+    blocks = [*map(_of_topic, matching), *blocks]
     unit = None if blocks else suggest_unit(plain)
     if unit is not None and unit.safe:  # a unit written out, as `radian`
         blocks = list(_blocks(unit.text))
-    return Explained(blocks, _others(word, {topic.name for topic in found} | {spelled}) if blocks and word.strip() else [])
+    return Explained(
+        blocks,
+        _others(word, {topic.name for topic in matching} | {spelled}) if blocks and word.strip() else [],
+    )
 
 
 def misspelled_word(word: str) -> str | None:
-    """The concept or word of the language that differs from `word` by one letter, such as `curiculum`; None if there is none."""
+    """The concept or word of the language that differs from `word` by one letter, such as `curiculum`; None
+    if there is none."""
     if len(word) < _MIN_MISSPELLED:
         return None
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
@@ -230,23 +254,32 @@ def _blocks(word: str) -> list[list[str]]:
     all_kinds: dict[str, int] = {}
     for path, part, mark in walk_sections(Scenario):
         place = f"`{'.'.join('<name>' if step == '*' else step for step in path)}`" if path else "a scenario"
-        kind = "" if isinstance(part, Kinds) or not mark else f"`{mark}: {get_args(part.model_fields[mark].annotation)[0]}`"
+        kind = (
+            ""
+            if isinstance(part, Kinds) or not mark
+            else f"`{mark}: {get_args(part.model_fields[mark].annotation)[0]}`"
+        )
         all_kinds[place] = all_kinds.get(place, 0) + bool(kind)
         for lines in _explained_in(part, mark, word):
             places.setdefault(lines, {}).setdefault(place, {}).update({kind: None} if kind else {})
     blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
-    for (what, *text), found in list(places.items())[:_MAX_SHOWN]:
-        more = f" and {len(found) - _MAX_SHOWN} more places" if len(found) > _MAX_SHOWN else ""
+    for (what, *text), paths in list(places.items())[:_MAX_SHOWN]:
+        more = f" and {len(paths) - _MAX_SHOWN} more places" if len(paths) > _MAX_SHOWN else ""
         shown = [
             f"{place} with {', '.join(kinds)}" if 0 < len(kinds) < all_kinds[place] else place
-            for place, kinds in list(found.items())[:_MAX_SHOWN]
+            for place, kinds in list(paths.items())[:_MAX_SHOWN]
         ]
         blocks.append([f"{word}: {with_article(what)} of {', '.join(shown)}{more}", *text])
     return blocks
 
 
 def _of_topic(topic: Topic) -> list[str]:
-    return [f"{topic.name}: a concept", " ".join(topic.about.split()), *(_example(topic.example)), f"Read more: {topic.read}"]
+    return [
+        f"{topic.name}: a concept",
+        " ".join(topic.about.split()),
+        *(_example(topic.example)),
+        f"Read more: {topic.read}",
+    ]
 
 
 def _example(text: str) -> list[str]:
@@ -256,13 +289,19 @@ def _example(text: str) -> list[str]:
 def _plain(text: str) -> str:
     """In lower case, American spelling and the singular, with blanks between words."""
     words = " ".join(re.split(r"[\s_-]+", text.strip().lower()))
-    return re.sub(r"is(?=(e|ed|er|ing|ation)\b)", "iz", re.sub(r"our\b", "or", re.sub(r"(?<=\w{3})s\b", "", words)))
+    return re.sub(
+        r"is(?=(e|ed|er|ing|ation)\b)", "iz", re.sub(r"our\b", "or", re.sub(r"(?<=\w{3})s\b", "", words))
+    )
 
 
 def _others(word: str, shown: Iterable[str]) -> list[str]:
     """Concepts and words that have all words of `word` in one of their names."""
     wanted = set(_plain(word).split())
-    concepts = [topic.name for topic in topics() if any(wanted <= set(_plain(name).split()) for name in (topic.name, *topic.names))]
+    concepts = [
+        topic.name
+        for topic in topics()
+        if any(wanted <= set(_plain(name).split()) for name in (topic.name, *topic.names))
+    ]
     names = [name for name in _words() if wanted <= set(_plain(name).split())]
     return [name for name in dict.fromkeys([*concepts, *names]) if name not in shown][:_MAX_SHOWN]
 
@@ -294,7 +333,11 @@ def unknown_word_message(word: str) -> str:
 
 def _beginning_of(word: str) -> str | None:
     """The longest word of the language with which `word` begins, such as `gyro` of `gyroscope`."""
-    return max((name for name in _words() if len(name) >= _MIN_BEGINNING and word.lower().startswith(name.lower())), key=len, default=None)
+    return max(
+        (name for name in _words() if len(name) >= _MIN_BEGINNING and word.lower().startswith(name.lower())),
+        key=len,
+        default=None,
+    )
 
 
 def _of_function(word: str) -> Iterator[str]:
@@ -333,7 +376,9 @@ def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
     yield section_description(kinds.models[name])
     model = kinds.models[name]
     keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
-    needed, others = ([key for key, required in keys.items() if required is wanted] for wanted in (True, False))
+    needed, others = (
+        [key for key, required in keys.items() if required is wanted] for wanted in (True, False)
+    )
     if needed:
         yield f"Required keys: {', '.join(needed)}."
     if others:

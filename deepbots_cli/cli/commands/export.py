@@ -38,32 +38,48 @@ def command(
             show_default=False,
         ),
     ] = None,
-    out: Annotated[Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-bundle.")] = None,
-    to: Annotated[Form, option("--to", "A bundle, or the files that runners of Isaac Lab, LeRobot or LEAPP read.", ADVANCED)] = Form.bundle,
+    out: Annotated[
+        Path | None, option("--output -o FOLDER", "Folder to write; by default RUN-bundle.")
+    ] = None,
+    to: Annotated[
+        Form,
+        option("--to", "A bundle, or the files that runners of Isaac Lab, LeRobot or LEAPP read.", ADVANCED),
+    ] = Form.bundle,
     force: Force = False,
-    last: Annotated[bool, option("--last", "Export the last model instead of the best one.", ADVANCED)] = False,
-    check: Annotated[str | None, option("--check SCENARIO", "Compare a bundle with a scenario, item by item; write nothing.")] = None,
-    sign: Annotated[Path | None, option("--sign KEY", "Sign the bundle with this private key (Ed25519).", ADVANCED)] = None,
-    new_key: Annotated[Path | None, option("--new-key FILE", "Write a new private key, and FILE.pub beside it.", ADVANCED)] = None,
+    last: Annotated[
+        bool, option("--last", "Export the last model instead of the best one.", ADVANCED)
+    ] = False,
+    check: Annotated[
+        str | None,
+        option("--check SCENARIO", "Compare a bundle with a scenario, item by item; write nothing."),
+    ] = None,
+    sign: Annotated[
+        Path | None, option("--sign KEY", "Sign the bundle with this private key (Ed25519).", ADVANCED)
+    ] = None,
+    new_key: Annotated[
+        Path | None, option("--new-key FILE", "Write a new private key, and FILE.pub beside it.", ADVANCED)
+    ] = None,
     overrides: Overrides = None,
     as_json: Json = False,
     allow_paths: AllowPaths = None,
 ) -> None:
     """Export the policy of a run for a robot.
 
-    The bundle is a folder that runs with numpy and onnxruntime alone. policy.onnx goes from what sensors measure to the commands of
-    actuators, both in SI units: it contains what the robots and the supervisor compute, scaling, histories, the networks, and the limits of
-    actuators. bundle.json and README.md hold names, units, frames, ranges, rates, ages, the result with its interval, and versions.
-    parity.npz has recorded steps, which `deepbots_robot.load` repeats.
+    The bundle is a folder that runs with numpy and onnxruntime alone. policy.onnx goes from what sensors
+    measure to the commands of actuators, both in SI units: it contains what the robots and the supervisor
+    compute, scaling, histories, the networks, and the limits of actuators. bundle.json and README.md hold
+    names, units, frames, ranges, rates, ages, the result with its interval, and versions. parity.npz has
+    recorded steps, which `deepbots_robot.load` repeats.
 
-    --to writes files of other programs instead: isaac-lab a policy over observations with params/deploy.yaml, for robots with position
-    motors; lerobot a policy over scaled observations with the processors that scale; leapp the graph of the bundle with a pipeline file.
+    --to writes files of other programs instead: isaac-lab a policy over observations with params/deploy.yaml,
+    for robots with position motors; lerobot a policy over scaled observations with the processors that scale;
+    leapp the graph of the bundle with a pipeline file.
 
-    --sign adds a signature, bundle.sig. A robot that runs `deepbots serve --trusted FILE.pub` refuses all other bundles. --new-key makes
-    a key; keep the private one away from the robot.
+    --sign adds a signature, bundle.sig. A robot that runs `deepbots serve --trusted FILE.pub` refuses all
+    other bundles. --new-key makes a key; keep the private one away from the robot.
 
-    --check compares the observation, action and messages of the bundle with those of a scenario. The exit code is 0 if the policy fits,
-    and 1 if it does not.
+    --check compares the observation, action and messages of the bundle with those of a scenario. The exit
+    code is 0 if the policy fits, and 1 if it does not.
 
     \b
       deepbots export runs/cartpole-0-1 -o cartpole-bundle
@@ -77,7 +93,11 @@ def command(
     Next: the README.md of the bundle shows its inputs and outputs.
     """
     if new_key is not None:
-        _write_key(new_key, is_alone=source is None and not (out or to is not Form.bundle or last or check or sign), as_json=as_json)
+        _write_key(
+            new_key,
+            is_alone=source is None and not (out or to is not Form.bundle or last or check or sign),
+            as_json=as_json,
+        )
         return
     if source is None:
         raise UsageError("write what to export, such as a folder under runs: deepbots export RUN")
@@ -94,7 +114,9 @@ def command(
         )
         return
     if overrides or allow_paths:
-        raise UsageError("--set and --allow-path need --check SCENARIO; a run is always exported as it was trained")
+        raise UsageError(
+            "--set and --allow-path need --check SCENARIO; a run is always exported as it was trained"
+        )
     model = "last" if last else "best"
     if out is not None:
         check_new_folder(out, force=force)
@@ -109,7 +131,11 @@ def command(
         from deepbots_cli.insight.export import bundle  # torch, which exporting imports, takes a second
 
         run = ref.run
-        files = bundle.bundle_files(run, ref.name, sign) if to is Form.bundle else bundle.files_for(run, ref.name, to.value)
+        files = (
+            bundle.bundle_files(run, ref.name, sign)
+            if to is Form.bundle
+            else bundle.files_for(run, ref.name, to.value)
+        )
     if to is not Form.bundle:
         write_new(files, folder, force=force)
         terminal.show({"folder": folder}, f"{folder}: {', '.join(map(str, files))}", as_json=as_json)
@@ -118,19 +144,34 @@ def command(
 
     write_new(files, folder, force=force)
     info = bundle.read_bundle(folder)
-    sizes = [f"{name} ({len(content) / 1000:,.0f} kB)" for name, content in files.items() if len(name.parts) == 1]
-    result = "not evaluated since the end of the training" if info.evaluation is None else info.evaluation.text
+    sizes = [
+        f"{name} ({len(content) / 1000:,.0f} kB)" for name, content in files.items() if len(name.parts) == 1
+    ]
+    result = (
+        "not evaluated since the end of the training" if info.evaluation is None else info.evaluation.text
+    )
     told = [
         f"{folder}: {', '.join(sizes)}, and the robot files of the scenario",
         f"  {info.scenario.name}, {info.training.algorithm}: {result}",
     ]
-    missing = [entry.name for entry in info.inputs if entry.source == "supervisor" and entry.supplied_by is None]
+    missing = [
+        entry.name for entry in info.inputs if entry.source == "supervisor" and entry.supplied_by is None
+    ]
     if missing and not as_json:
-        terminal.note(f"no robot measures {', '.join(missing)}; README.md of the bundle says what must supply them")
+        terminal.note(
+            f"no robot measures {', '.join(missing)}; README.md of the bundle says what must supply them"
+        )
     if info.evaluation is None and ref.name == "best" and not as_json:
-        terminal.note(f"evaluate the run first for a result in the bundle: deepbots eval {quote(str(source))}")
-    next_commands = [f"deepbots serve {quote(str(folder))}", f"deepbots export --check SCENARIO {quote(str(folder))}"]
-    terminal.show({"bundle": folder, **plain(info)}, "\n".join(told), as_json=as_json, next_commands=next_commands)
+        terminal.note(
+            f"evaluate the run first for a result in the bundle: deepbots eval {quote(str(source))}"
+        )
+    next_commands = [
+        f"deepbots serve {quote(str(folder))}",
+        f"deepbots export --check SCENARIO {quote(str(folder))}",
+    ]
+    terminal.show(
+        {"bundle": folder, **plain(info)}, "\n".join(told), as_json=as_json, next_commands=next_commands
+    )
 
 
 def _write_key(file: Path, *, is_alone: bool, as_json: bool) -> None:
@@ -150,23 +191,50 @@ def _write_key(file: Path, *, is_alone: bool, as_json: bool) -> None:
         f"{file}: the private key, which signs; keep it where you export, and nowhere else",
         f"{public}: the public key, for the computer of the robot",
         as_json=as_json,
-        next_commands=[f"deepbots export RUN --sign {quote(str(file))}", f"deepbots serve BUNDLE --trusted {quote(str(public))}"],
+        next_commands=[
+            f"deepbots export RUN --sign {quote(str(file))}",
+            f"deepbots serve BUNDLE --trusted {quote(str(public))}",
+        ],
     )
 
 
-def _check(folder: Path, scenario: str, overrides: list[str] | tuple[()], permissions: Permissions, *, as_json: bool, writes: bool) -> None:
+def _check(
+    folder: Path,
+    scenario: str,
+    overrides: list[str] | tuple[()],
+    permissions: Permissions,
+    *,
+    as_json: bool,
+    writes: bool,
+) -> None:
     from deepbots_cli.insight.export import bundle
 
     if writes:
         raise UsageError("--check writes nothing; leave out --output, --last and --to")
-    known = bundle.read_bundle(folder)
+    read = bundle.read_bundle(folder)
     compiled = api.compile(scenario, overrides=overrides, permissions=permissions)
     words = ("bundle", "scenario")
-    differ = identity.compare_interfaces(known.scenario.interface, identity.interface(compiled.program), words=words)
-    given = "".join(f" --set {quote(text)}" for text in overrides)
-    remarks = bundle.remarks(known, compiled.program, f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{given}")
-    verdict = f"the policy in {folder} does not fit {scenario}:" if differ else f"the policy in {folder} fits {scenario}"
-    data = {"bundle": folder, "scenario": scenario, "fits": not differ, "differences": differ, "remarks": remarks}
+    differ = identity.compare_interfaces(
+        read.scenario.interface, identity.interface(compiled.program), words=words
+    )
+    settings = "".join(f" --set {quote(text)}" for text in overrides)
+    remarks = bundle.remarks(
+        read,
+        compiled.program,
+        f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{settings}",
+    )
+    verdict = (
+        f"the policy in {folder} does not fit {scenario}:"
+        if differ
+        else f"the policy in {folder} fits {scenario}"
+    )
+    data = {
+        "bundle": folder,
+        "scenario": scenario,
+        "fits": not differ,
+        "differences": differ,
+        "remarks": remarks,
+    }
     terminal.show(data, verdict, *(f"  {line}" for line in differ), as_json=as_json)
     for remark in () if as_json else remarks:
         terminal.note(f"note: {remark}")

@@ -31,12 +31,24 @@ _CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
     "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
     "drawn": "values that each reset draws",
-    "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or of the library",
-    "timing": "the physics step of each action and measurement, for step n = 0, 1, ... of the agent; the first physics step is 1",
+    "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or"
+    " of the library",
+    "timing": "the physics step of each action and measurement, for step n = 0, 1, ... of the agent; the"
+    " first physics step is 1",
 }
 
 
-_BRIEF = ("run", "scenario", "robots", "message_fields", "observation", "action", "reward", "endings", "training")
+_BRIEF = (
+    "run",
+    "scenario",
+    "robots",
+    "message_fields",
+    "observation",
+    "action",
+    "reward",
+    "endings",
+    "training",
+)
 """The tables without `--full`."""
 
 
@@ -45,24 +57,30 @@ def command(
         str,
         typer.Argument(
             metavar="SCENARIO|RUN|ROBOT",
-            help="A scenario file, a robot file (URDF), the name of a shipped scenario or robot, or a run directory.",
+            help="A scenario file, a robot file (URDF), the name of a shipped scenario or robot, or a run"
+            " directory.",
         ),
     ],
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     engine: EngineOrRun = None,
-    full: Annotated[bool, option("--full", "Show all tables, also joints, sensors, timing, resets and hyperparameters.")] = False,
-    ros: Annotated[bool, option("--ros", "Print the section `ros`: a ROS 2 topic for each sensor and each command.")] = False,
+    full: Annotated[
+        bool, option("--full", "Show all tables, also joints, sensors, timing, resets and hyperparameters.")
+    ] = False,
+    ros: Annotated[
+        bool, option("--ros", "Print the section `ros`: a ROS 2 topic for each sensor and each command.")
+    ] = False,
     as_json: Annotated[bool, option("--json", "Print all tables as JSON.")] = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Show robots, messages, observation and reward as tables.
 
-    The tables of a scenario show its robots, messages, observation, action, reward, endings and training, in the units of the file; --json
-    has SI units. With --full, they also show joints, sensors, actuators, resets, cases, stages, every hyperparameter, the physics step in
-    which an action takes effect, the age of each observation, and the poses at the start, which need the simulator. A run shows its
-    scenario and the progress of its training. A robot file shows its links, joints and findings.
+    The tables of a scenario show its robots, messages, observation, action, reward, endings and training, in
+    the units of the file; --json has SI units. With --full, they also show joints, sensors, actuators,
+    resets, cases, stages, every hyperparameter, the physics step in which an action takes effect, the age of
+    each observation, and the poses at the start, which need the simulator. A run shows its scenario and the
+    progress of its training. A robot file shows its links, joints and findings.
 
     \b
       deepbots inspect cartpole
@@ -85,34 +103,59 @@ def command(
         topics = _topics(program)
         terminal.show(topics, _ros_text(topics), as_json=as_json)
         return
-    root = side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
+    root = (
+        side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
+    )
     if case is not None:
         root = with_settings_at(root, ("evaluation", "cases", case))
     elif stage is not None:
-        root = with_settings_at(root, ("curriculum", [known.name for known in side.program.curriculum].index(stage)))
+        root = with_settings_at(
+            root, ("curriculum", [named.name for named in side.program.curriculum].index(stage))
+        )
     tables = inspection.scenario_tables(program, root, side.run, side.learner)
     if full or as_json:
-        tables = {**tables, **_poses(program, engine or (side.run.engine_for(program) if side.run else None), permissions)}
+        tables = {
+            **tables,
+            **_poses(program, engine or (side.run.engine_for(program) if side.run else None), permissions),
+        }
     shown = {name: rows for name, rows in tables.items() if full or name in _BRIEF}
-    terminal.show(tables, *_lines(shown if as_json else inspection.in_written_units(shown, program, root)), as_json=as_json)
+    terminal.show(
+        tables,
+        *_lines(shown if as_json else inspection.in_written_units(shown, program, root)),
+        as_json=as_json,
+    )
     if len(shown) < len(tables) and not as_json:
-        terminal.note(f"--full also shows: {', '.join(name.replace('_', ' ') for name in tables if name not in shown)}")
+        terminal.note(
+            f"--full also shows: {', '.join(name.replace('_', ' ') for name in tables if name not in shown)}"
+        )
 
 
 def _topics(program: Program) -> dict[str, Topic]:
-    """The topic of each sensor, of each command, and of each reading of the world that the policy needs and no robot measures."""
+    """The topic of each sensor, of each command, and of each reading of the world that the policy needs and
+    no robot measures."""
     try:
         from deepbots_cli.program.topics import command_fields, mapping, sensor_fields
     except ModuleNotFoundError as error:
         raise MissingExtraError("robot", "--ros") from error
-    needed = {*Deployment(program).unmeasured, *(field.name for field in (*sensor_fields(program), *command_fields(program)))}
+    needed = {
+        *Deployment(program).unmeasured,
+        *(field.name for field in (*sensor_fields(program), *command_fields(program))),
+    }
     return {name: topic for name, topic in mapping(program).items() if name in needed}
 
 
 def _ros_text(topics: Mapping[str, Topic]) -> str:
     """The section `ros` of a scenario."""
     parts = {name: "" if topic.part is None else f", part: {topic.part}" for name, topic in topics.items()}
-    return "\n".join(["ros:", *(f"  {name}: {{topic: {topic.name}, type: {topic.type}{parts[name]}}}" for name, topic in topics.items())])
+    return "\n".join(
+        [
+            "ros:",
+            *(
+                f"  {name}: {{topic: {topic.name}, type: {topic.type}{parts[name]}}}"
+                for name, topic in topics.items()
+            ),
+        ]
+    )
 
 
 def _poses(program: Program, engine: str | None, permissions: Permissions) -> inspection.Tables:
@@ -135,17 +178,26 @@ def _poses(program: Program, engine: str | None, permissions: Permissions) -> in
 def _inspect_robot(reference: str, allowed: Sequence[str | Path], as_json: bool) -> None:
     robot, findings = open_robot(reference, allowed)
     tables = inspection.robot_tables(robot, findings)
-    terminal.show(tables, *_lines({name: rows for name, rows in tables.items() if name != "findings"}), as_json=as_json)
+    terminal.show(
+        tables, *_lines({name: rows for name, rows in tables.items() if name != "findings"}), as_json=as_json
+    )
     if findings and not as_json and _is_of_package(reference):
-        codes = ", ".join(f"{count} {code}" for code, count in Counter(finding.code for finding in findings).most_common())
-        terminal.note(f"{summary(findings)} about a file of a package, which you cannot change ({codes}); --json lists them")
+        codes = ", ".join(
+            f"{count} {code}" for code, count in Counter(finding.code for finding in findings).most_common()
+        )
+        terminal.note(
+            f"{summary(findings)} about a file of a package, which you cannot change ({codes}); --json lists"
+            " them"
+        )
     elif findings and not as_json:
         terminal.show_findings(findings)
 
 
 def _is_of_package(reference: str) -> bool:
     """Whether a robot file comes with deepbots or an installed package."""
-    is_named = reference.startswith("package://") or (shipped.robot_path(reference) is not None and not Path(reference).is_file())
+    is_named = reference.startswith("package://") or (
+        shipped.robot_path(reference) is not None and not Path(reference).is_file()
+    )
     return is_named or not {"site-packages", "dist-packages"}.isdisjoint(Path(reference).resolve().parts)
 
 

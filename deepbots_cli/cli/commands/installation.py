@@ -33,7 +33,8 @@ def scenarios(as_json: Json = False) -> None:
       deepbots scenarios
       deepbots scenarios --json
 
-    Next: `deepbots try NAME` runs a scenario, `deepbots inspect NAME` shows its parts, and `deepbots new mine --from NAME` copies it.
+    Next: `deepbots try NAME` runs a scenario, `deepbots inspect NAME` shows its parts, and `deepbots new mine
+    --from NAME` copies it.
     """
     rows: list[Row] = []
     for name in shipped.scenario_names():
@@ -73,8 +74,8 @@ class Check(NamedTuple):
 def doctor(as_json: Json = False) -> None:
     """Check the installation.
 
-    The command shows the versions, the extras and the shipped data, and takes one step in each engine. A missing extra is not an
-    error; the exit code is 1 if a part is broken.
+    The command shows the versions, the extras and the shipped data, and takes one step in each engine. A
+    missing extra is not an error; the exit code is 1 if a part is broken.
 
     \b
       deepbots doctor
@@ -82,14 +83,14 @@ def doctor(as_json: Json = False) -> None:
 
     Next: install a missing extra with the command that the table shows.
     """
-    found = [check._asdict() for check in checks()]
-    broken = [check["what"] for check in found if check["state"] == "broken"]
-    states = {check["what"]: check["state"] for check in found}
+    rows = [check._asdict() for check in checks()]
+    broken = [check["what"] for check in rows if check["state"] == "broken"]
+    states = {check["what"]: check["state"] for check in rows}
     missing = [purpose for extra, purpose in _EXTRAS.items() if states[f"extra {extra}"] != "ok"]
     if as_json:
-        terminal.show_json({"ok": not broken, "checks": found})
+        terminal.show_json({"ok": not broken, "checks": rows})
     else:
-        terminal.print_result(table(found, indent=""))
+        terminal.print_result(table(rows, indent=""))
         without = f" except what needs a missing extra: {', '.join(missing)}" if missing else ""
         terminal.note(f"broken: {', '.join(broken)}" if broken else f"everything works{without}")
     if broken:
@@ -99,39 +100,52 @@ def doctor(as_json: Json = False) -> None:
 def checks() -> Iterator[Check]:
     """The checks of everything that deepbots depends on, in the order of dependence."""
     yield Check("deepbots", "ok", deepbots_cli.__version__)
-    yield Check("python", "ok" if sys.version_info >= (3, 11) else "broken", f"{platform.python_version()} at {sys.executable}")
+    yield Check(
+        "python",
+        "ok" if sys.version_info >= (3, 11) else "broken",
+        f"{platform.python_version()} at {sys.executable}",
+    )
     yield Check("machine", "ok", f"{platform.platform()}, {os.cpu_count()} processors")
     needed = _requirements()
     versions = {name: _version(name) for names in needed.values() for name in names}
-    for name, found in versions.items():
+    for name, release in versions.items():
         absent: State = "broken" if name in needed[""] else "missing"
-        yield Check(name, "ok" if found else absent, found or "not installed")
+        yield Check(name, "ok" if release else absent, release or "not installed")
     complete = {extra: all(versions[name] for name in needed[extra]) for extra in _EXTRAS}
     for extra, is_complete in complete.items():
-        yield Check(f"extra {extra}", "ok" if is_complete else "missing", "complete" if is_complete else install_hint(extra))
+        yield Check(
+            f"extra {extra}",
+            "ok" if is_complete else "missing",
+            "complete" if is_complete else install_hint(extra),
+        )
     names = shipped.scenario_names()
     yield Check("scenarios", "ok" if names else "broken", f"{len(names)} in {shipped.data_dir()}")
     yield _linting()
     if complete["sim"]:
         for name, kind in engines.ENGINES.items():
-            yield _stepping(name) if kind.is_installed else Check(f"engine {name}", "missing", f"{kind.missing}; {kind.remedy}")
+            yield (
+                _stepping(name)
+                if kind.is_installed
+                else Check(f"engine {name}", "missing", f"{kind.missing}; {kind.remedy}")
+            )
     if complete["train"]:
         yield _threads()
 
 
 def _requirements() -> dict[str, list[str]]:
     """The required packages by extra; those that are always required, under an empty name."""
-    found: dict[str, list[str]] = {"": [], **{extra: [] for extra in _EXTRAS}}
+    by_extra: dict[str, list[str]] = {"": [], **{extra: [] for extra in _EXTRAS}}
     for requirement in requires("deepbots-cli") or ():
         extra = re.search(r"extra == .([\w-]+)", requirement)
         name = re.match(r"[\w.-]+", requirement)
         if name and _is_for_this_machine(requirement) and (extra is None or extra[1] in _EXTRAS):
-            found[extra[1] if extra else ""] += [name[0], *_packages_of_robot(requirement)]
-    return found
+            by_extra[extra[1] if extra else ""] += [name[0], *_packages_of_robot(requirement)]
+    return by_extra
 
 
 def _packages_of_robot(requirement: str) -> Iterator[str]:
-    """The packages that a requirement of deepbots-robot adds, such as `deepbots-robot[log,zmq]`; none of other packages."""
+    """The packages that a requirement of deepbots-robot adds, such as `deepbots-robot[log,zmq]`; none of
+    other packages."""
     robot = re.match(r"deepbots-robot(?:\[([\w,-]+)\])?", requirement)
     if robot is None:
         return
@@ -145,7 +159,8 @@ def _packages_of_robot(requirement: str) -> Iterator[str]:
 
 
 def _is_for_this_machine(requirement: str) -> bool:
-    """Whether markers admit this Python and system, as in `pybullet>=3.2.6; python_version < '3.12' and sys_platform != 'win32'`."""
+    """Whether markers admit this Python and system, as in `pybullet>=3.2.6; python_version < '3.12' and
+    sys_platform != 'win32'`."""
     if re.search(rf"sys_platform != .{sys.platform}\b", requirement):
         return False
     below = re.search(r"python_version < .(\d+)\.(\d+)", requirement)

@@ -50,7 +50,11 @@ class FailOn(StrEnum):
     never = "never"
 
 
-_FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {"error": ("error",), "warning": ("error", "warning"), "never": ()}
+_FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {
+    "error": ("error",),
+    "warning": ("error", "warning"),
+    "never": (),
+}
 
 Codes = list[str] | None
 _RULES = "Rules"
@@ -60,58 +64,89 @@ def lint(
     scenarios: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="SCENARIO", help="Scenario files, names of shipped scenarios, folders, or - for standard input; by default this folder."
+            metavar="SCENARIO",
+            help="Scenario files, names of shipped scenarios, folders, or - for standard input; by default"
+            " this folder.",
         ),
     ] = None,
     overrides: Overrides = None,
-    format: Annotated[Format | None, option("--format", "Output format; full by default, with the source lines.", OUTPUT)] = None,
+    format: Annotated[
+        Format | None, option("--format", "Output format; full by default, with the source lines.", OUTPUT)
+    ] = None,
     as_json: Annotated[bool, option("--json", "Same as --format json.", OUTPUT)] = False,
     select: Annotated[
-        Codes, option("--select CODES", "Report only these findings: codes, prefixes of codes, or names, separated by commas.", _RULES)
+        Codes,
+        option(
+            "--select CODES",
+            "Report only these findings: codes, prefixes of codes, or names, separated by commas.",
+            _RULES,
+        ),
     ] = None,
     ignore: Annotated[
         Codes,
         option(
             "--ignore CODES",
-            "Do not report these findings. If --select also matches a finding, the longer code decides: `--select DB603 --ignore DB6`"
-            " reports DB603. If both are equally long, the finding is ignored. A name, such as term-dominates, counts as its code, DB702.",
+            "Do not report these findings. If --select also matches a finding, the longer code decides:"
+            " `--select DB603 --ignore DB6`"
+            " reports DB603. If both are equally long, the finding is ignored. A name, such as"
+            " term-dominates, counts as its code, DB702.",
             _RULES,
         ),
     ] = None,
     fail_on: Annotated[
-        FailOn | None, option("--fail-on", "Lowest severity for which the exit code is 1; error by default.", OUTPUT)
+        FailOn | None,
+        option("--fail-on", "Lowest severity for which the exit code is 1; error by default.", OUTPUT),
     ] = None,
     exit_zero: Annotated[bool, option("--exit-zero", "Same as --fail-on never.", OUTPUT)] = False,
     preview: Annotated[
         bool | None,
-        option("--preview/--no-preview", "Also run the rules in preview, which can report false findings; off by default.", _RULES),
+        option(
+            "--preview/--no-preview",
+            "Also run the rules in preview, which can report false findings; off by default.",
+            _RULES,
+        ),
     ] = None,
     watch: Annotated[bool, option("--watch", "Lint again when a file is saved, until Ctrl-C.")] = False,
-    statistics: Annotated[bool, option("--statistics", "Show the number of findings of each code.", OUTPUT)] = False,
-    deep: Annotated[bool, option("--deep", "Also simulate, for a short time, each scenario that has no errors.")] = False,
+    statistics: Annotated[
+        bool, option("--statistics", "Show the number of findings of each code.", OUTPUT)
+    ] = False,
+    deep: Annotated[
+        bool, option("--deep", "Also simulate, for a short time, each scenario that has no errors.")
+    ] = False,
     exploits: Annotated[
         bool,
         option(
             "--exploits",
-            "Also search for exploits of the reward: episodes without success that pay more than a success. Recordings of them are kept in"
+            "Also search for exploits of the reward: episodes without success that pay more than a success."
+            " Recordings of them are kept in"
             " ./exploits.",
         ),
     ] = False,
     fix: Annotated[bool, option("--fix", "Apply the safe fixes to the files.")] = False,
     unsafe_fixes: Annotated[
-        bool, option("--unsafe-fixes", "Also apply the unsafe fixes, which are guesses; with --fix or --diff.", ADVANCED)
+        bool,
+        option(
+            "--unsafe-fixes",
+            "Also apply the unsafe fixes, which are guesses; with --fix or --diff.",
+            ADVANCED,
+        ),
     ] = False,
     diff: Annotated[bool, option("--diff", "Show the changes of --fix, and write nothing.")] = False,
-    stdin_name: Annotated[str | None, option("--stdin-filename FILE", "File name for standard input.", ADVANCED)] = None,
-    jobs: Annotated[int, integer("--jobs -j N", "Number of processes; useful for tens of files or more.", group=ADVANCED)] = 1,
+    stdin_name: Annotated[
+        str | None, option("--stdin-filename FILE", "File name for standard input.", ADVANCED)
+    ] = None,
+    jobs: Annotated[
+        int, integer("--jobs -j N", "Number of processes; useful for tens of files or more.", group=ADVANCED)
+    ] = 1,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Check scenarios and report every problem.
 
-    Each finding shows its place and a way to repair it. Linting runs nothing and needs no simulator. With --deep, lint also
-    simulates each scenario that has no errors, in a separate process, and reports problems that it measures. With --exploits, it plays
-    fixed drivers, scripts and sequences of actions, for at most 60 s of CPU, and compares what they earn with what a success earns.
-    In a folder, lint reads every .yaml or .yml file with a `deepbots:` key, also in subfolders. A project sets its defaults under [lint] in
+    Each finding shows its place and a way to repair it. Linting runs nothing and needs no simulator. With
+    --deep, lint also simulates each scenario that has no errors, in a separate process, and reports problems
+    that it measures. With --exploits, it plays fixed drivers, scripts and sequences of actions, for at most
+    60 s of CPU, and compares what they earn with what a success earns. In a folder, lint reads every .yaml or
+    .yml file with a `deepbots:` key, also in subfolders. A project sets its defaults under [lint] in
     deepbots.toml, or under [tool.deepbots.lint] in pyproject.toml.
 
     \b
@@ -147,21 +182,32 @@ def lint(
         _check_simulator(option_name, fix or diff or unsafe_fixes)
     look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, exploits, stdin_name)
     names = scenario_names(scenarios or ["."], project)
-    _check_together(bool(stdin_name) and STDIN not in names, "--stdin-filename needs - (standard input) as a scenario")
-    _check_together(exploits and STDIN in names, "--exploits needs a file: it records episodes of the scenario")
-    _check_together(watch and (fix or diff or STDIN in names), "--watch reads files and changes none; leave out --fix, --diff and -")
+    _check_together(
+        bool(stdin_name) and STDIN not in names, "--stdin-filename needs - (standard input) as a scenario"
+    )
+    _check_together(
+        exploits and STDIN in names, "--exploits needs a file: it records episodes of the scenario"
+    )
+    _check_together(
+        watch and (fix or diff or STDIN in names),
+        "--watch reads files and changes none; leave out --fix, --diff and -",
+    )
     if watch:
         _watch(partial(lint, **given), partial(scenario_names, scenarios or ["."], project), look)
         return
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
     failing = _FAILING_SEVERITIES["never" if exit_zero else fail_on or project.fail_on or "error"]
     is_table = format_ in (Format.full, Format.concise, Format.json) and not diff
-    _check_together(statistics and not is_table, "--statistics prints a table or JSON; leave out --diff and other formats")
+    _check_together(
+        statistics and not is_table, "--statistics prints a table or JSON; leave out --diff and other formats"
+    )
     changes = False
     if fix or diff or unsafe_fixes:
         _check_fixing(fix, diff, overrides, names)
         if diff and (as_json or format):
-            raise UsageError("--diff cannot be combined with --format or --json: it prints changes instead of findings")
+            raise UsageError(
+                "--diff cannot be combined with --format or --json: it prints changes instead of findings"
+            )
         findings, changes = _fixed(names, look, selection, unsafe=unsafe_fixes, show=diff)
     else:
         findings = findings_of(names, look, jobs)
@@ -174,7 +220,9 @@ def lint(
         print(report(shown, format_, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
             _sum_up(shown, names, selection, fixable=not (fix or overrides), look=look)
-    hidden = [finding for finding in findings if finding.severity == "error" and not selection.selects(finding)]
+    hidden = [
+        finding for finding in findings if finding.severity == "error" and not selection.selects(finding)
+    ]
     _note_hidden(hidden)
     if any(finding.is_internal_error for finding in shown):
         raise typer.Exit(INTERNAL_ERROR)
@@ -186,7 +234,8 @@ _WATCH_INTERVAL_S = 0.3
 
 
 def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], look: LintOptions) -> None:
-    """Lint, and again whenever a file that was read changes, or a folder has other scenarios, until Ctrl-C."""
+    """Lint, and again whenever a file that was read changes, or a folder has other scenarios, until
+    Ctrl-C."""
 
     def state(files: Iterable[Path]) -> object:
         try:
@@ -228,24 +277,24 @@ def _show_statistics(findings: Sequence[Finding], *, as_json: bool) -> None:
         groups.setdefault(finding.code, []).append(finding)
     rows: list[Row] = [
         {
-            "count": len(found),
+            "count": len(group),
             "code": code,
-            "name": found[0].name,
-            "severity": found[0].severity,
-            "fixable": sum(finding.fix is not None for finding in found),
+            "name": group[0].name,
+            "severity": group[0].severity,
+            "fixable": sum(finding.fix is not None for finding in group),
         }
-        for code, found in groups.items()
+        for code, group in groups.items()
     ]
     rows.sort(key=lambda row: str(row["code"]))
     rows.sort(key=lambda row: int(str(row["count"])), reverse=True)
     terminal.show(rows, table(rows, indent="") if rows else "no findings", as_json=as_json)
 
 
-def _words(option: str, given: Codes) -> RuleSelectors | None:
+def _words(option: str, codes: Codes) -> RuleSelectors | None:
     """The codes of an option, which may be repeated and hold several."""
-    if given is None:
+    if codes is None:
         return None
-    text = ",".join(given)
+    text = ",".join(codes)
     return RuleSelectors(tuple(word.strip() for word in text.split(",")), SourceText(option, text))
 
 
@@ -253,7 +302,9 @@ def _check_simulator(option_name: str, fixing: bool) -> None:
     from deepbots_cli.lint.simulation import require_simulator
 
     if fixing:
-        raise UsageError(f"{option_name} cannot be combined with --fix or --diff: its findings have no automatic fixes")
+        raise UsageError(
+            f"{option_name} cannot be combined with --fix or --diff: its findings have no automatic fixes"
+        )
     require_simulator(f"lint {option_name}")
     if option_name == "--exploits" and find_spec("mcap") is None:
         raise MissingExtraError("sim", "a recording")
@@ -268,8 +319,11 @@ def _check_fixing(fix: bool, diff: bool, overrides: list[str] | None, names: Seq
         raise UsageError("--fix cannot change standard input; pass the name of the file")
 
 
-def _fixed(names: Sequence[str], look: LintOptions, selection: Selection, *, unsafe: bool, show: bool) -> tuple[list[Finding], bool]:
-    """The findings that are left after fixing, and whether a file changes; `show` prints the difference and writes nothing."""
+def _fixed(
+    names: Sequence[str], look: LintOptions, selection: Selection, *, unsafe: bool, show: bool
+) -> tuple[list[Finding], bool]:
+    """The findings that are left after fixing, and whether a file changes; `show` prints the difference and
+    writes nothing."""
     load = partial(api.load, permissions=look.permissions)
     fixer = Fixer(names, load, unsafe=unsafe, wanted=selection.selects, preview=look.preview)
     rewrites = fixer.fix()
@@ -280,7 +334,10 @@ def _fixed(names: Sequence[str], look: LintOptions, selection: Selection, *, uns
             rewriting.write(rewrite)
     for finding in fixer.fixed:
         edit = finding.fix.edits[0] if finding.fix else None
-        terminal.note(f"{'would fix' if show else 'fixed'} {finding.span.location}: {finding.code}[{finding.name}] {_change(edit)}")
+        terminal.note(
+            f"{'would fix' if show else 'fixed'} {finding.span.location}: {finding.code}[{finding.name}]"
+            f" {_change(edit)}"
+        )
     if fixer.fixed:
         verb, files = "would be fixed" if show else "fixed", len(rewrites)
         terminal.note(f"{len(fixer.fixed)} {verb} in {files} file{'s' if files > 1 else ''}")
@@ -298,11 +355,15 @@ def _hint(findings: Sequence[Finding]) -> str | None:
     unsafe = sum(finding.fix is not None and not finding.fix.safe for finding in findings)
     if not safe:
         count = f"{unsafe} unsafe fix{'es' * (unsafe > 1)} available"
-        return f"{count}: show with --diff --unsafe-fixes, apply with --fix --unsafe-fixes" if unsafe else None
+        return (
+            f"{count}: show with --diff --unsafe-fixes, apply with --fix --unsafe-fixes" if unsafe else None
+        )
     return f"{safe} can be fixed by --fix" + (f", {unsafe} more by --unsafe-fixes" if unsafe else "")
 
 
-def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, fixable: bool, look: LintOptions) -> None:
+def _sum_up(
+    findings: list[Finding], names: list[str], selection: Selection, *, fixable: bool, look: LintOptions
+) -> None:
     """Print the number of findings, and of those with a fix."""
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
@@ -315,17 +376,21 @@ def _sum_up(findings: list[Finding], names: list[str], selection: Selection, *, 
 
 
 def _explain_empty_diff(left: list[Finding]) -> None:
-    """Say that there are no changes, and which option shows the unsafe fixes among the findings that are `left`."""
+    """Say that there are no changes, and which option shows the unsafe fixes among the findings that are
+    `left`."""
     guesses = _hint([finding for finding in left if finding.fix and not finding.fix.safe])
     terminal.note("there are no changes" + (f"; {guesses}" if guesses else ""))
 
 
 def _note_hidden(hidden: list[Finding]) -> None:
-    """Name the errors that the selection hides: they still prevent compilation, and so the checks after it."""
+    """Name the errors that the selection hides: they still prevent compilation, and so the checks after
+    it."""
     if hidden:
         places = ", ".join(dict.fromkeys(finding.span.source.name for finding in hidden))
         codes = ", ".join(sorted({finding.code for finding in hidden}))
-        terminal.note(f"{summary(hidden)} not selected ({codes}) in {places}; these scenarios were not checked further")
+        terminal.note(
+            f"{summary(hidden)} not selected ({codes}) in {places}; these scenarios were not checked further"
+        )
 
 
 # Scenarios
@@ -337,7 +402,8 @@ _NAMELESS = "<stdin>"
 
 @dataclass(frozen=True)
 class LintOptions:
-    """How each scenario is read, and whether it is simulated (`deep`) and searched; `stdin_name` is the file name for standard input."""
+    """How each scenario is read, and whether it is simulated (`deep`) and searched; `stdin_name` is the file
+    name for standard input."""
 
     overrides: tuple[str, ...] = ()
     permissions: Permissions = Permissions()
@@ -365,31 +431,38 @@ class LintOptions:
         return {checked.document.path, *checked.document.files, *checked.inputs.names}
 
     def _of_stdin(self) -> list[Finding]:
-        """Paths in the text are relative to the folder of `stdin_name`, and the project is that of this folder."""
+        """Paths in the text are relative to the folder of `stdin_name`, and the project is that of this
+        folder."""
         from deepbots_cli.compiler import check
         from deepbots_cli.document import files, load
 
         path = Path(self.stdin_name or _NAMELESS).resolve()
         data = sys.stdin.buffer.read(files.MAX_BYTES + 1) if sys.stdin else b""
         display = self.stdin_name or _NAMELESS
-        document = load(path, self.overrides, display=display, permissions=self.permissions, drafts={path: data})
+        document = load(
+            path, self.overrides, display=display, permissions=self.permissions, drafts={path: data}
+        )
         return self._reviewed(check(document), display, STDIN)
 
     def _reviewed(self, checked: CheckedScenario, called: str, name: str) -> list[Finding]:
-        """The findings from the text and then from a simulation; a scenario with errors cannot be simulated."""
+        """The findings from the text and then from a simulation; a scenario with errors cannot be
+        simulated."""
         try:
-            found = all_findings(checked, preview=self.preview)
+            findings = all_findings(checked, preview=self.preview)
             if not (self.deep or self.exploits):
-                return found
-            if any(finding.severity == "error" and not finding.is_internal_error for finding in found):
+                return findings
+            if any(finding.severity == "error" and not finding.is_internal_error for finding in findings):
                 terminal.note(f"{called}: not simulated because it has errors")
-                return found
+                return findings
             measured: list[Finding] | None = None
             if self.deep:
                 with terminal.transient_line(f"{called}: simulating"):
                     simulated = simulate(checked, preview=self.preview)
                 if simulated.incomplete:
-                    terminal.note(f"{called}: the simulation was stopped {simulated.incomplete}; its further findings are missing")
+                    terminal.note(
+                        f"{called}: the simulation was stopped {simulated.incomplete}; its further findings"
+                        " are missing"
+                    )
                 measured = simulated.findings
             exploits = self._exploits(checked, called, name) if self.exploits else None
             return all_findings(checked, preview=self.preview, measured=measured, exploits=exploits)
@@ -402,21 +475,29 @@ class LintOptions:
 
         exploits.folder_of(checked)
         with terminal.transient_line(f"{called}: searching for exploits"):
-            found = find_exploits(checked)
-        if found.incomplete:
-            terminal.note(f"{called}: the search for exploits is incomplete: {found.incomplete}")
-        if checked.program is not None and checked.program.defines_success and not found.successes:
-            terminal.note(f"{called}: no episode succeeded, so none was compared with a success; a script that succeeds serves the search")
+            searched = find_exploits(checked)
+        if searched.incomplete:
+            terminal.note(f"{called}: the search for exploits is incomplete: {searched.incomplete}")
+        if checked.program is not None and checked.program.defines_success and not searched.successes:
+            terminal.note(
+                f"{called}: no episode succeeded, so none was compared with a success; a script that"
+                " succeeds serves the search"
+            )
         with terminal.transient_line(f"{called}: recording exploits"):
-            return exploits.keep(found, checked, name, self.overrides, self.permissions)
+            return exploits.keep(searched, checked, name, self.overrides, self.permissions)
 
     def called(self, name: str) -> str:
         """The name of the scenario `name` in findings."""
-        return (self.stdin_name or _NAMELESS) if name == STDIN else Source.open(name, self.permissions, SourceKind.SCENARIO).name
+        return (
+            (self.stdin_name or _NAMELESS)
+            if name == STDIN
+            else Source.open(name, self.permissions, SourceKind.SCENARIO).name
+        )
 
 
 def scenario_names(given: Iterable[str], project: Settings) -> list[str]:
-    """The scenarios that the arguments name, each once; files in folders that the project excludes are left out.
+    """The scenarios that the arguments name, each once; files in folders that the project excludes are left
+    out.
 
     Raises:
         UsageError: A scenario does not exist, or a folder holds no scenario.
@@ -440,7 +521,8 @@ def findings_of(names: Sequence[str], look: LintOptions, jobs: int = 1) -> list[
 
 
 def _look_at(look: LintOptions, name: str) -> list[Finding]:
-    """The findings of one scenario. An internal error of deepbots becomes its only finding, and the other scenarios are still linted."""
+    """The findings of one scenario. An internal error of deepbots becomes its only finding, and the other
+    scenarios are still linted."""
     try:
         return look.findings(name)
     except (DeepbotsError, OSError):
@@ -456,15 +538,24 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
 
     others = [name for name in names if name != STDIN]
     # Ctrl-C reaches every process; only this one handles it.
-    with safe_path(), ProcessPoolExecutor(jobs, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)) as pool:
-        found = dict(zip(others, pool.map(look_at, others, chunksize=max(1, len(others) // (4 * jobs))), strict=True))
-    return [found[name] if name in found else look_at(name) for name in names]
+    with (
+        safe_path(),
+        ProcessPoolExecutor(
+            jobs, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
+        ) as pool,
+    ):
+        results = dict(
+            zip(others, pool.map(look_at, others, chunksize=max(1, len(others) // (4 * jobs))), strict=True)
+        )
+    return [results[name] if name in results else look_at(name) for name in names]
 
 
 # Formats
 
 
-def report(findings: Sequence[Finding], format: Format, names: Sequence[str], failing: Sequence[Severity]) -> str:
+def report(
+    findings: Sequence[Finding], format: Format, names: Sequence[str], failing: Sequence[Severity]
+) -> str:
     """The text for standard output; `names` are the names of the scenarios in findings."""
     match format:
         case Format.github:
@@ -479,11 +570,13 @@ def report(findings: Sequence[Finding], format: Format, names: Sequence[str], fa
             return render(findings, "json")
         case Format.full | Format.concise:
             form: Literal["full", "concise"] = "full" if format is Format.full else "concise"
-            return escape_log_commands(render(findings, form, terminal.uses_color(sys.stdout), terminal.width()))
+            return escape_log_commands(
+                render(findings, form, terminal.uses_color(sys.stdout), terminal.width())
+            )
 
 
 def _page(code: str) -> tuple[str, str]:
-    from deepbots_cli.lint import pages_of
+    from deepbots_cli.lint.pages import pages_of
 
     pages = pages_of(code)
     return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)
@@ -494,14 +587,22 @@ def _page(code: str) -> tuple[str, str]:
 
 def lsp(
     port: Annotated[
-        int | None, option("--tcp PORT", "Listen on this port; by default, use standard input and output.", ADVANCED, min=1, max=65535)
+        int | None,
+        option(
+            "--tcp PORT",
+            "Listen on this port; by default, use standard input and output.",
+            ADVANCED,
+            min=1,
+            max=65535,
+        ),
     ] = None,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Run the language server: findings, completion, hover.
 
-    An editor that supports the language server protocol starts this command itself. The server completes keys, names and functions, shows
-    types, units and ranges, and finds definitions. docs/editors.md has the settings of Neovim, Helix and VS Code.
+    An editor that supports the language server protocol starts this command itself. The server completes
+    keys, names and functions, shows types, units and ranges, and finds definitions. docs/editors.md has the
+    settings of Neovim, Helix and VS Code.
 
     \b
       deepbots lsp

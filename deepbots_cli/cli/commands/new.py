@@ -1,4 +1,5 @@
-"""`deepbots new`: a scenario from a template or for a robot file (`starters/`), or a copy of a shipped one with the files that it reads."""
+"""`deepbots new`: a scenario from a template or for a robot file (`starters/`), or a copy of a shipped one
+with the files that it reads."""
 
 from __future__ import annotations
 
@@ -51,9 +52,11 @@ _PROJECT = {
     ".gitignore": "exploits/\nruns/\n",
     ".github/workflows/lint.yml": _WORKFLOW,
     ".vscode/extensions.json": '{"recommendations": ["redhat.vscode-yaml"]}\n',
-    ".vscode/settings.json": '{\n  "yaml.schemas": {"deepbots.schema.json": ["*.yaml"]},\n  "yaml.disableDefaultProperties": true\n}\n',
+    ".vscode/settings.json": '{\n  "yaml.schemas": {"deepbots.schema.json": ["*.yaml"]},\n '
+    ' "yaml.disableDefaultProperties": true\n}\n',
 }
-"""The files of a project beside its scenario and `deepbots.schema.json`; the second setting leaves out keys that repeat a default."""
+"""The files of a project beside its scenario and `deepbots.schema.json`; the second setting leaves out keys
+that repeat a default."""
 
 
 class Template(StrEnum):
@@ -68,15 +71,27 @@ def new(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
     template: Annotated[Template | None, option("--template", "Template to begin with.")] = None,
     shipped_name: Annotated[
-        str | None, option("--from SCENARIO", "Shipped scenario to copy with its files; `deepbots scenarios` lists them.")
+        str | None,
+        option(
+            "--from SCENARIO", "Shipped scenario to copy with its files; `deepbots scenarios` lists them."
+        ),
     ] = None,
     urdf: Annotated[
-        str | None, option("--urdf ROBOT", "Robot file to begin with: a path, package://..., or the name of a shipped robot.")
+        str | None,
+        option(
+            "--urdf ROBOT", "Robot file to begin with: a path, package://..., or the name of a shipped robot."
+        ),
     ] = None,
-    schema: Annotated[bool, option("--schema", "Also write NAME.schema.json for completion in an editor.", OUTPUT)] = False,
+    schema: Annotated[
+        bool, option("--schema", "Also write NAME.schema.json for completion in an editor.", OUTPUT)
+    ] = False,
     project: Annotated[
         Path | None,
-        option("--project DIR", "Write a project: scenario, schema, settings of VS Code, and a GitHub workflow that lints.", OUTPUT),
+        option(
+            "--project DIR",
+            "Write a project: scenario, schema, settings of VS Code, and a GitHub workflow that lints.",
+            OUTPUT,
+        ),
     ] = None,
     as_json: Json = False,
     force: Force = False,
@@ -84,9 +99,9 @@ def new(
 ) -> None:
     """Write a scenario: from a template, a copy, or a robot file.
 
-    With --urdf, deepbots chooses a task that suits the robot: driving, reaching, walking, flying or balancing. --from copies a scenario
-    that comes with deepbots, and rewrites its paths so that they fit the new folder. Existing files are overwritten only with --force.
-    The templates are:
+    With --urdf, deepbots chooses a task that suits the robot: driving, reaching, walking, flying or
+    balancing. --from copies a scenario that comes with deepbots, and rewrites its paths so that they fit the
+    new folder. Existing files are overwritten only with --force. The templates are:
 
     \b
       cartpole  a cart that balances a pole
@@ -105,31 +120,49 @@ def new(
     """
     name = validated_name(name)
     starts = {"--template": template, "--from": shipped_name, "--urdf": urdf}
-    given = [option for option, value in starts.items() if value]
-    if len(given) > 1:
-        raise UsageError(f"{' and '.join(given)} cannot be combined; choose one of them")
-    if not given:
-        raise UsageError(f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, or --urdf ROBOT")
+    present = [option for option, value in starts.items() if value]
+    if len(present) > 1:
+        raise UsageError(f"{' and '.join(present)} cannot be combined; choose one of them")
+    if not present:
+        raise UsageError(
+            f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, or --urdf ROBOT"
+        )
     if project is not None:
         if folder != Path(".") or schema:
-            raise UsageError("--project names the folder, and writes a schema for all its scenarios; leave out DIR and --schema")
+            raise UsageError(
+                "--project names the folder, and writes a schema for all its scenarios; leave out DIR and"
+                " --schema"
+            )
         folder = project
     if urdf:
-        made = from_robot(urdf, name, folder, permissions)
+        contents = from_robot(urdf, name, folder, permissions)
     else:
-        made = from_shipped(shipped_name, name) if shipped_name else from_template(template or "", name)
+        contents = from_shipped(shipped_name, name) if shipped_name else from_template(template or "", name)
     if project is not None:
-        made |= {PurePosixPath(path): text.encode() for path, text in _PROJECT.items()}
-        made[PurePosixPath("deepbots.schema.json")] = schema_text().encode()
-    kept = _present(made, folder)
-    written = write_with_schema(made, folder, force=force) if schema else write_new(made, folder, force=force)
+        contents |= {PurePosixPath(path): text.encode() for path, text in _PROJECT.items()}
+        contents[PurePosixPath("deepbots.schema.json")] = schema_text().encode()
+    kept = _present(contents, folder)
+    written = (
+        write_with_schema(contents, folder, force=force)
+        if schema
+        else write_new(contents, folder, force=force)
+    )
     if urdf:
         terminal.note_warnings(api.lint(written[0], permissions=permissions), str(written[0]))
     if not as_json:
         _name_faster_engine(written[0])
     program = api.load(written[0]).program
-    teachers = [f"train --teacher {script.name}" for script in program.agent.scripts] if program is not None else []
-    further = ("try", "inspect", "lint", "train", *teachers[:1], *(() if schema or project else ("schema --for",)))
+    teachers = (
+        [f"train --teacher {script.name}" for script in program.agent.scripts] if program is not None else []
+    )
+    further = (
+        "try",
+        "inspect",
+        "lint",
+        "train",
+        *teachers[:1],
+        *(() if schema or project else ("schema --for",)),
+    )
     _show(written, kept, further, as_json=as_json)
 
 
@@ -157,9 +190,15 @@ def validated_name(name: str) -> str:
     bare = name.removesuffix(".yaml")
     folder, _, last = bare.rpartition("/")
     if folder and _NAME.fullmatch(last):
-        raise UsageError(f"'{name[:80]}' contains a folder; write the folder after the name: deepbots new {last} {quote(folder)} ...")
+        raise UsageError(
+            f"'{name[:80]}' contains a folder; write the folder after the name: deepbots new {last}"
+            f" {quote(folder)} ..."
+        )
     if not _NAME.fullmatch(bare):
-        raise UsageError(f"'{name[:80]}' is not a valid name; use up to 64 letters, digits, _ and -, and begin with a letter")
+        raise UsageError(
+            f"'{name[:80]}' is not a valid name; use up to 64 letters, digits, _ and -, and begin with a"
+            " letter"
+        )
     return bare
 
 
@@ -167,18 +206,20 @@ def from_template(template: str, name: str) -> Files:
     """The scenario `NAME.yaml`, and the robot file beside it if the template has one."""
     text = (_TEMPLATES / f"{template}.yaml").read_text(encoding="utf-8")
     text = text.replace("name: Start\n", f"name: {_title(name)}\n").replace("start.urdf", f"{name}.urdf")
-    made: Files = {PurePosixPath(f"{name}.yaml"): text.encode()}
+    contents: Files = {PurePosixPath(f"{name}.yaml"): text.encode()}
     robot = _TEMPLATES / f"{template}.urdf"
     if robot.exists():
-        made[PurePosixPath(f"{name}.urdf")] = robot.read_bytes()
-    return made
+        contents[PurePosixPath(f"{name}.urdf")] = robot.read_bytes()
+    return contents
 
 
 def from_robot(robot: str, name: str, folder: Path, permissions: Permissions = Permissions()) -> Files:
-    """The scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or package://...
+    """The scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
+    package://...
 
     Raises:
-        UsageError: The file does not exist, a scenario in the folder may not read it, or the robot has no joint that can be driven.
+        UsageError: The file does not exist, a scenario in the folder may not read it, or the robot has no
+            joint that can be driven.
         ScenarioError: The file is not a valid robot.
     """
     model = open_robot(robot, permissions.folders)[0].model
@@ -191,11 +232,17 @@ def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
-    found = resolve_reference(path, folder.resolve(), [project_root(folder), *shipped.data_roots(), *allowed_folders(permissions.folders)])
-    if isinstance(found, UnusableFile):
+    referenced = resolve_reference(
+        path,
+        folder.resolve(),
+        [project_root(folder), *shipped.data_roots(), *allowed_folders(permissions.folders)],
+    )
+    if isinstance(referenced, UnusableFile):
         raise UsageError(
-            f"a scenario in {folder.resolve()} may not read {robot}, because the file {found.headline.partition('` ')[2]}; "
-            f"allow its folder with `--allow-path {quote(os.path.dirname(robot) or '.')}`, here and in later commands, or copy it with "
+            f"a scenario in {folder.resolve()} may not read {robot}, because the file"
+            f" {referenced.headline.partition('` ')[2]}; "
+            f"allow its folder with `--allow-path {quote(os.path.dirname(robot) or '.')}`, here and in later"
+            " commands, or copy it with "
             "its meshes into the folder; a robot of an installed package is named as package://PACKAGE/PATH"
         )
     return path
@@ -212,12 +259,14 @@ _PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
 
 
 def from_shipped(shipped_name: str, name: str) -> Files:
-    """The files of a shipped scenario by their paths in the new folder, the scenario first, as `NAME.yaml` and under this name.
+    """The files of a shipped scenario by their paths in the new folder, the scenario first, as `NAME.yaml`
+    and under this name.
 
     Files of `scenarios/` move to the top of the folder. The paths in scenarios are rewritten; comments stay.
 
     Raises:
-        UsageError: There is no shipped scenario of this name, or it reads another one that is called `NAME.yaml`.
+        UsageError: There is no shipped scenario of this name, or it reads another one that is called
+            `NAME.yaml`.
     """
     first = shipped.scenario_path(shipped_name)
     if first is None:
@@ -225,20 +274,27 @@ def from_shipped(shipped_name: str, name: str) -> Files:
         near = nearest_word(shipped_name, names)
         hint = f" (did you mean {near}?)" if near else ""
         if shipped_name.endswith((".yaml", ".yml")) and os.path.isfile(shipped_name):
-            own = f"copy your own file with `cp {quote(shipped_name)} {name}.yaml`, or write `extends: {shipped_name}` in a new file"
-            raise UsageError(f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {own}")
-        raise UsageError(f"there is no shipped scenario '{shipped_name}'{hint}; shipped scenarios are: {', '.join(names)}")
+            own = (
+                f"copy your own file with `cp {quote(shipped_name)} {name}.yaml`, or write `extends:"
+                f" {shipped_name}` in a new file"
+            )
+            raise UsageError(
+                f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {own}"
+            )
+        raise UsageError(
+            f"there is no shipped scenario '{shipped_name}'{hint}; shipped scenarios are: {', '.join(names)}"
+        )
     target = PurePosixPath(f"{name}.yaml")
     text, waiting = _rewritten(first.resolve())
-    found: Files = {target: text if name == first.stem else _renamed(text, name)}
+    contents: Files = {target: text if name == first.stem else _renamed(text, name)}
     while waiting:
         file = waiting.pop(0)
         if _target(file) == target:
             raise UsageError(f"'{name}' is the name of a file that {shipped_name} reads; choose another name")
-        if _target(file) not in found:
-            found[_target(file)], needed = _moved(file)
+        if _target(file) not in contents:
+            contents[_target(file)], needed = _moved(file)
             waiting += needed
-    return found
+    return contents
 
 
 def _renamed(content: bytes, name: str) -> bytes:
@@ -276,16 +332,19 @@ def _rewritten(file: Path) -> tuple[bytes, list[Path]]:
 
 
 def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
-    """Every value that names a shipped file, in file order: a path, or a name as the value of `urdf` or `extends`."""
+    """Every value that names a shipped file, in file order: a path, or a name as the value of `urdf` or
+    `extends`."""
     root = parse(Source(file.name, text), Findings())
     if root is None:
         return
     for path, node in walk(root):
         if isinstance(node, ScalarNode) and isinstance(node.value, str):
-            library = {"urdf": shipped.ROBOTS, "extends": shipped.SCENARIOS}.get(str(path[-1])) if path else None
-            found = files.resolve_reference(node.text, file.parent, shipped.data_roots(), library)
-            if isinstance(found, Path):
-                yield node, found
+            library = (
+                {"urdf": shipped.ROBOTS, "extends": shipped.SCENARIOS}.get(str(path[-1])) if path else None
+            )
+            referenced = files.resolve_reference(node.text, file.parent, shipped.data_roots(), library)
+            if isinstance(referenced, Path):
+                yield node, referenced
 
 
 # Writing
@@ -294,23 +353,31 @@ def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
 def _present(files: Files, folder: Path) -> set[Path]:
     """The paths of the files that are already in `folder` with this content."""
     return {
-        folder / target for target, content in files.items() if (folder / target).is_file() and (folder / target).read_bytes() == content
+        folder / target
+        for target, content in files.items()
+        if (folder / target).is_file() and (folder / target).read_bytes() == content
     }
 
 
 def _show(written: Sequence[Path], kept: set[Path], commands: Sequence[str], *, as_json: bool) -> None:
-    """Print the paths, with a mark at files that were there before with the same content, and the commands to go on with."""
+    """Print the paths, with a mark at files that were there before with the same content, and the commands to
+    go on with."""
     scenario, schema = quote(str(written[0])), quote(str(written[0].with_suffix(".schema.json")))
     lines = [f"{path} (unchanged)" if path in kept else str(path) for path in written]
-    further = [f"deepbots {command} {scenario}" + (f" -o {schema}" if "schema" in command else "") for command in commands]
+    further = [
+        f"deepbots {command} {scenario}" + (f" -o {schema}" if "schema" in command else "")
+        for command in commands
+    ]
     terminal.show({"scenario": written[0], "files": written}, *lines, as_json=as_json, next_commands=further)
 
 
 def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write the files into `folder`; one that is already there with the same content is left alone, another one replaced with `force`.
+    """Write the files into `folder`; one that is already there with the same content is left alone, another
+    one replaced with `force`.
 
     Raises:
-        UsageError: Other files are in the way; lists them. Or a file cannot be written. No new file is left in either case.
+        UsageError: Other files are in the way; lists them. Or a file cannot be written. No new file is left
+            in either case.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; name a folder (deepbots creates it if it does not exist)")
@@ -344,7 +411,8 @@ def modeline(scenario: Path, schema: Path) -> str:
 
 
 def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
-    """Write the files into `folder`, the first of them a scenario, with a schema for that one; the files that were written.
+    """Write the files into `folder`, the first of them a scenario, with a schema for that one; the files that
+    were written.
 
     Raises:
         UsageError: Other files are in the way; nothing is written.
@@ -355,4 +423,11 @@ def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
         refuse_overwriting(folder / schema, force=force)
     led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
     written = write_new({target: led, **dict(others)}, folder, force=force)
-    return [*written, *write_new({PurePosixPath(schema): schema_text(scenario_names(api.load(written[0]))).encode()}, folder, force=force)]
+    return [
+        *written,
+        *write_new(
+            {PurePosixPath(schema): schema_text(scenario_names(api.load(written[0]))).encode()},
+            folder,
+            force=force,
+        ),
+    ]

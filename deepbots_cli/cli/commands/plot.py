@@ -13,20 +13,29 @@ from deepbots_cli.files import atomic_write
 
 
 def command(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files.")],
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN", help="Run directories, folders of runs, or folders of TensorBoard files."
+        ),
+    ],
     out: Annotated[Path, option("--output -o FILE", "File to write, .png or .svg.")] = Path("plot.png"),
-    window: Annotated[int, integer("--window N", "Average returns and successes over this number of episodes.", 1, 100_000)] = 100,
+    window: Annotated[
+        int, integer("--window N", "Average returns and successes over this number of episodes.", 1, 100_000)
+    ] = 100,
     force: Force = False,
     dark: Annotated[bool, option("--dark", "Light lines on a dark ground.")] = False,
 ) -> None:
     """Plot the learning curves of runs.
 
-    The panels show returns, success rates, reward terms and endings. Runs of one scenario with different seeds are drawn as one line, the
-    mean over the seeds. A band reaches from the lowest value of all seeds to the highest. Each further scenario has its own line. Dots are
-    the evaluations during the training. Dashed lines mark where the stages of a curriculum begin.
+    The panels show returns, success rates, reward terms and endings. Runs of one scenario with different
+    seeds are drawn as one line, the mean over the seeds. A band reaches from the lowest value of all seeds to
+    the highest. Each further scenario has its own line. Dots are the evaluations during the training. Dashed
+    lines mark where the stages of a curriculum begin.
 
-    Of a training with a teacher, a dotted line is the score of the script, and one more panel shows how far the policy agrees with it, the
-    weight of the imitation loss, and the share of the worlds that the script drives.
+    Of a training with a teacher, a dotted line is the score of the script, and one more panel shows how far
+    the policy agrees with it, the weight of the imitation loss, and the share of the worlds that the script
+    drives.
 
     \b
       deepbots plot runs/cartpole-0-1
@@ -46,5 +55,8 @@ def command(
         figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
     for log in logs:
         if log.evaluation is not None and log.evaluation.remarks:
-            terminal.note(f"note: about the evaluation that the diamond of {log.path} shows: {'; '.join(log.evaluation.remarks)}")
+            terminal.note(
+                f"note: about the evaluation that the diamond of {log.path} shows:"
+                f" {'; '.join(log.evaluation.remarks)}"
+            )
     terminal.print_result(f"{out} ({len(logs)} run{'s' * (len(logs) > 1)})")

@@ -1,4 +1,5 @@
-"""`deepbots render`: a picture, a video, an offline page or a recording; the suffix of the file says which."""
+"""`deepbots render`: a picture, a video, an offline page or a recording; the suffix of the file says
+which."""
 
 from __future__ import annotations
 
@@ -81,8 +82,12 @@ _VIDEO_ONLY = "Video (.mp4, .gif, .html)"
 def size(text: str) -> tuple[int, int]:
     """A parser of `640x480`, the width and height of a picture in pixels."""
     wide, _, tall = text.lower().partition("x")
-    if not (wide.isdecimal() and tall.isdecimal() and 16 <= int(wide) <= MAX_SIDE and 16 <= int(tall) <= MAX_SIDE):
-        raise typer.BadParameter(f"'{text}' is not a size; write width x height in pixels, such as 640x480, from 16 to {MAX_SIDE}")
+    if not (
+        wide.isdecimal() and tall.isdecimal() and 16 <= int(wide) <= MAX_SIDE and 16 <= int(tall) <= MAX_SIDE
+    ):
+        raise typer.BadParameter(
+            f"'{text}' is not a size; write width x height in pixels, such as 640x480, from 16 to {MAX_SIDE}"
+        )
     return int(wide), int(tall)
 
 
@@ -100,19 +105,32 @@ def point(text: str) -> tuple[float, float, float]:
 def command(
     shown: Shown,
     output: Annotated[
-        Path | None, option("--output -o FILE", "File to write: .png, .mp4, .gif, .html or .mcap; by default NAME.png.")
+        Path | None,
+        option("--output -o FILE", "File to write: .png, .mp4, .gif, .html or .mcap; by default NAME.png."),
     ] = None,
     driver: Driver = None,
     seed: Annotated[
-        int | None, integer("--seed N", "Root seed of the starts; by default that of the run, and 0 for a scenario.", 0, MAX_SEED, EPISODES)
+        int | None,
+        integer(
+            "--seed N",
+            "Root seed of the starts; by default that of the run, and 0 for a scenario.",
+            0,
+            MAX_SEED,
+            EPISODES,
+        ),
     ] = None,
-    episode: Annotated[int | None, integer("--episode K", "Held-out episode of `deepbots eval`; 0 by default.", 0, None, EPISODES)] = None,
+    episode: Annotated[
+        int | None,
+        integer("--episode K", "Held-out episode of `deepbots eval`; 0 by default.", 0, None, EPISODES),
+    ] = None,
     episodes: Annotated[
         Any,
         option(
             "--episodes N|failed",
-            "Make N episodes, from --episode on; `failed`: the failed episodes of the last evaluation of a run. A .mcap contains all"
-            " of them. Videos and pages are one file per episode, FILE-K.mp4 for episode K; with `failed`, for the first 10 failed episodes"
+            "Make N episodes, from --episode on; `failed`: the failed episodes of the last evaluation of a"
+            " run. A .mcap contains all"
+            " of them. Videos and pages are one file per episode, FILE-K.mp4 for episode K; with `failed`,"
+            " for the first 10 failed episodes"
             " only.",
             EPISODES,
             parser=partial(episodes_or_failed, maximum=MAX_EPISODES),
@@ -121,33 +139,68 @@ def command(
     steps: Annotated[
         int | None,
         integer(
-            "--steps N", "With .png, take the picture after N steps. With .mcap, record at most N steps of each episode.", 1, None, EPISODES
+            "--steps N",
+            "With .png, take the picture after N steps. With .mcap, record at most N steps of each episode.",
+            1,
+            None,
+            EPISODES,
         ),
     ] = None,
-    labels: Annotated[bool, option("--labels", "Name the links and joints of the first robot.", _PICTURE_ONLY)] = False,
+    labels: Annotated[
+        bool, option("--labels", "Name the links and joints of the first robot.", _PICTURE_ONLY)
+    ] = False,
     rays: Annotated[bool, option("--rays", "Draw the rays of sensors.", _PICTURE_ONLY)] = False,
-    path: Annotated[bool, option("--path", "Run the episode, and draw the paths of what moves in it.", _PICTURE_ONLY)] = False,
+    path: Annotated[
+        bool, option("--path", "Run the episode, and draw the paths of what moves in it.", _PICTURE_ONLY)
+    ] = False,
     seconds: Annotated[
-        float | None, option("--seconds S", "Simulated seconds; by default the whole episode.", _VIDEO_ONLY, min=0.01, max=3600)
+        float | None,
+        option(
+            "--seconds S", "Simulated seconds; by default the whole episode.", _VIDEO_ONLY, min=0.01, max=3600
+        ),
     ] = None,
     speed: Annotated[
         float | None,
-        option("--speed X", "Playback speed: simulated seconds per second of video; 1 by default.", _VIDEO_ONLY, min=0.01, max=100),
+        option(
+            "--speed X",
+            "Playback speed: simulated seconds per second of video; 1 by default.",
+            _VIDEO_ONLY,
+            min=0.01,
+            max=100,
+        ),
     ] = None,
     # Any: typer would parse each part of a tuple alone.
     size: Annotated[
-        Any, option("--size WxH", "Width and height in pixels; by default 640x480, and 480x320 for a video.", _CAMERA, parser=size)
+        Any,
+        option(
+            "--size WxH",
+            "Width and height in pixels; by default 640x480, and 480x320 for a video.",
+            _CAMERA,
+            parser=size,
+        ),
     ] = None,
-    eye: Annotated[Any, option("--from X,Y,Z", "Camera position in m; by default it sees the whole scene.", _CAMERA, parser=point)] = None,
-    target: Annotated[Any, option("--at X,Y,Z", "Point in m that the camera looks at.", _CAMERA, parser=point)] = None,
-    follow: Annotated[str | None, option("--follow ROBOT", "Move the camera with this robot, and show what is near it.", _CAMERA)] = None,
+    eye: Annotated[
+        Any,
+        option(
+            "--from X,Y,Z", "Camera position in m; by default it sees the whole scene.", _CAMERA, parser=point
+        ),
+    ] = None,
+    target: Annotated[
+        Any, option("--at X,Y,Z", "Point in m that the camera looks at.", _CAMERA, parser=point)
+    ] = None,
+    follow: Annotated[
+        str | None,
+        option("--follow ROBOT", "Move the camera with this robot, and show what is near it.", _CAMERA),
+    ] = None,
     overrides: Overrides = None,
     case: Case = None,
     stage: Stage = None,
     start: Start = None,
     engine: EngineOrRun = None,
     as_json: Json = False,
-    last: Annotated[bool, option("--last", "Let the last model of a run act instead of the best one.", ADVANCED)] = False,
+    last: Annotated[
+        bool, option("--last", "Let the last model of a run act instead of the best one.", ADVANCED)
+    ] = False,
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
@@ -174,29 +227,47 @@ def command(
       deepbots render runs/find_ball-0-1 --episodes 5 -o five.mcap
       deepbots render package://pybullet_data/husky/husky.urdf -o husky.png
 
-    --path draws the end of an episode, and the paths of the robots and of the objects that the task moves. For a robot with a fixed
-    base, it draws the path of the link that the task is about. The camera looks from above; if
-    a path climbs, it looks from the side.
+    --path draws the end of an episode, and the paths of the robots and of the objects that the task moves.
+    For a robot with a fixed base, it draws the path of the link that the task is about. The camera looks from
+    above; if a path climbs, it looks from the side.
 
-    A recording holds for every step the poses, sensor readings, messages, actions, observations and reward terms, and the scenario.
-    `render` takes a recording in place of a scenario.
+    A recording holds for every step the poses, sensor readings, messages, actions, observations and reward
+    terms, and the scenario. `render` takes a recording in place of a scenario.
 
     Next: `deepbots view SCENARIO` shows it live.
     """
     file = output or Path(f"{Path(shown).stem}{PICTURE}")
-    given: dict[str, Any] = {"--labels": labels, "--rays": rays, "--path": path, "--steps": steps, "--seconds": seconds, "--speed": speed}
-    given |= {"--size": size, "--from": eye, "--at": target, "--follow": follow, "--episodes": episodes, "--start": start}
-    kind = _checked_kind(file, [name for name, value in given.items() if value])
+    options: dict[str, Any] = {
+        "--labels": labels,
+        "--rays": rays,
+        "--path": path,
+        "--steps": steps,
+        "--seconds": seconds,
+        "--speed": speed,
+    }
+    options |= {
+        "--size": size,
+        "--from": eye,
+        "--at": target,
+        "--follow": follow,
+        "--episodes": episodes,
+        "--start": start,
+    }
+    kind = _checked_kind(file, [name for name, value in options.items() if value])
     from deepbots_cli.view import pictures
 
     width, height = size or _DEFAULT_SIZES.get(kind, (480, 320))
     shot = pictures.Viewpoint(width, height, eye, target, follow)
     if is_robot(shown):
-        of_episodes = [value for name, value in given.items() if name not in ("--size", "--from", "--at")]
+        of_episodes = [value for name, value in options.items() if name not in ("--size", "--from", "--at")]
         if kind != PICTURE or any((*of_episodes, driver, seed, episode, overrides, case, stage)):
-            names = [name for name, value in given.items() if value and name not in ("--size", "--from", "--at")]
+            names = [
+                name for name, value in options.items() if value and name not in ("--size", "--from", "--at")
+            ]
             odd = f", and {names[0]} needs a scenario" if names else ""
-            raise UsageError(f"{shown} is a robot file{odd}: a picture (.png) of it takes --size, --from and --at")
+            raise UsageError(
+                f"{shown} is a robot file{odd}: a picture (.png) of it takes --size, --from and --at"
+            )
         pictures.check_target(file, SUFFIXES, force=force)
         _draw_robot(shown, file, shot, engine_or_default(engine), permissions)
         terminal.show({"files": [_made(file)]}, str(file), as_json=as_json)
@@ -205,14 +276,19 @@ def command(
 
     opened = Source.open(shown, permissions, *SHOWN_KINDS)
     if kind == RECORDING_SUFFIX and opened.kind is SourceKind.RECORDING:
-        raise UsageError(f"{shown} is already a recording; `deepbots render {shown} -o video.mp4` makes a video of it")
+        raise UsageError(
+            f"{shown} is already a recording; `deepbots render {shown} -o video.mp4` makes a video of it"
+        )
     is_run = opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT)
     ref = ModelRef.open(opened, model="last" if last else "best") if is_run else None
     if last and ref is None:
         raise UsageError(f"--last chooses a model of a run, but {shown} is not a run")
     if episodes == FAILED_EPISODES:
         if ref is None or last or any(value is not None for value in (seed, episode, driver)):
-            raise UsageError("--episodes failed repeats an evaluation of a run; leave out --seed, --episode, --driver and --last")
+            raise UsageError(
+                "--episodes failed repeats an evaluation of a run; leave out --seed, --episode, --driver and"
+                " --last"
+            )
         wanted = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS)
     else:
         first = episode or 0
@@ -223,16 +299,20 @@ def command(
     files = [file]
     if episodes is not None and kind != RECORDING_SUFFIX:
         files = [file.with_name(f"{file.stem}-{number}{file.suffix}") for number in wanted.numbers]
-    for made in files:
-        pictures.check_target(made, SUFFIXES, force=force)
+    for drawn in files:
+        pictures.check_target(drawn, SUFFIXES, force=force)
     acts: dict[str, Any] = {"model": wanted.model, "deterministic": wanted.deterministic}
     reference = shown if ref is None else str(ref.run.path)
-    source = Showing(reference, overrides or (), permissions, engine, case, stage, start=start_values(start), **acts)
+    source = Showing(
+        reference, overrides or (), permissions, engine, case, stage, start=start_values(start), **acts
+    )
     with closing_player(source, driver) as world:
         if kind == RECORDING_SUFFIX:
             ends = _record(world, file, wanted, steps)
         elif kind == PICTURE:
-            trace = list(world.episode(wanted.seed, wanted.numbers[0], None if path and not steps else steps or 0))
+            trace = list(
+                world.episode(wanted.seed, wanted.numbers[0], None if path and not steps else steps or 0)
+            )
             image = pictures.render_picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
             with atomic_write(file) as draft:
                 image.save(draft, "PNG")
@@ -246,11 +326,20 @@ def command(
                     speed=speed or 1.0,
                     on_frame=lambda frame: show(f"{frame.time:.1f} s of the episode are drawn ..."),
                 )
-                ends = [play(world, made, shot, episode=number) for number, made in zip(wanted.numbers, files, strict=True)]
+                ends = [
+                    play(world, drawn, shot, episode=number)
+                    for number, drawn in zip(wanted.numbers, files, strict=True)
+                ]
     rows = records.recorded_rows(zip(wanted.numbers, ends, strict=True))
     per_file = [rows] if len(files) == 1 else [[row] for row in rows]
-    data = {"files": [{**_made(made), "episodes": listed} for made, listed in zip(files, per_file, strict=True)]}
-    further = [f"deepbots view {quote(str(file))}", f"deepbots replay --verify {quote(str(file))}"] if kind == RECORDING_SUFFIX else []
+    data = {
+        "files": [{**_made(drawn), "episodes": listed} for drawn, listed in zip(files, per_file, strict=True)]
+    }
+    further = (
+        [f"deepbots view {quote(str(file))}", f"deepbots replay --verify {quote(str(file))}"]
+        if kind == RECORDING_SUFFIX
+        else []
+    )
     terminal.show(data, *_lines(kind, files, rows), as_json=as_json, next_commands=further)
 
 
@@ -273,7 +362,9 @@ class _Episodes:
         _, kept = last_evaluation(ref)
         numbers = kept.failed(ref.run.program)[:maximum]
         if not numbers:
-            raise UsageError(f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {ref.run.path} failed")
+            raise UsageError(
+                f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {ref.run.path} failed"
+            )
         return _Episodes(numbers=numbers, **kept.replay_options)
 
 
@@ -283,23 +374,31 @@ def _record(world: Player, file: Path, wanted: _Episodes, steps: int | None) -> 
     count = len(wanted.numbers)
     with terminal.progress(always=False) as show:
         done = iter(range(1, count + 1))
-        return record(world, file, wanted.seed, wanted.numbers, lambda _: show(next(done), count), steps=steps)
+        return record(
+            world, file, wanted.seed, wanted.numbers, lambda _: show(next(done), count), steps=steps
+        )
 
 
-def _checked_kind(file: Path, given: Sequence[str]) -> str:
+def _checked_kind(file: Path, options: Sequence[str]) -> str:
     """The suffix of the file.
 
     Raises:
-        UsageError: Nothing is made with this suffix, an option that is given is for others, or two exclude each other.
+        UsageError: Nothing is made with this suffix, an option that is given is for others, or two exclude
+            each other.
     """
     kind = file.suffix.lower()
     if kind not in SUFFIXES:
-        raise UsageError(f"{file} must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; the suffix says what is made")
-    wrong = [name for name in given if kind not in _SUFFIXES_OF[name]]
+        raise UsageError(
+            f"{file} must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; the suffix says what is made"
+        )
+    wrong = [name for name in options if kind not in _SUFFIXES_OF[name]]
     if wrong:
         reasons = [f"{name} is for {', '.join(_SUFFIXES_OF[name])}" for name in wrong]
-        raise UsageError(f"{file}: {'; '.join(reasons)}; leave {'it' if len(wrong) == 1 else 'them'} out, or name another file")
-    if "--follow" in given and {"--from", "--at"}.intersection(given):
+        raise UsageError(
+            f"{file}: {'; '.join(reasons)}; leave {'it' if len(wrong) == 1 else 'them'} out, or name another"
+            " file"
+        )
+    if "--follow" in options and {"--from", "--at"}.intersection(options):
         raise UsageError("--follow moves the camera; leave out --from and --at")
     return kind
 
@@ -314,7 +413,12 @@ def _lines(kind: str, files: Sequence[Path], rows: Sequence[Row]) -> Iterator[st
     for file, row in zip(files, rows, strict=False):
         size = f"{file.stat().st_size / 1000:,.0f} kB"
         end = f"{row['ending'] or 'not ended'} after {row['time_s']:.2f} s, return {row['return']:.2f}"
-        yield str(file) if kind == PICTURE else f"{file} ({size})" if kind == RECORDING_SUFFIX else f"{file} ({size}; {end})"
+        if kind == PICTURE:
+            yield str(file)
+        elif kind == RECORDING_SUFFIX:
+            yield f"{file} ({size})"
+        else:
+            yield f"{file} ({size}; {end})"
 
 
 def _draw_robot(reference: str, file: Path, shot: Viewpoint, engine: str, permissions: Permissions) -> None:

@@ -26,8 +26,15 @@ if TYPE_CHECKING:
 
 
 def command(
-    recording: Annotated[str, typer.Argument(metavar="RECORDING", help="A recording (.mcap) of `deepbots render` or `deepbots play`.")],
-    to_verify: Annotated[bool, option("--verify", "Run the episodes again, and compare every step bit for bit.")] = False,
+    recording: Annotated[
+        str,
+        typer.Argument(
+            metavar="RECORDING", help="A recording (.mcap) of `deepbots render` or `deepbots play`."
+        ),
+    ],
+    to_verify: Annotated[
+        bool, option("--verify", "Run the episodes again, and compare every step bit for bit.")
+    ] = False,
     tolerance: Annotated[
         float,
         option(
@@ -38,7 +45,8 @@ def command(
         ),
     ] = 0.0,
     scenario: Annotated[
-        str | None, option("--scenario SCENARIO", "With --verify, run the episodes in this scenario instead.", SCENARIO)
+        str | None,
+        option("--scenario SCENARIO", "With --verify, run the episodes in this scenario instead.", SCENARIO),
     ] = None,
     overrides: Overrides = None,
     as_json: Json = False,
@@ -46,15 +54,18 @@ def command(
 ) -> None:
     """List the episodes of a recording, or run them again and compare.
 
-    Without --verify, the command prints the scenario, seed, driver and engine of the recording, and a table of its episodes.
+    Without --verify, the command prints the scenario, seed, driver and engine of the recording, and a table
+    of its episodes.
 
-    --verify compiles the scenario in the recording, and runs each episode again from its seed with its recorded actions. The command names
-    the first step and the first quantity that differ, with exit code 1. On the machine of the recording, with the same versions, nothing
-    differs. On another machine or with other versions, use --tolerance X: a number may then differ by X, or by X times its absolute value
-    if that is larger. Hashes, images, contact forces and the points of scans are then not compared.
+    --verify compiles the scenario in the recording, and runs each episode again from its seed with its
+    recorded actions. The command names the first step and the first quantity that differ, with exit code 1.
+    On the machine of the recording, with the same versions, nothing differs. On another machine or with other
+    versions, use --tolerance X: a number may then differ by X, or by X times its absolute value if that is
+    larger. Hashes, images, contact forces and the points of scans are then not compared.
 
-    --verify --scenario SCENARIO runs the episodes in another scenario, such as your file after an edit, and lists the settings that
-    differ. Its observation, action and messages must be the same. --set overrides values of this scenario.
+    --verify --scenario SCENARIO runs the episodes in another scenario, such as your file after an edit, and
+    lists the settings that differ. Its observation, action and messages must be the same. --set overrides
+    values of this scenario.
 
     \b
       deepbots replay find_ball-0-0.mcap
@@ -71,47 +82,75 @@ def command(
     log = Path(recording)
     if is_robot_log(log):
         if to_verify or tolerance or scenario or overrides:
-            raise UsageError("the log of a robot cannot run again; leave out all options, or compare it: deepbots transfer RUN --log FILE")
+            raise UsageError(
+                "the log of a robot cannot run again; leave out all options, or compare it: deepbots"
+                " transfer RUN --log FILE"
+            )
         _list_log(log, as_json=as_json)
         return
     from deepbots_cli.view.episodes import Player, Showing
     from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
 
-    opened = Showing(recording.removesuffix(RECORDING_SUFFIX) + RECORDING_SUFFIX, permissions=permissions).open()
-    found, notes = opened.recording, version_changes(opened.recording)
+    opened = Showing(
+        recording.removesuffix(RECORDING_SUFFIX) + RECORDING_SUFFIX, permissions=permissions
+    ).open()
+    read, notes = opened.recording, version_changes(opened.recording)
     if not to_verify and (tolerance or scenario):
         raise UsageError("--tolerance and --scenario need --verify")
     if overrides and not scenario:
-        raise UsageError("--set needs --scenario: it changes a scenario, and not the recording; add --scenario and its name")
+        raise UsageError(
+            "--set needs --scenario: it changes a scenario, and not the recording; add --scenario and its"
+            " name"
+        )
     if not to_verify:
         with closing(ReplayPlayer(opened)) as player:
-            ends = [(each.number, player.begin(0, each.number), player.seek(len(each.steps))) for each in found.episodes]
+            ends = [
+                (each.number, player.begin(0, each.number), player.seek(len(each.steps)))
+                for each in read.episodes
+            ]
         rows = records.recorded_rows((number, last) for number, _, last in ends)
-        known = {name: found.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")}
-        about = "{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}".format(**known)
-        data = {"recording": found.path, **found.metadata, "episodes": rows}
-        terminal.show(data, about, records.recorded_table(rows), as_json=as_json, next_commands=[f"deepbots replay --verify {recording}"])
+        origin = {
+            name: read.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")
+        }
+        about = "{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}".format(**origin)
+        data = {"recording": read.path, **read.metadata, "episodes": rows}
+        terminal.show(
+            data,
+            about,
+            records.recorded_table(rows),
+            as_json=as_json,
+            next_commands=[f"deepbots replay --verify {recording}"],
+        )
         return
     shown = opened
     if scenario is not None:
         shown, changed = _elsewhere(opened, scenario, overrides or (), permissions)
         notes += changed
-    elif opened.checked().digest != found.metadata.get("digest"):
+    elif opened.checked().digest != read.metadata.get("digest"):
         notes.append(
-            "the scenario in the recording compiles to a different program than when it was recorded: the file or deepbots has changed"
+            "the scenario in the recording compiles to a different program than when it was recorded: the"
+            " file or deepbots has changed"
         )
     for note in notes:
         terminal.note(note)
     with closing(Player(shown, "zero")) as player, terminal.progress(always=False) as show:
-        count = len(found.episodes)
-        difference = verify(found, player, lambda done: show(done, count), tolerance=tolerance)
-    steps = sum(len(each.steps) - 1 for each in found.episodes)
+        count = len(read.episodes)
+        difference = verify(read, player, lambda done: show(done, count), tolerance=tolerance)
+    steps = sum(len(each.steps) - 1 for each in read.episodes)
     how = f"within {tolerance:g}" if tolerance else "to the bit"
-    text = f"{found.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}"
+    text = f"{read.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}"
     if difference is not None:
-        text = f"{found.path}: episode {difference.episode}, step {difference.step}: {difference.quantity} differs\n"
+        text = (
+            f"{read.path}: episode {difference.episode}, step {difference.step}: {difference.quantity}"
+            " differs\n"
+        )
         text += f"  recorded {difference.recorded or 'nothing'}\n  now      {difference.now or 'nothing'}"
-    data = {"recording": found.path, "same": difference is None, "first": difference and difference._asdict(), "notes": notes}
+    data = {
+        "recording": read.path,
+        "same": difference is None,
+        "first": difference and difference._asdict(),
+        "notes": notes,
+    }
     terminal.show(data, text, as_json=as_json)
     if difference is not None:
         raise typer.Exit(FAILED)
@@ -120,7 +159,7 @@ def command(
 def _list_log(path: Path, *, as_json: bool) -> None:
     from deepbots_cli.insight.robot_log import logged_episodes
 
-    found = logged_episodes(path, terminal.note)
+    episodes = logged_episodes(path, terminal.note)
     rows = [
         {
             "episode": each.number,
@@ -131,14 +170,25 @@ def _list_log(path: Path, *, as_json: bool) -> None:
             "answer_ms": None if each.answer is None else f"{each.answer * 1e3:.2f}",
             "events": len(each.events),
         }
-        for each in found
+        for each in episodes
     ]
-    data = {"log": path, "episodes": [{**vars(each), "events": [event._asdict() for event in each.events]} for each in found]}
-    after = [f"deepbots view {path}", f"deepbots diagnose {path} --episode {found[0].number}", f"deepbots transfer RUN --log {path}"]
+    data = {
+        "log": path,
+        "episodes": [
+            {**vars(each), "events": [event._asdict() for event in each.events]} for each in episodes
+        ],
+    }
+    after = [
+        f"deepbots view {path}",
+        f"deepbots diagnose {path} --episode {episodes[0].number}",
+        f"deepbots transfer RUN --log {path}",
+    ]
     terminal.show(data, f"{path}: the log of a robot", table(rows), as_json=as_json, next_commands=after)
 
 
-def _elsewhere(opened: ShowingState, scenario: str, overrides: Sequence[str], permissions: Permissions) -> tuple[ShowingState, list[str]]:
+def _elsewhere(
+    opened: ShowingState, scenario: str, overrides: Sequence[str], permissions: Permissions
+) -> tuple[ShowingState, list[str]]:
     """Another scenario for the episodes of a recording, and a line for each setting that differs.
 
     Raises:
@@ -152,13 +202,22 @@ def _elsewhere(opened: ShowingState, scenario: str, overrides: Sequence[str], pe
         raise ScenarioError(other.findings)
     differ = identity.differences(opened.program, other.program, words=("recording", "scenario"))
     if differ:
-        raise UsageError(f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ))
+        raise UsageError(
+            f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ)
+        )
     one, now = (
         WrittenScenario(program, parse(Source("resolved.yaml", text), Findings()))
-        for program, text in ((opened.program, opened.checked().resolved), (other.program, other.checked().resolved))
+        for program, text in (
+            (opened.program, opened.checked().resolved),
+            (other.program, other.checked().resolved),
+        )
     )
-    found = [change for change in scenario_changes(one, now) if change.group not in (Effect.cosmetic, Effect.training)]
-    return other, [line for change in found for line in _told(change, one, now)]
+    changes = [
+        change
+        for change in scenario_changes(one, now)
+        if change.group not in (Effect.cosmetic, Effect.training)
+    ]
+    return other, [line for change in changes for line in _told(change, one, now)]
 
 
 def _told(change: Change, one: WrittenScenario, other: WrittenScenario) -> Iterator[str]:
@@ -168,7 +227,9 @@ def _told(change: Change, one: WrittenScenario, other: WrittenScenario) -> Itera
     elif (change.one, change.other) == (one.text_at(change.path), other.text_at(change.path)):
         yield from _differing(change.path, one, other)
     else:
-        yield f"{change.path}: recorded {change.one or '(not written)'}, now {change.other or '(not written)'}"
+        yield (
+            f"{change.path}: recorded {change.one or '(not written)'}, now {change.other or '(not written)'}"
+        )
 
 
 def _differing(path: str, one: WrittenScenario, other: WrittenScenario) -> Iterator[str]:

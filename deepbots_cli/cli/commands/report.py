@@ -17,29 +17,42 @@ from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 def command(
     run: Annotated[
-        Path, typer.Argument(metavar="RUN|GROUP|STUDY", help="A run directory of `deepbots train`, or the folder of a group or a study.")
+        Path,
+        typer.Argument(
+            metavar="RUN|GROUP|STUDY",
+            help="A run directory of `deepbots train`, or the folder of a group or a study.",
+        ),
     ],
-    out: Annotated[Path | None, option("--output -o FILE", "File to write; by default RUN.html in the current folder.")] = None,
+    out: Annotated[
+        Path | None, option("--output -o FILE", "File to write; by default RUN.html in the current folder.")
+    ] = None,
     force: Force = False,
     figures: Annotated[Path | None, option("--figures FOLDER", "Also write every figure as PNG.")] = None,
-    episodes: Annotated[int, integer("--episodes N", "Evaluation episodes to run again for trajectories.", 3, 1000)] = 12,
-    clips: Annotated[bool, option("--clips/--no-clips", "Film the best, the median and the worst episode.")] = True,
+    episodes: Annotated[
+        int, integer("--episodes N", "Evaluation episodes to run again for trajectories.", 3, 1000)
+    ] = 12,
+    clips: Annotated[
+        bool, option("--clips/--no-clips", "Film the best, the median and the worst episode.")
+    ] = True,
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:
     """Write a report about a run: one HTML file to send.
 
-    The file holds the result with its interval, learning curves, reward terms, endings, plots of the return against each value that
-    is drawn at random at the start of an episode, trajectories, and clips of the best, the median and the worst episode. Of a training
-    with a teacher, it holds the score of the script and how the policy learns from it. Of a training that does not solve its task, it holds
-    the causes, as `deepbots diagnose` finds them. It also holds the scenario, the findings of lint and the versions. It loads nothing from
-    elsewhere, needs no JavaScript, and can be sent and archived as it is. It follows the light or dark setting of the browser.
+    The file holds the result with its interval, learning curves, reward terms, endings, plots of the return
+    against each value that is drawn at random at the start of an episode, trajectories, and clips of the
+    best, the median and the worst episode. Of a training with a teacher, it holds the score of the script and
+    how the policy learns from it. Of a training that does not solve its task, it holds the causes, as
+    `deepbots diagnose` finds them. It also holds the scenario, the findings of lint and the versions. It
+    loads nothing from elsewhere, needs no JavaScript, and can be sent and archived as it is. It follows the
+    light or dark setting of the browser.
 
-    The results come from an evaluation of the best model; if there are several evaluations, from the one with the most episodes.
-    `deepbots eval RUN --episodes N` adds an evaluation. Clips need an engine that can draw; --no-clips leaves them out.
+    The results come from an evaluation of the best model; if there are several evaluations, from the one with
+    the most episodes. `deepbots eval RUN --episodes N` adds an evaluation. Clips need an engine that can
+    draw; --no-clips leaves them out.
 
-    The report of a study of `deepbots tune` shows the history of its trials, which values matter, with intervals over the seeds, and the
-    score against each value. A table lists all trials.
+    The report of a study of `deepbots tune` shows the history of its trials, which values matter, with
+    intervals over the seeds, and the score against each value. A table lists all trials.
 
     \b
       deepbots report runs/cartpole-0-1
@@ -86,5 +99,13 @@ def command(
         terminal.note(f"note: {note}")
     drawn = f", {len(written)} figures in {quote(str(figures))}" if written else ""
     causes = [cause.as_json() for cause in report.causes] if isinstance(report, of_runs.Report) else []
-    data = {"report": target, "result": report.result, "causes": causes, "figures": written, "notes": report.notes}
-    terminal.show(data, report.result, f"{target} ({target.stat().st_size / 1000:,.0f} kB){drawn}", as_json=as_json)
+    data = {
+        "report": target,
+        "result": report.result,
+        "causes": causes,
+        "figures": written,
+        "notes": report.notes,
+    }
+    terminal.show(
+        data, report.result, f"{target} ({target.stat().st_size / 1000:,.0f} kB){drawn}", as_json=as_json
+    )

@@ -34,21 +34,37 @@ from deepbots_cli.rollout.source import Source, SourceKind
 _LONG_JOURNAL_MB = 5
 """Reading this much takes a second."""
 
-Trained = Annotated[Path, typer.Argument(metavar="RUN|GROUP|STUDY", help="A folder that `train` or `tune` has made.")]
-Varied = Annotated[Path, typer.Argument(metavar="GROUP|STUDY", help="A group of `train --retry`, or a study of `tune`.")]
+Trained = Annotated[
+    Path, typer.Argument(metavar="RUN|GROUP|STUDY", help="A folder that `train` or `tune` has made.")
+]
+Varied = Annotated[
+    Path, typer.Argument(metavar="GROUP|STUDY", help="A group of `train --retry`, or a study of `tune`.")
+]
 
 
 def resume(
     trained: Trained,
     timesteps: Annotated[
-        int | None, integer("--timesteps N", "The new total number of timesteps of a run, or of each run of a group of seeds.")
+        int | None,
+        integer(
+            "--timesteps N", "The new total number of timesteps of a run, or of each run of a group of seeds."
+        ),
     ] = None,
-    full: Annotated[bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")] = False,
+    full: Annotated[
+        bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")
+    ] = False,
     retry: Annotated[
         int | None,
-        integer("--retry N", "How many trainings may follow the first one, in all, of a group of `train --retry`.", 1, MAX_RETRIES),
+        integer(
+            "--retry N",
+            "How many trainings may follow the first one, in all, of a group of `train --retry`.",
+            1,
+            MAX_RETRIES,
+        ),
     ] = None,
-    trials: Annotated[int | None, integer("--trials N", "The new number of trials of a study, in all.", 1, 100_000)] = None,
+    trials: Annotated[
+        int | None, integer("--trials N", "The new number of trials of a study, in all.", 1, 100_000)
+    ] = None,
     callbacks: Callbacks = None,
     loggers: Loggers = None,
     workers: Workers = None,
@@ -60,8 +76,9 @@ def resume(
 ) -> None:
     """Continue a training, a group of trainings, or a study.
 
-    It continues from the last checkpoint after Ctrl-C, a kill or a full disk, with the scenario and the options of the training. On the
-    same machine, a resumed training gives the same weights and logs, bit for bit, as a training without interruption.
+    It continues from the last checkpoint after Ctrl-C, a kill or a full disk, with the scenario and the
+    options of the training. On the same machine, a resumed training gives the same weights and logs, bit for
+    bit, as a training without interruption.
 
     \b
       deepbots resume runs/cartpole-0-1
@@ -70,11 +87,11 @@ def resume(
       deepbots resume runs/mine-retry-1 --retry 3
       deepbots resume runs/cartpole-tune-1 --trials 40
 
-    --timesteps is the new total, which includes the timesteps so far. A group skips the seeds that are finished. A study continues the
-    trials that have begun; several processes may continue one study.
+    --timesteps is the new total, which includes the timesteps so far. A group skips the seeds that are
+    finished. A study continues the trials that have begun; several processes may continue one study.
 
-    A resumed run keeps its callbacks and loggers. --callback replaces the callbacks, and --logger the loggers; `--callback none` or
-    `--logger none` drops them.
+    A resumed run keeps its callbacks and loggers. --callback replaces the callbacks, and --logger the
+    loggers; `--callback none` or `--logger none` drops them.
     """
     permissions = Permissions(code=allow_code)
     source = Source.open(trained, permissions, SourceKind.RUN, SourceKind.GROUP, SourceKind.STUDY)
@@ -98,7 +115,11 @@ def resume(
         from deepbots_cli.learning.sb3 import plugins  # which imports torch
 
         plugins.check(names(callbacks), names(loggers))
-    settings: dict[str, Any] = {"total_timesteps": timesteps, "stop_when_solved": False if full else None, "progress": not quiet}
+    settings: dict[str, Any] = {
+        "total_timesteps": timesteps,
+        "stop_when_solved": False if full else None,
+        "progress": not quiet,
+    }
     settings["permissions"] = permissions
     settings["callbacks"] = None if callbacks is None else names(callbacks)
     settings["loggers"] = None if loggers is None else names(loggers)
@@ -123,7 +144,9 @@ def _refuse_others(what: str, options: dict[str, Any], *allowed: str) -> None:
     """Raises: UsageError: An option does not go with what is resumed."""
     for name, value in options.items():
         if value is not None and name not in allowed:
-            raise UsageError(f"{name} does not go with {what}; it takes: {', '.join((*allowed, '--workers', '--cluster'))}")
+            raise UsageError(
+                f"{name} does not go with {what}; it takes: {', '.join((*allowed, '--workers', '--cluster'))}"
+            )
 
 
 def _open_study(path: Path, *, quiet: bool) -> Study:
@@ -138,21 +161,26 @@ def apply(
     varied: Varied,
     scenario: Annotated[
         str | None,
-        typer.Argument(metavar="FILE", help="The scenario file to change; by default that of the group or study.", show_default=False),
+        typer.Argument(
+            metavar="FILE",
+            help="The scenario file to change; by default that of the group or study.",
+            show_default=False,
+        ),
     ] = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
     """Write the best values of a search into the scenario file.
 
-    The search is a group of `train --retry`, or a study of `tune`. Each value replaces the one in the file, or is added, with a comment
-    that names its origin. All other lines stay as they are.
+    The search is a group of `train --retry`, or a study of `tune`. Each value replaces the one in the file,
+    or is added, with a comment that names its origin. All other lines stay as they are.
 
     \b
       deepbots apply runs/mine-retry-1
       deepbots apply runs/cartpole-tune-1 mine.yaml
 
-    The best of several trainings looks better than it is: confirm its values with other seeds, as the last line of the output advises.
+    The best of several trainings looks better than it is: confirm its values with other seeds, as the last
+    line of the output advises.
     """
     from deepbots_cli.cli.commands.rewriting import write_values  # which imports the rules of lint
 
@@ -161,11 +189,17 @@ def apply(
     best, path = campaign.best, quote(str(campaign.path))
     if best is None:
         if isinstance(campaign, Group):
-            raise UsageError(f"{campaign.path} was not trained with --retry; train its scenario with: deepbots train SCENARIO --retry 2")
-        raise UsageError(f"{campaign.path} has no complete trial yet; continue it with: deepbots resume {path}")
+            raise UsageError(
+                f"{campaign.path} was not trained with --retry; train its scenario with: deepbots train"
+                " SCENARIO --retry 2"
+            )
+        raise UsageError(
+            f"{campaign.path} has no complete trial yet; continue it with: deepbots resume {path}"
+        )
     if not best.values:
         raise UsageError(
-            f"the best training of {campaign.path}, {best.path.name}, has the values of the scenario; there is nothing to write"
+            f"the best training of {campaign.path}, {best.path.name}, has the values of the scenario; there"
+            " is nothing to write"
         )
     name = scenario or campaign.record.source
     file = write_values(name, best.values, f"set by {campaign.path.name}, {best.path.name}", permissions)
@@ -174,8 +208,12 @@ def apply(
         over_first = campaign.over_first(campaign.trials())
         data |= {"over_first": over_first}
         if over_first is not None and not over_first.is_clear:
-            terminal.note(f"note: {best.path.name} is not clearly better than the values of the scenario itself")
+            terminal.note(
+                f"note: {best.path.name} is not clearly better than the values of the scenario itself"
+            )
     rows = [{"key": key, "value": text} for key, text in best.values.items()]
     first = max(campaign.record.seeds) + 1
     further = [f"deepbots lint {quote(name)}", f"deepbots train {quote(name)} --seeds {first}..{first + 4}"]
-    terminal.show(data, f"{file}: values of {best.path.name}\n{table(rows)}", as_json=as_json, next_commands=further)
+    terminal.show(
+        data, f"{file}: values of {best.path.name}\n{table(rows)}", as_json=as_json, next_commands=further
+    )

@@ -1,4 +1,5 @@
-"""Changes of the user's files: `fmt` and the fixes of `lint`, shown as a difference or written, and values that were found by training."""
+"""Changes of the user's files: `fmt` and the fixes of `lint`, shown as a difference or written, and values
+that were found by training."""
 
 from __future__ import annotations
 
@@ -31,15 +32,18 @@ from deepbots_cli.rollout.source import Source, SourceKind
 
 def fmt(
     paths: Annotated[
-        list[Path] | None, typer.Argument(metavar="FILE", help="Scenario files, or folders of them; by default this folder.")
+        list[Path] | None,
+        typer.Argument(metavar="FILE", help="Scenario files, or folders of them; by default this folder."),
     ] = None,
-    check: Annotated[bool, option("--check", "Write nothing, and exit with 1 if a file would change.")] = False,
+    check: Annotated[
+        bool, option("--check", "Write nothing, and exit with 1 if a file would change.")
+    ] = False,
     diff: Annotated[bool, option("--diff", "Like --check, and show the changes.")] = False,
 ) -> None:
     """Format scenario files in the canonical layout.
 
-    Formatting keeps all values, comments and aligned columns. In a folder, fmt formats every .yaml or .yml file with a `deepbots:` key,
-    also in subfolders, except the files that the project excludes from linting.
+    Formatting keeps all values, comments and aligned columns. In a folder, fmt formats every .yaml or .yml
+    file with a `deepbots:` key, also in subfolders, except the files that the project excludes from linting.
 
     \b
       deepbots fmt cartpole.yaml
@@ -63,15 +67,15 @@ def fmt(
 
 def _scenario_files(paths: Sequence[Path]) -> Iterator[Path]:
     """The named files, and the scenarios in named folders that the project does not exclude."""
-    for given in paths:
-        if not given.exists():
-            raise UsageError(f"there is no file {given}")
-    project = settings() if any(given.is_dir() for given in paths) else None
-    for given in paths:
-        if project is not None and given.is_dir():
-            yield from scenarios_in(given, project)
+    for path in paths:
+        if not path.exists():
+            raise UsageError(f"there is no file {path}")
+    project = settings() if any(path.is_dir() for path in paths) else None
+    for path in paths:
+        if project is not None and path.is_dir():
+            yield from scenarios_in(path, project)
         else:
-            yield given
+            yield path
 
 
 def _tidied(path: Path) -> Rewrite | None:
@@ -80,7 +84,9 @@ def _tidied(path: Path) -> Rewrite | None:
     source, readable = files.decode(data, str(path), findings)
     root = parse(source, findings) if readable else None
     if root is None or findings.errors:
-        terminal.print_error(f"{path} is not changed because it cannot be read; see: deepbots lint {quote(str(path))}")
+        terminal.print_error(
+            f"{path} is not changed because it cannot be read; see: deepbots lint {quote(str(path))}"
+        )
         return None
     done = canonical_text(source.text)
     if done is None:
@@ -91,7 +97,9 @@ def _tidied(path: Path) -> Rewrite | None:
 
 def _read(path: Path) -> bytes:
     if not path.is_file():
-        raise UsageError(f"{path} {'is not a regular file' if path.exists() else 'does not exist'}; name a scenario file")
+        raise UsageError(
+            f"{path} {'is not a regular file' if path.exists() else 'does not exist'}; name a scenario file"
+        )
     return files.read(path)
 
 
@@ -99,7 +107,8 @@ def _read(path: Path) -> bytes:
 
 
 def show(rewrite: Rewrite) -> None:
-    """Print what would change; to a file or a pipe byte for byte, so that `patch -p0` and `git apply -p0` can read it."""
+    """Print what would change; to a file or a pipe byte for byte, so that `patch -p0` and `git apply -p0` can
+    read it."""
     text = _difference(rewrite)
     print(terminal.printable(text) if sys.stdout.isatty() else text, end="")
 
@@ -111,9 +120,13 @@ def _difference(rewrite: Rewrite) -> str:
         name += "\t" if " " in name else ""  # without it `patch` takes the name to end there
     else:
         name = f'"{"".join(map(_quoted, os.fsencode(name)))}"'
-    before, after = (list(StringIO(data.decode("utf-8", "replace"))) for data in (rewrite.before, rewrite.after))  # parted by \n alone
+    before, after = (
+        list(StringIO(data.decode("utf-8", "replace"))) for data in (rewrite.before, rewrite.after)
+    )  # parted by \n alone
     lines = unified_diff(before, after, name, name)
-    return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
+    return "".join(
+        line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines
+    )
 
 
 def _quoted(byte: int) -> str:
@@ -131,15 +144,19 @@ def write(rewrite: Rewrite) -> None:
     with atomic_write(path) as draft:
         if path.read_bytes() != rewrite.before:
             raise UsageError(
-                f"another program changed {files.display_path(path)} in the meantime, so it was not overwritten; run the command again"
+                f"another program changed {files.display_path(path)} in the meantime, so it was not"
+                " overwritten; run the command again"
             )
-        with path.open("r+b"):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
+        with path.open(
+            "r+b"
+        ):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
             pass
         draft.write_bytes(rewrite.after)
 
 
 def write_values(name: str, values: Mapping[str, str], comment: str, permissions: Permissions) -> Path:
-    """Write values into the file of a scenario, by the paths of their settings, with a comment on each of their lines.
+    """Write values into the file of a scenario, by the paths of their settings, with a comment on each of
+    their lines.
 
     Raises:
         UsageError: The file comes with deepbots, or its text does not allow a change; nothing is written.
@@ -148,14 +165,17 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
     file = opened.path.resolve()
     if any(file.is_relative_to(root.resolve()) for root in shipped.data_roots()):
         raise UsageError(
-            f"{file.name} comes with deepbots; copy it with `deepbots new mine --from {file.stem}`, and name the copy: mine.yaml"
+            f"{file.name} comes with deepbots; copy it with `deepbots new mine --from {file.stem}`, and name"
+            " the copy: mine.yaml"
         )
     before = after = files.read(file)
     wanted = opened.document(overrides=[f"{path}={text}" for path, text in values.items()], tests=True)
     for path, text in values.items():
         document = opened.document(drafts={file: after})
         root, source = document.root, document.files[file]
-        changed = None if root is None else assigned_text(root, source, setting_path(root, path), text, comment)
+        changed = (
+            None if root is None else assigned_text(root, source, setting_path(root, path), text, comment)
+        )
         if changed is None:
             raise UsageError(f"{file} cannot be changed by `deepbots apply`; write {path}: {text} yourself")
         after = (BOM_UTF8 if before.startswith(BOM_UTF8) else b"") + changed.encode()

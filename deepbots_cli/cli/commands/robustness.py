@@ -29,34 +29,76 @@ from deepbots_cli.learning.run import ModelRef
 
 
 def command(
-    run: Annotated[Path, typer.Argument(metavar="RUN|MODEL", help="A run directory of `deepbots train`, or a model in it.")],
+    run: Annotated[
+        Path,
+        typer.Argument(metavar="RUN|MODEL", help="A run directory of `deepbots train`, or a model in it."),
+    ],
     episodes: Annotated[
         int | None,
-        integer("--episodes N", "Episodes of each evaluation; by default `evaluation.episodes` of the scenario, but at most 50."),
+        integer(
+            "--episodes N",
+            "Episodes of each evaluation; by default `evaluation.episodes` of the scenario, but at most 50.",
+        ),
     ] = None,
     min_success: Annotated[
-        float | None, option("--min-success RATE", "Success rate that the policy must reach, such as 0.8 or 80%.", parser=fraction)
+        float | None,
+        option(
+            "--min-success RATE",
+            "Success rate that the policy must reach, such as 0.8 or 80%.",
+            parser=fraction,
+        ),
     ] = None,
-    min_return: Annotated[float | None, option("--min-return VALUE", "Mean return that the policy must reach.")] = None,
+    min_return: Annotated[
+        float | None, option("--min-return VALUE", "Mean return that the policy must reach.")
+    ] = None,
     mass_of: Annotated[
-        str | None, option("--mass-of NAME", "Object or ROBOT.LINK whose mass changes; by default the heaviest link that can move.")
+        str | None,
+        option(
+            "--mass-of NAME",
+            "Object or ROBOT.LINK whose mass changes; by default the heaviest link that can move.",
+        ),
     ] = None,
     as_json: Json = False,
     scenario: Annotated[
-        str | None, option("--scenario SCENARIO", "Evaluate in this scenario; by default in the scenario of the run.", SCENARIO)
+        str | None,
+        option(
+            "--scenario SCENARIO",
+            "Evaluate in this scenario; by default in the scenario of the run.",
+            SCENARIO,
+        ),
     ] = None,
     overrides: Overrides = None,
-    case: Annotated[str | None, option("--case NAME", "Evaluate in this case of `evaluation.cases`.", SCENARIO)] = None,
-    stage: Annotated[str | None, option("--stage NAME", "Evaluate in this stage of the curriculum.", SCENARIO)] = None,
+    case: Annotated[
+        str | None, option("--case NAME", "Evaluate in this case of `evaluation.cases`.", SCENARIO)
+    ] = None,
+    stage: Annotated[
+        str | None, option("--stage NAME", "Evaluate in this stage of the curriculum.", SCENARIO)
+    ] = None,
     engine: Annotated[
-        str | None, option("--engine NAME", "Physics engine; by default that of the training.", SCENARIO, callback=known_engine)
+        str | None,
+        option(
+            "--engine NAME",
+            "Physics engine; by default that of the training.",
+            SCENARIO,
+            callback=known_engine,
+        ),
     ] = None,
     seed: Annotated[
-        int | None, integer("--seed N", "Root seed of the starts; by default the seed of the training.", 0, MAX_SEED, ADVANCED)
+        int | None,
+        integer(
+            "--seed N", "Root seed of the starts; by default the seed of the training.", 0, MAX_SEED, ADVANCED
+        ),
     ] = None,
-    last: Annotated[bool, option("--last", "Evaluate the last model instead of the best one.", ADVANCED)] = False,
+    last: Annotated[
+        bool, option("--last", "Evaluate the last model instead of the best one.", ADVANCED)
+    ] = False,
     stochastic: Annotated[
-        bool, option("--stochastic", "Sample the actions of the policy; by default it takes its likeliest action.", ADVANCED)
+        bool,
+        option(
+            "--stochastic",
+            "Sample the actions of the policy; by default it takes its likeliest action.",
+            ADVANCED,
+        ),
     ] = False,
     workers: Workers = None,
     address: ClusterAddress = None,
@@ -64,13 +106,15 @@ def command(
 ) -> None:
     """Evaluate a policy with sensor noise, delays and weaker motors.
 
-    deepbots changes one condition at a time, by several amounts. The conditions are latency, message loss, noise, mass, friction and the
-    strength of the motors. All evaluations begin with the same held-out starts. For each condition, the first lines say up to which level
-    the result reaches the required one, and from which level on it does not. Masses and frictions are made smaller and larger.
+    deepbots changes one condition at a time, by several amounts. The conditions are latency, message loss,
+    noise, mass, friction and the strength of the motors. All evaluations begin with the same held-out starts.
+    For each condition, the first lines say up to which level the result reaches the required one, and from
+    which level on it does not. Masses and frictions are made smaller and larger.
 
-    --min-success or --min-return gives the required result. By default it is `solved` of the scenario. If the scenario has no
-    `solved`, it is 80 % of the result under unchanged conditions. The exit code is 1 if the policy misses the required result without any
-    change, or has nothing to keep: no result is required, and no episode succeeds.
+    --min-success or --min-return gives the required result. By default it is `solved` of the scenario. If the
+    scenario has no `solved`, it is 80 % of the result under unchanged conditions. The exit code is 1 if the
+    policy misses the required result without any change, or has nothing to keep: no result is required, and
+    no episode succeeds.
 
     With --workers N, N evaluations run at a time in N processes, with the same results.
 
@@ -81,12 +125,13 @@ def command(
 
     Next: train with the condition under which the policy fails, such as `latency` in `messages`.
     """
-    ref, gates = ModelRef.open(run, permissions, model="last" if last else "best"), Gates(min_success, min_return, False)
+    ref = ModelRef.open(run, permissions, model="last" if last else "best")
+    gates = Gates(min_success, min_return, False)
     gates.check(ref.run.program)
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
     with processes.executor(workers, address) as executor, terminal.progress("evaluations") as show_level:
-        found = evaluate_robustness(
+        result = evaluate_robustness(
             ref,
             episodes=episodes,
             seed=seed,
@@ -102,6 +147,6 @@ def command(
             on_level=show_level,
             executor=executor,
         )
-    terminal.show(records.robustness_json(found), records.robustness_text(found), as_json=as_json)
-    if not found.nominal_holds:
+    terminal.show(records.robustness_json(result), records.robustness_text(result), as_json=as_json)
+    if not result.nominal_holds:
         raise typer.Exit(FAILED)

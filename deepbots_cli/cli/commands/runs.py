@@ -16,7 +16,7 @@ from deepbots_cli.cli.command import Json, option
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
-from deepbots_cli.learning.run import EvaluationRecord, short_settings
+from deepbots_cli.learning.records import EvaluationRecord, short_settings
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 
@@ -31,26 +31,39 @@ class Sort(StrEnum):
 
 def command(
     folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="A folder of runs, a study, a group, or a run; by default `runs`.")
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="A folder of runs, a study, a group, or a run; by default `runs`."
+        ),
     ] = Path("runs"),
-    scenario: Annotated[str | None, option("--scenario NAME", "Only runs of this scenario, or of one whose name contains NAME.")] = None,
+    scenario: Annotated[
+        str | None,
+        option("--scenario NAME", "Only runs of this scenario, or of one whose name contains NAME."),
+    ] = None,
     solved: Annotated[bool, option("--solved", "Only runs that solve their task.")] = False,
     live: Annotated[bool, option("--live", "Only runs that are training now.")] = False,
     sort: Annotated[
-        Sort, option("--sort", "Sort order: `date` and `name` ascend; `steps`, `cpu`, `return` and `success` begin with the largest value.")
+        Sort,
+        option(
+            "--sort",
+            "Sort order: `date` and `name` ascend; `steps`, `cpu`, `return` and `success` begin with the"
+            " largest value.",
+        ),
     ] = Sort.date,
     as_json: Json = False,
 ) -> None:
     """List your trainings, with their results.
 
-    The list is read from the files of the runs, also while they train. A group is one row, with the means over its seeds;
-    `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run keeps. A study of `deepbots tune` is one row
-    too; `deepbots runs STUDY` lists its trials, with their values under `set`.
+    The list is read from the files of the runs, also while they train. A group is one row, with the means
+    over its seeds; `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run
+    keeps. A study of `deepbots tune` is one row too; `deepbots runs STUDY` lists its trials, with their
+    values under `set`.
 
-    The return and the success rate come from an evaluation of the best model on held-out episodes; if there are several evaluations, from
-    the one with the most episodes. Until the first evaluation, they come from the most recent training episodes, in which the policy
-    explores. The column `score` shows where they come from: `evaluation` or `training`. The column `teacher` names the script that teaches
-    the policy, or the recording in the run.
+    The return and the success rate come from an evaluation of the best model on held-out episodes; if there
+    are several evaluations, from the one with the most episodes. Until the first evaluation, they come from
+    the most recent training episodes, in which the policy explores. The column `score` shows where they come
+    from: `evaluation` or `training`. The column `teacher` names the script that teaches the policy, or the
+    recording in the run.
 
     \b
       deepbots runs
@@ -67,21 +80,25 @@ def command(
     if not folder.is_dir() and folder != Path("runs"):
         raise UsageError(f"there is no folder {folder}")
     wanted = "" if scenario is None else scenario.lower().replace("_", "")
-    found = [
+    runs = [
         run
         for run in sort_runs(list_runs(folder), sort.value)
-        if wanted in run.scenario.lower().replace("_", "") and (run.solved or not solved) and (run.state == "training" or not live)
+        if wanted in run.scenario.lower().replace("_", "")
+        and (run.solved or not solved)
+        and (run.state == "training" or not live)
     ]
     if as_json:
-        terminal.show_json([_data(run) for run in found])
-    elif found:
+        terminal.show_json([_data(run) for run in runs])
+    elif runs:
         files: dict[str, set[str]] = {}
-        for run in found:
+        for run in runs:
             files.setdefault(run.scenario, set()).add(run.source)
-        rows = [_row(run, with_file=len(files[run.scenario]) > 1) for run in found]
-        words = {SourceKind.GROUP: "group", SourceKind.STUDY: "study"}.get(folder_kind(folder) or SourceKind.RUN, "runs in")
+        rows = [_row(run, with_file=len(files[run.scenario]) > 1) for run in runs]
+        words = {SourceKind.GROUP: "group", SourceKind.STUDY: "study"}.get(
+            folder_kind(folder) or SourceKind.RUN, "runs in"
+        )
         terminal.print_result(f"{words} {folder}\n" + table(rows))
-        for note in (note for run in found for note in _notes(run)):
+        for note in (note for run in runs for note in _notes(run)):
             terminal.note(note)
     elif scenario is not None or solved or live:
         terminal.note(f"no run in {folder} matches these options; leave them out to list all runs")
@@ -93,13 +110,16 @@ def _notes(run: ListedRun) -> Iterator[str]:
     """What the table does not show of a run, with its name."""
     name = run.path.name
     yield from (f"{name}: {note}" for note in _own_notes(run))
-    yield from (f"{name}/{inner.path.name}: {inner.decline.text}" for inner in run.runs if inner.decline is not None)
+    yield from (
+        f"{name}/{inner.path.name}: {inner.decline.text}" for inner in run.runs if inner.decline is not None
+    )
     if run.remarks:
         yield f"{name}: about its evaluation: {'; '.join(run.remarks)}"
 
 
 def _own_notes(run: ListedRun) -> Iterator[str]:
-    """What the table does not show: damage, models that were chosen by another rule, and a training that got worse."""
+    """What the table does not show: damage, models that were chosen by another rule, and a training that got
+    worse."""
     if run.problem is not None:
         yield run.problem
     if chosen_by_return := list(_chosen_by_return(run)):
@@ -125,7 +145,9 @@ def _chosen_by_return(run: ListedRun) -> Iterator[Path]:
 def _has_other_models(run: Path) -> bool:
     """Whether `eval --keep` has a choice: a model that differs from the best one."""
     best = run / "models" / "agent" / "best.zip"
-    return best.is_file() and any(not filecmp.cmp(best, other, shallow=False) for other in best.parent.glob("*.zip"))
+    return best.is_file() and any(
+        not filecmp.cmp(best, other, shallow=False) for other in best.parent.glob("*.zip")
+    )
 
 
 def _data(run: ListedRun) -> dict[str, Any]:
@@ -171,7 +193,10 @@ def _seeds(seeds: tuple[int, ...]) -> str:
 def _show_run(folder: Path, *, as_json: bool) -> None:
     """A run, and the evaluations that it keeps."""
     run, kept = read_listed(folder), evaluations(folder)
-    data = [{"number": number, **({"problem": one} if isinstance(one, str) else one.model_dump())} for number, one in kept]
+    data = [
+        {"number": number, **({"problem": one} if isinstance(one, str) else one.model_dump())}
+        for number, one in kept
+    ]
     rows = [_evaluation(number, one) for number, one in kept if not isinstance(one, str)]
     tables = [f"run {folder}\n{table([_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
     terminal.show({**_data(run), "evaluations": data}, *tables, as_json=as_json)

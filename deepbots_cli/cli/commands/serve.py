@@ -27,38 +27,76 @@ def command(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="BUNDLE|RUN|MODEL|SCENARIO", help="A bundle of `export`, a run or a model in it; with --as-robot a scenario or a run."
+            metavar="BUNDLE|RUN|MODEL|SCENARIO",
+            help="A bundle of `export`, a run or a model in it; with --as-robot a scenario or a run.",
         ),
     ],
-    as_robot: Annotated[bool, option("--as-robot", "Simulate the robot of a scenario: send its sensors and obey commands.")] = False,
-    ros: Annotated[bool, option("--ros", "Use ROS 2 topics, by Cyclone DDS; this is the default.", _LINK)] = False,
-    ros1: Annotated[bool, option("--ros1", "Use ROS 1 topics, by rospy, at the master of ROS_MASTER_URI.", _LINK)] = False,
+    as_robot: Annotated[
+        bool, option("--as-robot", "Simulate the robot of a scenario: send its sensors and obey commands.")
+    ] = False,
+    ros: Annotated[
+        bool, option("--ros", "Use ROS 2 topics, by Cyclone DDS; this is the default.", _LINK)
+    ] = False,
+    ros1: Annotated[
+        bool, option("--ros1", "Use ROS 1 topics, by rospy, at the master of ROS_MASTER_URI.", _LINK)
+    ] = False,
     zmq: Annotated[
-        str | None, option("--zmq ADDRESS", "Use ZeroMQ at an address such as tcp://127.0.0.1:5555; the policy binds it.", _LINK)
+        str | None,
+        option(
+            "--zmq ADDRESS",
+            "Use ZeroMQ at an address such as tcp://127.0.0.1:5555; the policy binds it.",
+            _LINK,
+        ),
     ] = None,
     websocket: Annotated[
-        str | None, option("--websocket PORT", "Use WebSocket at a port of this machine, or at HOST:PORT; the policy listens.", _LINK)
+        str | None,
+        option(
+            "--websocket PORT",
+            "Use WebSocket at a port of this machine, or at HOST:PORT; the policy listens.",
+            _LINK,
+        ),
     ] = None,
     interface: Annotated[
-        str | None, option("--interface NAME", "Network interface of ROS 2; by default the loopback interface.", _LINK)
+        str | None,
+        option("--interface NAME", "Network interface of ROS 2; by default the loopback interface.", _LINK),
     ] = None,
     domain: Annotated[int, integer("--domain N", "Domain of ROS 2, as ROS_DOMAIN_ID.", 0, 232, _LINK)] = 0,
     lockstep: Annotated[
         bool,
         option(
-            "--lockstep", "Let the simulated robot wait for each command; give the option on both sides. The time of day does not count."
+            "--lockstep",
+            "Let the simulated robot wait for each command; give the option on both sides. The time of day"
+            " does not count.",
         ),
     ] = False,
-    speed: Annotated[float, option("--speed X", "Seconds of the robot in one second, the same on both sides.")] = 1.0,
-    seconds: Annotated[float | None, option("--seconds X", "End after this time; by default at Ctrl-C. Not with --as-robot.")] = None,
-    log: Annotated[Path | None, option("--log FILE", "Write an MCAP log of values and commands. Not with --as-robot.")] = None,
+    speed: Annotated[
+        float, option("--speed X", "Seconds of the robot in one second, the same on both sides.")
+    ] = 1.0,
+    seconds: Annotated[
+        float | None, option("--seconds X", "End after this time; by default at Ctrl-C. Not with --as-robot.")
+    ] = None,
+    log: Annotated[
+        Path | None, option("--log FILE", "Write an MCAP log of values and commands. Not with --as-robot.")
+    ] = None,
     trusted: Annotated[
         Path | None,
-        option("--trusted FILE", "Serve only a bundle that is signed with one of the public keys in this file. Not with --as-robot."),
+        option(
+            "--trusted FILE",
+            "Serve only a bundle that is signed with one of the public keys in this file. Not with"
+            " --as-robot.",
+        ),
     ] = None,
-    episodes: Annotated[int | None, integer("--episodes N", "End after N episodes; by default at Ctrl-C.", group=EPISODES)] = None,
+    episodes: Annotated[
+        int | None, integer("--episodes N", "End after N episodes; by default at Ctrl-C.", group=EPISODES)
+    ] = None,
     seed: Annotated[
-        int, integer("--seed N", "Root seed; the episodes start as those of an evaluation with this seed.", 0, group=EPISODES)
+        int,
+        integer(
+            "--seed N",
+            "Root seed; the episodes start as those of an evaluation with this seed.",
+            0,
+            group=EPISODES,
+        ),
     ] = 0,
     overrides: Overrides = None,
     engine: Engine = None,
@@ -67,14 +105,15 @@ def command(
 ) -> None:
     """Let a policy act for a robot, or simulate the robot.
 
-    The policy gets what sensors measure over ROS 2, ROS 1, ZeroMQ or WebSocket and answers with commands, both in SI units, at the rate of
-    the bundle. Every message is checked: layout, finite numbers, range, age and order. Commands are kept within the limits of the
-    actuators. On silence, and after a wrong message, the robot gets the safe posture of the bundle. At the end there is a table of answer
-    times and refused messages.
-    `deepbots-robot serve BUNDLE` does the same where deepbots is not installed.
+    The policy gets what sensors measure over ROS 2, ROS 1, ZeroMQ or WebSocket and answers with commands,
+    both in SI units, at the rate of the bundle. Every message is checked: layout, finite numbers, range, age
+    and order. Commands are kept within the limits of the actuators. On silence, and after a wrong message,
+    the robot gets the safe posture of the bundle. At the end there is a table of answer times and refused
+    messages. `deepbots-robot serve BUNDLE` does the same where deepbots is not installed.
 
-    With --as-robot, a simulation of the scenario is the robot: it sends its sensors and obeys commands in real time, episode after
-    episode. ROS 2 topics are those of the section `ros` of the scenario, or of `deepbots inspect SCENARIO --ros`.
+    With --as-robot, a simulation of the scenario is the robot: it sends its sensors and obeys commands in
+    real time, episode after episode. ROS 2 topics are those of the section `ros` of the scenario, or of
+    `deepbots inspect SCENARIO --ros`.
 
     \b
       deepbots export runs/cartpole-0-1 -o cartpole-bundle
@@ -85,7 +124,11 @@ def command(
 
     Next: Ctrl-C ends both.
     """
-    links = [name for name, given in (("--ros", ros), ("--ros1", ros1), ("--zmq", zmq), ("--websocket", websocket)) if given]
+    links = [
+        name
+        for name, present in (("--ros", ros), ("--ros1", ros1), ("--zmq", zmq), ("--websocket", websocket))
+        if present
+    ]
     if len(links) > 1:
         raise UsageError(f"{' and '.join(links)} are different links; choose one")
     if links not in ([], ["--ros"]) and (interface is not None or domain):
@@ -93,7 +136,9 @@ def command(
     if not 0.0 < speed <= 1000.0:
         raise UsageError(f"--speed {speed:g}: write a number above 0, at most 1000")
     if seconds is not None and not 0.0 < seconds < float("inf"):
-        raise UsageError(f"--seconds {seconds:g}: write a number of seconds above 0; without the option, Ctrl-C ends it")
+        raise UsageError(
+            f"--seconds {seconds:g}: write a number of seconds above 0; without the option, Ctrl-C ends it"
+        )
     try:
         from deepbots_robot.serving import Transport
     except ModuleNotFoundError as error:
@@ -102,24 +147,35 @@ def command(
     if not as_robot:
         if episodes is not None or seed or overrides or engine or permissions != Permissions():
             raise UsageError(
-                "--episodes, --seed, --set, --engine and --allow-... belong to a simulated robot; add --as-robot or leave them out"
+                "--episodes, --seed, --set, --engine and --allow-... belong to a simulated robot; add"
+                " --as-robot or leave them out"
             )
         settings: dict[str, Any] = {"speed": speed, "lockstep": lockstep, "log": log, "seconds": seconds}
         _serve_policy(Path(source), transport, trusted=trusted, as_json=as_json, **settings)
         return
     if log is not None or seconds is not None or trusted is not None:
-        raise UsageError("--log, --seconds and --trusted belong to the policy; leave them out with --as-robot")
+        raise UsageError(
+            "--log, --seconds and --trusted belong to the policy; leave them out with --as-robot"
+        )
     from deepbots_cli.cli.sources import open_source
     from deepbots_cli.insight.robot import serve_robot
 
     side = open_source(source, overrides or (), permissions, engine)
     engine = engine or (side.run.engine_for(side.program) if side.run else None)
-    settings = {"episodes": episodes, "seed": seed, "engine": engine, "permissions": permissions, "note": terminal.note}
+    settings = {
+        "episodes": episodes,
+        "seed": seed,
+        "engine": engine,
+        "permissions": permissions,
+        "note": terminal.note,
+    }
     running = serve_robot(side.program, transport, lockstep=lockstep, speed=speed, **settings)
     _simulate(side.program.name, running, as_json=as_json, success=side.program.defines_success)
 
 
-def _serve_policy(folder: Path, transport: Transport, *, trusted: Path | None, as_json: bool, **settings: Any) -> None:
+def _serve_policy(
+    folder: Path, transport: Transport, *, trusted: Path | None, as_json: bool, **settings: Any
+) -> None:
     from deepbots_robot.bundle import load
     from deepbots_robot.model import BundleError
     from deepbots_robot.server import report_lines
@@ -128,7 +184,10 @@ def _serve_policy(folder: Path, transport: Transport, *, trusted: Path | None, a
     with ExitStack() as stack:
         if folder_kind(folder) is SourceKind.RUN or folder.suffix == ".zip":
             if trusted is not None:
-                raise UsageError(f"{folder} is a run, and --trusted needs a signed bundle: deepbots export {folder} --sign KEY")
+                raise UsageError(
+                    f"{folder} is a run, and --trusted needs a signed bundle: deepbots export {folder}"
+                    " --sign KEY"
+                )
             folder = _exported(folder, stack)
         try:
             report = serve(load(folder, trusted=trusted), transport, note=terminal.note, **settings)
@@ -141,7 +200,8 @@ def _serve_policy(folder: Path, transport: Transport, *, trusted: Path | None, a
 
 
 def _exported(run: Path, stack: ExitStack) -> Path:
-    """The bundle of the best model of a run, or of a model that is named, in a folder that lasts as long as `stack`."""
+    """The bundle of the best model of a run, or of a model that is named, in a folder that lasts as long as
+    `stack`."""
     from deepbots_cli.insight.export.bundle import bundle_files
     from deepbots_cli.learning.run import ModelRef
 
@@ -166,7 +226,8 @@ def _simulate(name: str, running: Any, *, as_json: bool, success: bool) -> None:
             robots = [robot]
             ending = f"{'success' if episode.is_success else 'no success'}, " if success else ""
             terminal.note(
-                f"episode {len(done) - 1}: {ending}{episode.ended_by} after {episode.length} steps, return {episode.total_return:.6g}"
+                f"episode {len(done) - 1}: {ending}{episode.ended_by} after {episode.length} steps, return"
+                f" {episode.total_return:.6g}"
             )
     except KeyboardInterrupt:
         terminal.note("interrupted")
@@ -174,5 +235,5 @@ def _simulate(name: str, running: Any, *, as_json: bool, success: bool) -> None:
         return
     from deepbots_cli.insight.robot import report, report_lines
 
-    found = report(done, robots[0], success_defined=success)
-    terminal.show(found, *report_lines(found), as_json=as_json)
+    outcome = report(done, robots[0], success_defined=success)
+    terminal.show(outcome, *report_lines(outcome), as_json=as_json)

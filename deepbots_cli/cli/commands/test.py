@@ -31,7 +31,8 @@ from deepbots_cli.runtime.streams import derive_seed
 
 @dataclass(frozen=True)
 class _ScenarioResults:
-    """The results of one scenario with its `warnings`; with errors in its file there are `findings` instead."""
+    """The results of one scenario with its `warnings`; with errors in its file there are `findings`
+    instead."""
 
     scenario: str
     results: tuple[TestResult, ...] = ()
@@ -46,9 +47,14 @@ class _ScenarioResults:
 def command(
     scenarios: Annotated[
         list[str] | None,
-        typer.Argument(metavar="SCENARIO", help="Scenario files, names of shipped scenarios, or folders; by default this folder."),
+        typer.Argument(
+            metavar="SCENARIO",
+            help="Scenario files, names of shipped scenarios, or folders; by default this folder.",
+        ),
     ] = None,
-    only: Annotated[str | None, option("-k NAME", "Run only the tests whose names contain this text.")] = None,
+    only: Annotated[
+        str | None, option("-k NAME", "Run only the tests whose names contain this text.")
+    ] = None,
     overrides: Overrides = None,
     engine: Engine = None,
     junit: Annotated[Path | None, option("--junit FILE", "Write the results as JUnit XML.")] = None,
@@ -60,12 +66,14 @@ def command(
 ) -> None:
     """Run the tests of scenarios.
 
-    A scenario lists its tests under `tests`: who acts (a script, random or zero actions, or a sequence of actions), for how many episodes,
-    and the expected result. A failed test shows what was expected and measured, and a command that shows the episode.
+    A scenario lists its tests under `tests`: who acts (a script, random or zero actions, or a sequence of
+    actions), for how many episodes, and the expected result. A failed test shows what was expected and
+    measured, and a command that shows the episode.
 
     With --workers N, N scenarios are tested at a time, with the same results.
 
-    The exit code is 0 if all tests pass, 1 if a test fails or a scenario has errors, and 2 if there is no test to run.
+    The exit code is 0 if all tests pass, 1 if a test fails or a scenario has errors, and 2 if there is no
+    test to run.
 
     \b
       deepbots test
@@ -83,30 +91,39 @@ def command(
         "permissions": permissions,
         "tests": True,
     }
-    given = [f"--engine {engine}"] if engine else []
-    given += [f"--set {quote(text)}" for text in overrides or ()]
-    processes.check_dividable(workers, address, len(names), "there is one scenario; name several, or a folder")
+    added = [f"--engine {engine}"] if engine else []
+    added += [f"--set {quote(text)}" for text in overrides or ()]
+    processes.check_dividable(
+        workers, address, len(names), "there is one scenario; name several, or a folder"
+    )
     done = []
     calls = [_Scenario(name, only, engine, options) for name in names]
     files = [Path(name) for name in names if Path(name).is_file()]
     with processes.executor(workers, address, len(names)) as executor:
-        for found in results(executor.map(_tested, calls, files=files)):
-            done.append(found)
-            terminal.note_warnings(found.warnings, found.scenario)
+        for tested in results(executor.map(_tested, calls, files=files)):
+            done.append(tested)
+            terminal.note_warnings(tested.warnings, tested.scenario)
             if not as_json:
-                _show(found, given)
-    if not any(found.results or found.findings for found in done):
+                _show(tested, added)
+    if not any(tested.results or tested.findings for tested in done):
         missing = "under `tests`" if only is None else f"whose name contains '{only}'"
-        raise UsageError(f"there is no test {missing} in {', '.join(names[:5])}{' ...' if len(names) > 5 else ''}")
+        raise UsageError(
+            f"there is no test {missing} in {', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
+        )
     if as_json:
-        terminal.show_json({"passed": all(found.passed for found in done), "scenarios": [_data(found, given) for found in done]})
+        terminal.show_json(
+            {
+                "passed": all(tested.passed for tested in done),
+                "scenarios": [_data(tested, added) for tested in done],
+            }
+        )
     else:
         _sum_up(done, time.perf_counter() - began)
     if junit is not None:
-        suites = {found.scenario: _junit(found) for found in done if found.results or found.findings}
+        suites = {tested.scenario: _junit(tested) for tested in done if tested.results or tested.findings}
         with atomic_write(junit) as draft:
             draft.write_bytes(xml_report(suites, prefix="deepbots test ").encode())
-    if not all(found.passed for found in done):
+    if not all(tested.passed for tested in done):
         raise typer.Exit(FAILED)
 
 
@@ -128,23 +145,27 @@ def _tested(scenario: _Scenario, attempt: Attempt) -> _ScenarioResults:
         return _ScenarioResults(name, findings=tuple(error.findings))
     tests = [test for test in checked.tests if only is None or only in test.name]
     with terminal.progress(f"episodes of {name}", always=False) as show:
-        found = run_tests(compiled.program, tests, engine=engine, permissions=compiled.permissions, on_episode=show)
-        in_order = tuple(sorted(found, key=lambda result: tests.index(result.test)))
+        test_results = run_tests(
+            compiled.program, tests, engine=engine, permissions=compiled.permissions, on_episode=show
+        )
+        in_order = tuple(sorted(test_results, key=lambda result: tests.index(result.test)))
     return _ScenarioResults(name, in_order, warnings=tuple(compiled.findings) if tests else ())
 
 
-def _show(found: _ScenarioResults, given: Sequence[str]) -> None:
-    if found.findings:
-        terminal.show_findings(found.findings)
-        terminal.print_result(f"{found.scenario}: not tested, because the file has errors\n")
-    elif found.results:
-        terminal.print_result(f"{found.scenario}\n{table([_row(result) for result in found.results])}")
-        for result in found.results:
+def _show(tested: _ScenarioResults, options: Sequence[str]) -> None:
+    if tested.findings:
+        terminal.show_findings(tested.findings)
+        terminal.print_result(f"{tested.scenario}: not tested, because the file has errors\n")
+    elif tested.results:
+        terminal.print_result(f"{tested.scenario}\n{table([_row(result) for result in tested.results])}")
+        for result in tested.results:
             if not result.passed:
                 terminal.print_result(f"\n  FAILED {result.test.name} ({result.test.span.location})")
             for miss in result.misses:
-                terminal.print_result(f"    expected  {miss.expected} ({miss.where})\n    measured  {miss.measured}")
-                terminal.print_result(f"    show it   {_command(found.scenario, result, miss, given)}")
+                terminal.print_result(
+                    f"    expected  {miss.expected} ({miss.where})\n    measured  {miss.measured}"
+                )
+                terminal.print_result(f"    show it   {_command(tested.scenario, result, miss, options)}")
         terminal.print_result()
 
 
@@ -153,46 +174,59 @@ def _row(result: TestResult) -> Row:
     return {"test": result.test.name, "result": "passed" if result.passed else "FAILED", **numbers}
 
 
-def _command(scenario: str, result: TestResult, miss: UnmetExpectation, given: Sequence[str]) -> str:
+def _command(scenario: str, result: TestResult, miss: UnmetExpectation, options: Sequence[str]) -> str:
     """The command that shows the episode of a miss, with the options that were `given`."""
     test, episode = result.test, miss.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
-    where = " ".join([quote(scenario), *settings, *given])
+    where = " ".join([quote(scenario), *settings, *options])
     if isinstance(test.driver, str):
         return f"deepbots view {where} --driver {test.driver} --seed {test.seed} --episode {episode}"
-    actions, seed = ",".join(action.text for action in test.driver), derive_seed(test.seed, "evaluation", episode)
+    actions = ",".join(action.text for action in test.driver)
+    seed = derive_seed(test.seed, "evaluation", episode)
     return f"deepbots try {where} --driver={actions} --steps {len(test.driver)} --episodes 1 --seed {seed}"
 
 
 def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
-    every = [result for found in done for result in found.results]
-    failed, broken = sum(not result.passed for result in every), sum(bool(found.findings) for found in done)
-    untested = [found.scenario for found in done if not found.results and not found.findings]
+    every = [result for tested in done for result in tested.results]
+    failed, broken = sum(not result.passed for result in every), sum(bool(tested.findings) for tested in done)
+    untested = [tested.scenario for tested in done if not tested.results and not tested.findings]
     if untested:
-        terminal.note(f"no tests in {', '.join(untested[:5])}" + (f" and {len(untested) - 5} more" if len(untested) > 5 else ""))
+        terminal.note(
+            f"no tests in {', '.join(untested[:5])}"
+            + (f" and {len(untested) - 5} more" if len(untested) > 5 else "")
+        )
     words = [f"{len(every) - failed} passed", *([f"{failed} failed"] if failed else [])]
     words += [f"{broken} scenario{'s' * (broken > 1)} with errors"] if broken else []
     terminal.print_result(f"{', '.join(words)} in {seconds:.1f} s")
 
 
-def _junit(found: _ScenarioResults) -> Iterator[Case]:
-    yield from (Case("the scenario has no errors", finding.headline, finding.headline) for finding in found.findings[:1])
-    for result in found.results:
+def _junit(tested: _ScenarioResults) -> Iterator[Case]:
+    yield from (
+        Case("the scenario has no errors", finding.headline, finding.headline)
+        for finding in tested.findings[:1]
+    )
+    for result in tested.results:
         reason = "; ".join(f"{miss.expected} ({miss.where}): {miss.measured}" for miss in result.misses)
         fault = "" if result.passed else f"not met: {result.test.name} ({reason})"
         yield Case(result.test.name, reason, fault, attributes={"time": f"{result.seconds:.3f}"})
 
 
-def _data(found: _ScenarioResults, given: Sequence[str]) -> dict[str, Any]:
+def _data(tested: _ScenarioResults, options: Sequence[str]) -> dict[str, Any]:
     tests = [
         {
             "test": result.test.name,
             "where": result.test.span.location,
             **{key: getattr(result.test, key) for key in ("case", "stage", "seed")},
             **{key: getattr(result, key) for key in ("passed", "episodes", "steps", "seconds")},
-            "misses": [asdict(miss) | {"command": _command(found.scenario, result, miss, given)} for miss in result.misses],
+            "misses": [
+                asdict(miss) | {"command": _command(tested.scenario, result, miss, options)}
+                for miss in result.misses
+            ],
         }
-        for result in found.results
+        for result in tested.results
     ]
-    errors = [{"code": finding.code, "where": finding.span.location, "headline": finding.headline} for finding in found.findings]
-    return {"scenario": found.scenario, "passed": found.passed, "tests": tests, "findings": errors}
+    errors = [
+        {"code": finding.code, "where": finding.span.location, "headline": finding.headline}
+        for finding in tested.findings
+    ]
+    return {"scenario": tested.scenario, "passed": tested.passed, "tests": tests, "findings": errors}

@@ -49,30 +49,58 @@ def _shard_count(text: str) -> str:
 
 def command(
     scenario: Annotated[
-        str | None, typer.Argument(metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots.")
+        str | None,
+        typer.Argument(
+            metavar="SCENARIO", help="A scenario file, or the name of a scenario that comes with deepbots."
+        ),
     ] = None,
     overrides: Overrides = None,
-    seed: Annotated[int | None, integer("--seed N", "Root seed of all random numbers; 0 by default.", 0, MAX_SEED)] = None,
-    seeds: Annotated[str | None, option("--seeds LIST", "Train a group: a run for each of several seeds, such as 0..4 or 0,3,7.")] = None,
-    timesteps: Annotated[
-        int | None, integer("--timesteps N", "Total number of timesteps, such as 200000, 200k or 2e5; by default `train.total_timesteps`.")
+    seed: Annotated[
+        int | None, integer("--seed N", "Root seed of all random numbers; 0 by default.", 0, MAX_SEED)
     ] = None,
-    run: Annotated[Path | None, option("--run DIR", "Directory to create for the run or group; by default a new one in ./runs.")] = None,
+    seeds: Annotated[
+        str | None,
+        option("--seeds LIST", "Train a group: a run for each of several seeds, such as 0..4 or 0,3,7."),
+    ] = None,
+    timesteps: Annotated[
+        int | None,
+        integer(
+            "--timesteps N",
+            "Total number of timesteps, such as 200000, 200k or 2e5; by default `train.total_timesteps`.",
+        ),
+    ] = None,
+    run: Annotated[
+        Path | None,
+        option("--run DIR", "Directory to create for the run or group; by default a new one in ./runs."),
+    ] = None,
     retry: Annotated[
         int | None,
         integer(
             "--retry N",
-            "If the task is not solved, train up to N times again, each time with a value under `train` that `diagnose` advises.",
+            "If the task is not solved, train up to N times again, each time with a value under `train` that"
+            " `diagnose` advises.",
             1,
             MAX_RETRIES,
         ),
     ] = None,
-    full: Annotated[bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")] = False,
+    full: Annotated[
+        bool, option("--full --no-stop", "Train for all timesteps, even if the task is solved earlier.")
+    ] = False,
     stage: Annotated[
-        str | None, option("--stage NAME", "Begin with this stage of the curriculum; by default with the first.", ADVANCED)
+        str | None,
+        option(
+            "--stage NAME", "Begin with this stage of the curriculum; by default with the first.", ADVANCED
+        ),
     ] = None,
     keep_checkpoints: Annotated[
-        int | None, integer("--keep-checkpoints N", "Keep N models, saved at equal intervals; 0 by default.", 0, 10_000, group=ADVANCED)
+        int | None,
+        integer(
+            "--keep-checkpoints N",
+            "Keep N models, saved at equal intervals; 0 by default.",
+            0,
+            10_000,
+            group=ADVANCED,
+        ),
     ] = None,
     initialize_from: Annotated[
         Path | None,
@@ -88,7 +116,8 @@ def command(
         str | None,
         option(
             "--shards N",
-            "Divide the environments into N groups, each with a copy of the policy; by default `train.shards`. It changes the result."
+            "Divide the environments into N groups, each with a copy of the policy; by default"
+            " `train.shards`. It changes the result."
             " `auto` measures several numbers first, and takes the fastest.",
             ADVANCED,
             parser=_shard_count,
@@ -98,7 +127,8 @@ def command(
         str | None,
         option(
             "--teacher SCRIPT|FILE",
-            "Let a script of the scenario, or the episodes of a recording (.mcap), teach the policy first; by default `train.teacher`.",
+            "Let a script of the scenario, or the episodes of a recording (.mcap), teach the policy first;"
+            " by default `train.teacher`.",
         ),
     ] = None,
     workers: Workers = None,
@@ -111,9 +141,10 @@ def command(
 ) -> None:
     """Train a policy in a new run directory, and evaluate it.
 
-    Training stops when an evaluation confirms that the task is solved, or at the total number of timesteps. Ctrl-C stops it after the
-    current rollout and keeps the policy. The run directory holds the inputs, the models and the results. A run never overwrites another
-    one. If the task is not solved, train prints the most likely cause that it finds, and one command to run next.
+    Training stops when an evaluation confirms that the task is solved, or at the total number of timesteps.
+    Ctrl-C stops it after the current rollout and keeps the policy. The run directory holds the inputs, the
+    models and the results. A run never overwrites another one. If the task is not solved, train prints the
+    most likely cause that it finds, and one command to run next.
 
     \b
       deepbots train cartpole
@@ -127,36 +158,47 @@ def command(
       deepbots train pit_escape --shards 2 --workers 2
       deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
 
-    Timesteps are counted over all parallel environments. --initialize-from copies weights of the best model of a run, or of the model that
-    you name, into the new policy: each tensor (array of weights) that has the same name and shape in both. All others begin as usual.
+    Timesteps are counted over all parallel environments. --initialize-from copies weights of the best model
+    of a run, or of the model that you name, into the new policy: each tensor (array of weights) that has the
+    same name and shape in both. All others begin as usual.
 
-    Where the scenario names no algorithm, deepbots chooses it, with its hyperparameters, by the structure of the scenario.
+    Where the scenario names no algorithm, deepbots chooses it, with its hyperparameters, by the structure of
+    the scenario.
 
     `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run.
 
-    --shards divides the environments of one training. With --workers, the shards run in processes of this machine, and with --cluster
-    on a Ray cluster. Weights and logs depend on the number of shards, and not on where they run. If a process is lost, its shards repeat
-    the last steps in another one. `--shards auto` trains for a few seconds with 1, 2, 4, ... shards, on a worker for each core by default.
-    It chooses the fastest number, or 1 if no other is at least 1.1 times as fast.
+    --shards divides the environments of one training. With --workers, the shards run in processes of this
+    machine, and with --cluster on a Ray cluster. Weights and logs depend on the number of shards, and not on
+    where they run. If a process is lost, its shards repeat the last steps in another one. `--shards auto`
+    trains for a few seconds with 1, 2, 4, ... shards, on a worker for each core by default. It chooses the
+    fastest number, or 1 if no other is at least 1.1 times as fast.
 
-    --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or with --workers N, N at a time
-    in N processes; the runs are the same. If a process is lost, another one resumes its training.
+    --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or
+    with --workers N, N at a time in N processes; the runs are the same. If a process is lost, another one
+    resumes its training.
 
-    --retry N trains an unsolved task up to N times again: a group of runs try-1, try-2, ... with the same seed. Each changes a value under
-    `train` that the most likely cause of the run before advises. It stops when a run is solved, or no other value is advised. The
-    scenario file stays as it is; `deepbots apply GROUP FILE` writes the values of the best run into FILE.
+    --retry N trains an unsolved task up to N times again: a group of runs try-1, try-2, ... with the same
+    seed. Each changes a value under `train` that the most likely cause of the run before advises. It stops
+    when a run is solved, or no other value is advised. The scenario file stays as it is; `deepbots apply
+    GROUP FILE` writes the values of the best run into FILE.
 
-    Next: `deepbots view RUN` shows the policy, `deepbots render RUN -o video.mp4` makes a video of it, and `deepbots resume RUN` continues
-    a training that was interrupted.
+    Next: `deepbots view RUN` shows the policy, `deepbots render RUN -o video.mp4` makes a video of it, and
+    `deepbots resume RUN` continues a training that was interrupted.
     """
     progress = not quiet
     if retry is not None and (seeds is not None or to_view):
         other = "--view" if seeds is None else "--seeds"
-        raise UsageError(f"--retry follows the causes of one training; leave out {other}, and use it with the values that --retry finds")
+        raise UsageError(
+            f"--retry follows the causes of one training; leave out {other}, and use it with the values that"
+            " --retry finds"
+        )
     scenario = _checked_options(scenario, seed, seeds, run)
     listed = None if seeds is None else seed_list(seeds)
     is_recorded = teacher is not None and teacher.endswith(RECORDING_SUFFIX)
-    undivided = [*with_engine(overrides, engine), *([] if teacher is None or is_recorded else [f"train.teacher={teacher}"])]
+    undivided = [
+        *with_engine(overrides, engine),
+        *([] if teacher is None or is_recorded else [f"train.teacher={teacher}"]),
+    ]
     changed = undivided if shards in (None, "auto") else [*undivided, f"train.shards={shards}"]
     compiled = api.with_learner(api.compile(scenario, overrides=changed, permissions=permissions))
     workers = _checked_workers(compiled.program, shards, listed, workers, address)
@@ -187,7 +229,9 @@ def command(
     if listed is not None:
         with processes.executor(workers, address, len(listed), quiet=quiet) as executor:
             announce = None if quiet else trainings.announce_seed
-            group = learning.train_group(compiled, listed, group=run, on_seed=announce, executor=executor, **settings)
+            group = learning.train_group(
+                compiled, listed, group=run, on_seed=announce, executor=executor, **settings
+            )
             trainings.finish_group(group, executor, **shown)
         return
     with (
@@ -197,7 +241,16 @@ def command(
         if shards == "auto":
             compiled = _with_fastest_shards(scenario, compiled, undivided, executor, seed or 0, permissions)
         if retry is not None:
-            retries.train(compiled, retry, seed=seed or 0, group=run, executor=executor, quiet=quiet, as_json=as_json, **settings)
+            retries.train(
+                compiled,
+                retry,
+                seed=seed or 0,
+                group=run,
+                executor=executor,
+                quiet=quiet,
+                as_json=as_json,
+                **settings,
+            )
             return
 
         def begin(path: Path) -> None:
@@ -205,23 +258,32 @@ def command(
                 terminal.note(f"the run is {path}")
             show_page(path)
 
-        result = learning.train(compiled, run=run, seed=seed or 0, on_start=begin, executor=executor, **settings)
+        result = learning.train(
+            compiled, run=run, seed=seed or 0, on_start=begin, executor=executor, **settings
+        )
     trainings.finish(result, **shown)
 
 
 def _checked_options(scenario: str | None, seed: int | None, seeds: str | None, run: Path | None) -> str:
-    """The scenario of a new training. Raises: UsageError: There is none, or the options exclude one another."""
+    """The scenario of a new training. Raises: UsageError: There is none, or the options exclude one
+    another."""
     if scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
     if seeds is not None and seed is not None:
         raise UsageError("--seed and --seeds cannot be combined")
     if run is not None and run.exists():
-        raise UsageError(f"--run: {run} already exists; choose another directory, because runs are not overwritten")
+        raise UsageError(
+            f"--run: {run} already exists; choose another directory, because runs are not overwritten"
+        )
     return scenario
 
 
 def _checked_workers(
-    program: Program, shards: str | None, seeds: Sequence[int] | None, workers: int | None, address: str | None
+    program: Program,
+    shards: str | None,
+    seeds: Sequence[int] | None,
+    workers: int | None,
+    address: str | None,
 ) -> int | None:
     """The number of workers; with `--shards auto`, as many as there are cores by default.
 
@@ -231,10 +293,14 @@ def _checked_workers(
     training = program.agent.training
     if shards == "auto":
         if seeds is not None:
-            raise UsageError("--shards auto measures a single training; name a number of shards, or leave out --seeds")
+            raise UsageError(
+                "--shards auto measures a single training; name a number of shards, or leave out --seeds"
+            )
         return processes.available_cores() if workers is None and address is None else workers
     if seeds is not None:
-        processes.check_dividable(workers, address, len(seeds), "there is one seed; name several with --seeds")
+        processes.check_dividable(
+            workers, address, len(seeds), "there is one seed; name several with --seeds"
+        )
     elif training is not None:
         reason = "the training has one shard; add --shards N, or --seeds for several trainings"
         processes.check_dividable(workers, address, training.shards, reason)
@@ -243,7 +309,12 @@ def _checked_workers(
 
 
 def _with_fastest_shards(
-    scenario: str, compiled: api.Compiled, overrides: list[str], executor: Executor, seed: int, permissions: Permissions
+    scenario: str,
+    compiled: api.Compiled,
+    overrides: list[str],
+    executor: Executor,
+    seed: int,
+    permissions: Permissions,
 ) -> api.Compiled:
     """The scenario with the number of shards that trains fastest."""
     from deepbots_cli.learning import scaling
@@ -253,16 +324,27 @@ def _with_fastest_shards(
         return compiled
     numbers = scaling.candidates(training.environments, executor.workers)
     if len(numbers) == 1:
-        terminal.note("the training has 1 shard: there is nothing to divide, with one environment or one worker")
+        terminal.note(
+            "the training has 1 shard: there is nothing to divide, with one environment or one worker"
+        )
         return compiled
     folder = None if executor.is_on_this_machine else Path.cwd()
     with terminal.progress("measurements") as show:
         timings = scaling.measure(
-            scenario, numbers, executor, overrides=overrides, permissions=permissions, seed=seed, folder=folder, on_measured=show
+            scenario,
+            numbers,
+            executor,
+            overrides=overrides,
+            permissions=permissions,
+            seed=seed,
+            folder=folder,
+            on_measured=show,
         )
     chosen = scaling.choose(timings)
     terminal.note(scaling.described(timings, chosen))
-    return api.compile(scenario, overrides=[*overrides, f"train.shards={chosen.shards}"], permissions=permissions)
+    return api.compile(
+        scenario, overrides=[*overrides, f"train.shards={chosen.shards}"], permissions=permissions
+    )
 
 
 def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full: bool) -> None:
@@ -273,10 +355,16 @@ def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full
         terminal.note(f"training {compiled.program.name} with {training.algorithm} from {seeds}")
         for reason in compiled.learner:
             terminal.note(f"deepbots chose {reason}")
-        terminal.note(f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps the policy")
+        terminal.note(
+            f"at most {timesteps or training.total_timesteps:,} timesteps{until}; Ctrl-C ends it and keeps"
+            " the policy"
+        )
 
 
 def _name_missing_search(program: Program, scenario: str) -> None:
     """Name the search for exploits of the reward if it was not made from this folder."""
     if not exploits.was_searched(program):
-        terminal.note(f"tip: `deepbots lint {quote(scenario)} --exploits` looks for ways to earn this reward without doing the task")
+        terminal.note(
+            f"tip: `deepbots lint {quote(scenario)} --exploits` looks for ways to earn this reward without"
+            " doing the task"
+        )

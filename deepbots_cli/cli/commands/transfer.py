@@ -14,7 +14,17 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli import processes, records, terminal
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, fraction, integer, known_engine, option
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    MAX_SEED,
+    ClusterAddress,
+    Json,
+    Workers,
+    fraction,
+    integer,
+    known_engine,
+    option,
+)
 from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.records import number, percent, with_interval
@@ -22,7 +32,6 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
-from deepbots_cli.learning.report import to_json
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -47,32 +56,54 @@ def command(
     ],
     engine: Annotated[
         str | None,
-        option("--engine NAME", "The other engine; by default not that of the training.", callback=known_engine),
+        option(
+            "--engine NAME", "The other engine; by default not that of the training.", callback=known_engine
+        ),
     ] = None,
     scenario: Annotated[
-        str | None, option("--scenario SCENARIO", "The other world: a scenario with the same observation, action and messages.")
+        str | None,
+        option(
+            "--scenario SCENARIO",
+            "The other world: a scenario with the same observation, action and messages.",
+        ),
     ] = None,
     overrides: Annotated[
         list[str] | None,
-        option("--set PATH=VALUE", "Override a value in the other world, such as world.ground.friction=0.5; may be repeated."),
+        option(
+            "--set PATH=VALUE",
+            "Override a value in the other world, such as world.ground.friction=0.5; may be repeated.",
+        ),
     ] = None,
     min_success: Annotated[
         float | None,
-        option("--min-success RATE", "Success rate required in both worlds, such as 0.8 or 80%.", parser=fraction),
+        option(
+            "--min-success RATE", "Success rate required in both worlds, such as 0.8 or 80%.", parser=fraction
+        ),
     ] = None,
-    min_return: Annotated[float | None, option("--min-return VALUE", "Mean return required in both worlds.")] = None,
-    episodes: Annotated[int | None, integer("--episodes N", "Episodes of each evaluation; by default 50.")] = None,
+    min_return: Annotated[
+        float | None, option("--min-return VALUE", "Mean return required in both worlds.")
+    ] = None,
+    episodes: Annotated[
+        int | None, integer("--episodes N", "Episodes of each evaluation; by default 50.")
+    ] = None,
     quick: Annotated[
         bool,
         option(
             "--quick",
-            "Leave out the evaluations with noise, delays, other masses and weaker motors. Without --episodes, the two others end after"
+            "Leave out the evaluations with noise, delays, other masses and weaker motors. Without"
+            " --episodes, the two others end after"
             f" {QUICK_STEPS:,} steps, but not before 8 episodes.",
         ),
     ] = False,
-    log: Annotated[Path | None, option("--log FILE", "Compare an MCAP log of `deepbots serve` with the simulation instead.")] = None,
+    log: Annotated[
+        Path | None,
+        option("--log FILE", "Compare an MCAP log of `deepbots serve` with the simulation instead."),
+    ] = None,
     seed: Annotated[
-        int | None, integer("--seed N", "Root seed of the starts; by default the seed of the training.", 0, MAX_SEED, ADVANCED)
+        int | None,
+        integer(
+            "--seed N", "Root seed of the starts; by default the seed of the training.", 0, MAX_SEED, ADVANCED
+        ),
     ] = None,
     workers: Workers = None,
     address: ClusterAddress = None,
@@ -81,8 +112,8 @@ def command(
 ) -> None:
     """Check that a policy works in another engine or world.
 
-    The other world is the same scenario in the other engine. --scenario and --set replace it by another scenario or by changed values, in
-    the engine of the training.
+    The other world is the same scenario in the other engine. --scenario and --set replace it by another
+    scenario or by changed values, in the engine of the training.
 
     The policy is evaluated on the same held-out starts in the world of its training and in the other one. The
     first line says whether it works in both: it reaches --min-success and --min-return, or else `solved` of
@@ -90,14 +121,15 @@ def command(
     The table shows which numbers of the observation and which reward terms differ, and from which step on.
     Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a
     latency, a delay, a lag, a mass, a friction, a weaker motor, or another gain of an action, with the
-    amount. They are alternatives, whose shares do not add up. Finally, the policy is evaluated under changed conditions, as by `deepbots
-    robustness`.
+    amount. They are alternatives, whose shares do not add up. Finally, the policy is evaluated under changed
+    conditions, as by `deepbots robustness`.
 
-    With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds, or at the first level of one
-    of the conditions.
+    With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds,
+    or at the first level of one of the conditions.
 
-    --log FILE compares what a robot measured while `deepbots serve` acted for it with the simulation: mean, standard deviation and
-    Kolmogorov-Smirnov distance of each value, and the noise or bias that the simulation lacks.
+    --log FILE compares what a robot measured while `deepbots serve` acted for it with the simulation: mean,
+    standard deviation and Kolmogorov-Smirnov distance of each value, and the noise or bias that the
+    simulation lacks.
 
     \b
       deepbots transfer runs/cartpole-0-1
@@ -106,27 +138,34 @@ def command(
       deepbots transfer runs/cartpole-0-1 --set world.ground.friction=0.5
       deepbots transfer runs/cartpole-0-1 --log robot.mcap
 
-    Next: let episodes draw what differs, such as `mass: uniform(0.8 .. 1.2) * urdf` under `links`, and train again.
+    Next: let episodes draw what differs, such as `mass: uniform(0.8 .. 1.2) * urdf` under `links`, and train
+    again.
     """
     opened = [ModelRef.open(path, permissions) for path in runs]
     for ref in opened:
         Gates(min_success, min_return, False).check(ref.run.program)
     if log is not None:
-        _compare_log(opened, log, as_json=as_json, others=(engine, scenario, overrides, min_success, min_return))
+        _compare_log(
+            opened, log, as_json=as_json, others=(engine, scenario, overrides, min_success, min_return)
+        )
         return
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.insight.transfer import transfer  # which imports torch
-    found = []
+    transfers = []
     for ref in opened:
         run = ref.run
         judged = _other_scenario(run, scenario, overrides or (), permissions)
         other = engine or (run.record.engine if judged is not None else _other_engine(run.record.engine))
         if judged is None and other == run.record.engine:
             raise UsageError(
-                f"{run.path} was trained in {other}; name the other engine with --engine, or another world with --scenario or --set"
+                f"{run.path} was trained in {other}; name the other engine with --engine, or another world"
+                " with --scenario or --set"
             )
-        with processes.executor(workers, address) as executor, terminal.progress("worlds", always=False) as show:
-            found.append(
+        with (
+            processes.executor(workers, address) as executor,
+            terminal.progress("worlds", always=False) as show,
+        ):
+            transfers.append(
                 transfer(
                     run,
                     model=ref.name,
@@ -143,20 +182,25 @@ def command(
                     on_world=show,
                 )
             )
-    terminal.show([_data(each) for each in found], *("\n".join(_lines(each)) for each in found), as_json=as_json)
-    if any(not each.passed for each in found):
+    terminal.show(
+        [_data(each) for each in transfers], *("\n".join(_lines(each)) for each in transfers), as_json=as_json
+    )
+    if any(not each.passed for each in transfers):
         raise typer.Exit(FAILED)
 
 
 def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others: Sequence[object]) -> None:
     if len(refs) > 1 or any(other is not None for other in others):
-        raise UsageError("--log compares a log with the simulation of one run; leave out other runs, worlds and requirements")
+        raise UsageError(
+            "--log compares a log with the simulation of one run; leave out other runs, worlds and"
+            " requirements"
+        )
     from deepbots_cli.insight.robot_log import compare_log
 
     (ref,) = refs
     with terminal.transient_line("simulating ..."):
-        found = compare_log(ref.run, path, model=ref.name, note=terminal.note)
-    different = [each for each in found if each.is_different]
+        comparisons = compare_log(ref.run, path, model=ref.name, note=terminal.note)
+    different = [each for each in comparisons if each.is_different]
     rows = [
         {
             "value": f"{each.name} ({each.unit})" if each.unit else each.name,
@@ -166,24 +210,35 @@ def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others:
             "chance": f"{each.chance:.2f}",
             "outside_since": "" if each.since is None else f"{each.since:.1f} s",
         }
-        for each in found
+        for each in comparisons
     ]
-    lines = [f"{path} beside the simulation of {ref.run.path}: mean ± standard deviation of each input of the policy", table(rows)]
+    lines = [
+        f"{path} beside the simulation of {ref.run.path}: mean ± standard deviation of each input of the"
+        " policy",
+        table(rows),
+    ]
     lines.append(
-        "distance: Kolmogorov-Smirnov, from 0 for equal distributions to 1; chance: that of a part of the simulation of this length"
+        "distance: Kolmogorov-Smirnov, from 0 for equal distributions to 1; chance: that of a part of the"
+        " simulation of this length"
     )
     names = ", ".join(each.name for each in different)
     lines.append(f"different: {names}" if different else "no value differs by more than chance explains")
     advice = list(dict.fromkeys(each.advice for each in different if each.advice))
     lines += ["", "so that the simulation draws it:", *(f"  {line}" for line in advice)] if advice else []
-    terminal.show([each._asdict() for each in found], *lines, as_json=as_json)
+    terminal.show([each._asdict() for each in comparisons], *lines, as_json=as_json)
 
 
-def _other_scenario(run: Run, scenario: str | None, overrides: Sequence[str], permissions: Permissions) -> Compiled | None:
+def _other_scenario(
+    run: Run, scenario: str | None, overrides: Sequence[str], permissions: Permissions
+) -> Compiled | None:
     """The scenario of the other world, where it is not that of the run."""
     if scenario is None and not overrides:
         return None
-    source = Source.kept(run.path, permissions) if scenario is None else Source.open(scenario, permissions, SourceKind.SCENARIO)
+    source = (
+        Source.kept(run.path, permissions)
+        if scenario is None
+        else Source.open(scenario, permissions, SourceKind.SCENARIO)
+    )
     return api.compile(source, overrides=overrides, permissions=permissions)
 
 
@@ -193,7 +248,11 @@ def _other_engine(name: str) -> str:
 
 def _lines(found: Transfer) -> list[str]:
     here, there = found.names
-    changed = f" ({there} with {' '.join(f'--set {quote(text)}' for text in found.there.set)})" if found.there.set else ""
+    changed = (
+        f" ({there} with {' '.join(f'--set {quote(text)}' for text in found.there.set)})"
+        if found.there.set
+        else ""
+    )
     starts = f"{found.here.episodes} held-out starts from seed {found.here.seed}"
     lines = [*_verdict(found), f"\ntransfer of {found.run}: {found.between}{changed}, {starts}"]
     worlds = ((here, found.here), (there, found.there))
@@ -216,7 +275,9 @@ def _lines(found: Transfer) -> list[str]:
                 ]
             )
         )
-        lines.append("difference: root mean square over all steps, as a share of the width that the value spans")
+        lines.append(
+            "difference: root mean square over all steps, as a share of the width that the value spans"
+        )
     else:
         lines.append(f"\nthe same actions give the same values in both worlds ({size})")
     tried = f"tried, one change at a time: {'; '.join(compared.tried)}"
@@ -224,9 +285,21 @@ def _lines(found: Transfer) -> list[str]:
         is_whole = compared.causes[0].explained >= EXPLAINS_WHOLE
         partly = f"no change of {here} that was tried explains the whole difference; these explain part of it"
         lines.append(f"\nchanges of {here} that explain the difference" if is_whole else f"\n{partly}")
-        lines.append(table([{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]))
-        lines.append("explains: share of the squared differences that vanishes with this change alone, the mean of two shares: of all")
-        lines.append("moments, and of the early ones; the changes are alternatives, whose shares do not add up")
+        lines.append(
+            table(
+                [
+                    {"change": cause.text, "explains": percent(cause.explained)}
+                    for cause in compared.causes[:5]
+                ]
+            )
+        )
+        lines.append(
+            "explains: share of the squared differences that vanishes with this change alone, the mean of"
+            " two shares: of all"
+        )
+        lines.append(
+            "moments, and of the early ones; the changes are alternatives, whose shares do not add up"
+        )
         lines += [] if is_whole else [fill(tried, WIDTH)]
     elif compared.differences and not compared.observation_differs:
         lines.append("\nno number of the observation differs, so no cause can be found")
@@ -238,12 +311,15 @@ def _lines(found: Transfer) -> list[str]:
     return lines
 
 
-def _verdict(found: Transfer) -> list[str]:
-    """Whether the policy works in both worlds, and how often it succeeds, in a line; and what working means."""
-    one, other = found.works
-    is_lower = bool(one and other) and found.is_much_lower
-    is_rate = found.here.success_defined and not is_lower
-    worlds = [*zip(found.names, (found.here, found.there), strict=True)][:: -1 if other and not one else 1]
+def _verdict(compared: Transfer) -> list[str]:
+    """Whether the policy works in both worlds, and how often it succeeds, in a line; and what working
+    means."""
+    one, other = compared.works
+    is_lower = bool(one and other) and compared.is_much_lower
+    is_rate = compared.here.success_defined and not is_lower
+    worlds = [*zip(compared.names, (compared.here, compared.there), strict=True)][
+        :: -1 if other and not one else 1
+    ]
     names = [name for name, _ in worlds]
     scores = [
         with_interval(result.success_rate, result.success_interval, percent)
@@ -252,32 +328,38 @@ def _verdict(found: Transfer) -> list[str]:
         for _, result in worlds
     ]
     measure = "success rate " if is_rate else "mean return "
-    shown = f"{'' if is_lower else measure}{scores[0]} and {scores[1]}, judged by {found.here.episodes} episodes"
+    shown = (
+        f"{'' if is_lower else measure}{scores[0]} and {scores[1]}, judged by {compared.here.episodes}"
+        " episodes"
+    )
     if one is None or other is None:
         return [
             f"in {names[0]} and {names[1]}: {shown}",
             "whether it works is not defined: add --min-success RATE, or `solved` to the scenario",
         ]
     if is_lower:
-        said = f"works in both worlds, but with a much lower mean return in {names[1]}"
+        verdict = f"works in both worlds, but with a much lower mean return in {names[1]}"
     elif one and other:
-        said = "works in both worlds"
+        verdict = "works in both worlds"
     elif one or other:
-        said = f"works in {names[0]}, but not in {names[1]}"
+        verdict = f"works in {names[0]}, but not in {names[1]}"
     else:
-        said = f"works neither in {names[0]} nor in {names[1]}"
-    return [f"{said}: {shown}", f"required: {found.required}"]
+        verdict = f"works neither in {names[0]} nor in {names[1]}"
+    return [f"{verdict}: {shown}", f"required: {compared.required}"]
 
 
-def _data(found: Transfer) -> dict[str, Any]:
+def _data(compared: Transfer) -> dict[str, Any]:
     return {
-        "run": found.run,
-        "worlds": [{"name": name, **to_json(result)} for name, result in zip(found.names, (found.here, found.there), strict=True)],
-        "differences": [each._asdict() for each in found.comparison.differences],
-        "causes": [each._asdict() for each in found.comparison.causes],
-        "tried": found.comparison.tried,
-        "robustness": None if found.robustness is None else records.robustness_json(found.robustness),
-        "gates": [each._asdict() for each in found.gates],
-        "works": dict(zip(found.names, found.works, strict=True)),
-        "passed": found.passed,
+        "run": compared.run,
+        "worlds": [
+            {"name": name, **result.model_dump()}
+            for name, result in zip(compared.names, (compared.here, compared.there), strict=True)
+        ],
+        "differences": [each._asdict() for each in compared.comparison.differences],
+        "causes": [each._asdict() for each in compared.comparison.causes],
+        "tried": compared.comparison.tried,
+        "robustness": None if compared.robustness is None else records.robustness_json(compared.robustness),
+        "gates": [each._asdict() for each in compared.gates],
+        "works": dict(zip(compared.names, compared.works, strict=True)),
+        "passed": compared.passed,
     }

@@ -47,30 +47,48 @@ def command(
         list[str] | None,
         option(
             "--param PATH=VALUES",
-            "Values to try, such as train.learning_rate=1e-4..1e-2:log, parameters.pole_length=0.5..1.5m or train.batch_size='64 | 128';"
+            "Values to try, such as train.learning_rate=1e-4..1e-2:log, parameters.pole_length=0.5..1.5m or"
+            " train.batch_size='64 | 128';"
             " may be repeated. By default those of `tune.search`.",
         ),
     ] = None,
     overrides: Overrides = None,
-    trials: Annotated[int | None, integer("--trials N", "Number of trials in all; by default `tune.trials`, else 40.", 1, 100_000)] = None,
+    trials: Annotated[
+        int | None,
+        integer("--trials N", "Number of trials in all; by default `tune.trials`, else 40.", 1, 100_000),
+    ] = None,
     seeds: Annotated[
-        str | None, option("--seeds N|LIST", "Number of seeds of each trial, or a list such as 0..4; by default `tune.seeds`, else 3.")
+        str | None,
+        option(
+            "--seeds N|LIST",
+            "Number of seeds of each trial, or a list such as 0..4; by default `tune.seeds`, else 3.",
+        ),
     ] = None,
     timesteps: Annotated[
         int | None,
-        integer("--timesteps N", "Timesteps of each training, such as 50k; by default `tune.timesteps`, else `train.total_timesteps`."),
+        integer(
+            "--timesteps N",
+            "Timesteps of each training, such as 50k; by default `tune.timesteps`, else"
+            " `train.total_timesteps`.",
+        ),
     ] = None,
     objective: Annotated[
         str | None,
         option(
             "--objective NAME",
-            "What makes a trial good: `solved` (few timesteps until the task is solved), `success_rate` or `mean_return` (of an evaluation"
+            "What makes a trial good: `solved` (few timesteps until the task is solved), `success_rate` or"
+            " `mean_return` (of an evaluation"
             " of the best models). By default the first of them that the scenario defines.",
         ),
     ] = None,
     seed: Annotated[int, integer("--seed N", "Seed of the search; 0 by default.", 0, MAX_SEED)] = 0,
-    run: Annotated[Path | None, option("--run DIR", "Directory to create for the study; by default a new one in ./runs.")] = None,
-    prune: Annotated[bool | None, option("--prune/--no-prune", "End trials early that are worse than the median.", ADVANCED)] = None,
+    run: Annotated[
+        Path | None, option("--run DIR", "Directory to create for the study; by default a new one in ./runs.")
+    ] = None,
+    prune: Annotated[
+        bool | None,
+        option("--prune/--no-prune", "End trials early that are worse than the median.", ADVANCED),
+    ] = None,
     workers: Workers = None,
     address: ClusterAddress = None,
     engine: Engine = None,
@@ -80,13 +98,15 @@ def command(
 ) -> None:
     """Search for better values of a scenario.
 
-    The values are hyperparameters, or parameters of the task. A trial trains the scenario with one set of values, once for each seed,
-    and evaluates the best models. The values of the next trial follow from the scores so far (TPE, by Optuna). The first trial has the
-    values of the scenario itself, where they are in the ranges. A trial whose evaluations during the training are worse than the median
-    of other trials ends early.
+    The values are hyperparameters, or parameters of the task. A trial trains the scenario with one set of
+    values, once for each seed, and evaluates the best models. The values of the next trial follow from the
+    scores so far (TPE, by Optuna). The first trial has the values of the scenario itself, where they are in
+    the ranges. A trial whose evaluations during the training are worse than the median of other trials ends
+    early.
 
-    Values are a range, `1e-4..1e-2` or `0.5..1.5m`, or choices, `64 | 128` or `[[64, 64], [10, 10]]`. `:log` behind a range draws values by
-    their logarithm. A key that takes whole numbers gets whole numbers. The section `tune` of the scenario has the same settings.
+    Values are a range, `1e-4..1e-2` or `0.5..1.5m`, or choices, `64 | 128` or `[[64, 64], [10, 10]]`. `:log`
+    behind a range draws values by their logarithm. A key that takes whole numbers gets whole numbers. The
+    section `tune` of the scenario has the same settings.
 
     \b
       deepbots tune cartpole --param train.learning_rate=1e-4..1e-2:log --trials 20 --seeds 3
@@ -95,26 +115,42 @@ def command(
       deepbots resume runs/cartpole-tune-1 --trials 40
       deepbots apply runs/cartpole-tune-1 mine.yaml
 
-    A study is a folder with a group of runs for each trial: `deepbots runs STUDY` lists them, and `eval`, `compare`, `plot` and `report`
-    take each of them. Several processes may work on one study: start `deepbots resume STUDY` in each. A study that was interrupted
-    continues with the trials that were begun, each from its last checkpoint. --trials is the number in all. With --workers N, N trials
-    run at a time; the values of later trials then depend on which trials end first.
+    A study is a folder with a group of runs for each trial: `deepbots runs STUDY` lists them, and `eval`,
+    `compare`, `plot` and `report` take each of them. Several processes may work on one study: start `deepbots
+    resume STUDY` in each. A study that was interrupted continues with the trials that were begun, each from
+    its last checkpoint. --trials is the number in all. With --workers N, N trials run at a time; the values
+    of later trials then depend on which trials end first.
 
-    The score of the objective `solved` is the fraction of the timesteps until the task is solved, the mean over the seeds; a seed that does
-    not solve it counts 1 to 2, by its distance from what `solved` requires. Of equal scores, the higher success rate comes first, then
-    the higher return. The best of many trials looks better than it is: the command says whether it is clearly better than the values of
-    the scenario itself, and advises `deepbots apply` only then. Confirm it with seeds that the study did not use.
+    The score of the objective `solved` is the fraction of the timesteps until the task is solved, the mean
+    over the seeds; a seed that does not solve it counts 1 to 2, by its distance from what `solved` requires.
+    Of equal scores, the higher success rate comes first, then the higher return. The best of many trials
+    looks better than it is: the command says whether it is clearly better than the values of the scenario
+    itself, and advises `deepbots apply` only then. Confirm it with seeds that the study did not use.
 
     Next: `deepbots report STUDY` shows the history, which values matter, and slices.
     """
     if scenario is None:
-        raise UsageError("there is no scenario; name one, such as: deepbots tune cartpole --param train.learning_rate=1e-4..1e-2:log")
+        raise UsageError(
+            "there is no scenario; name one, such as: deepbots tune cartpole --param"
+            " train.learning_rate=1e-4..1e-2:log"
+        )
     if objective not in (None, *get_args(Objective)):
-        raise UsageError(f"--objective: there is no objective '{objective}'; choose one of: {', '.join(get_args(Objective))}")
+        raise UsageError(
+            f"--objective: there is no objective '{objective}'; choose one of:"
+            f" {', '.join(get_args(Objective))}"
+        )
     if run is not None and run.exists():
-        raise UsageError(f"--run: {run} already exists; choose another directory, because studies are not overwritten")
+        raise UsageError(
+            f"--run: {run} already exists; choose another directory, because studies are not overwritten"
+        )
     checked = _checked(scenario, params or (), with_engine(overrides, engine), permissions)
-    settings: dict[str, Any] = {"trials": trials, "timesteps": timesteps, "objective": objective, "prune": prune, "seed": seed}
+    settings: dict[str, Any] = {
+        "trials": trials,
+        "timesteps": timesteps,
+        "objective": objective,
+        "prune": prune,
+        "seed": seed,
+    }
     settings |= {"seeds": None if seeds is None else _seeds(seeds), "command": ["deepbots", *sys.argv[1:]]}
     study = create_study(checked, folder=run, **settings)
     try:
@@ -125,7 +161,9 @@ def command(
         raise
 
 
-def _checked(scenario: str, params: Sequence[str], overrides: Sequence[str] | None, permissions: Permissions) -> CheckedScenario:
+def _checked(
+    scenario: str, params: Sequence[str], overrides: Sequence[str] | None, permissions: Permissions
+) -> CheckedScenario:
     """The scenario with the search of the options.
 
     Raises:
@@ -139,7 +177,9 @@ def _checked(scenario: str, params: Sequence[str], overrides: Sequence[str] | No
     for text in params:
         path, _, values = (part.strip() for part in text.partition("="))
         if not path or not values:
-            raise UsageError(f"--param {text}: write PATH=VALUES, such as --param train.learning_rate=1e-4..1e-2:log")
+            raise UsageError(
+                f"--param {text}: write PATH=VALUES, such as --param train.learning_rate=1e-4..1e-2:log"
+            )
         if path in search:
             raise UsageError(f"--param names {path} twice")
         search[path] = values
@@ -147,12 +187,29 @@ def _checked(scenario: str, params: Sequence[str], overrides: Sequence[str] | No
     if before.program is None:  # its own errors, in full
         api.compile(before)
     # A list is YAML already; anything else is one text.
-    entries = (f"{json.dumps(path)}: {values if values.startswith('[') else json.dumps(values)}" for path, values in search.items())
-    checked = api.load(scenario, overrides=[*overrides, f"tune.search={{{', '.join(entries)}}}"], permissions=permissions, tests=True)
-    for found in checked.findings.errors:
-        if found.span.source.name.startswith("--set tune"):
-            name = next((f" {path}={values}" for path, values in search.items() if found.span.text.strip("\"'") in (path, values)), "")
-            raise UsageError(f"--param{name}: {found.headline}{f'; {found.help}' if found.help else ''}")
+    entries = (
+        f"{json.dumps(path)}: {values if values.startswith('[') else json.dumps(values)}"
+        for path, values in search.items()
+    )
+    checked = api.load(
+        scenario,
+        overrides=[*overrides, f"tune.search={{{', '.join(entries)}}}"],
+        permissions=permissions,
+        tests=True,
+    )
+    for finding in checked.findings.errors:
+        if finding.span.source.name.startswith("--set tune"):
+            name = next(
+                (
+                    f" {path}={values}"
+                    for path, values in search.items()
+                    if finding.span.text.strip("\"'") in (path, values)
+                ),
+                "",
+            )
+            raise UsageError(
+                f"--param{name}: {finding.headline}{f'; {finding.help}' if finding.help else ''}"
+            )
     return checked
 
 

@@ -38,7 +38,8 @@ Shown = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO|RUN|MODEL|RECORDING",
-        help="A scenario file, the name of a shipped scenario, a run directory, a model in it, a recording or the log of a robot.",
+        help="A scenario file, the name of a shipped scenario, a run directory, a model in it, a recording"
+        " or the log of a robot.",
     ),
 ]
 ScenarioOrRun = Annotated[
@@ -52,14 +53,25 @@ Host = Annotated[
     str,
     option(
         "--host ADDRESS",
-        "Address to serve on. With an address that other machines can reach, such as 0.0.0.0, the page opens only with the token in the"
+        "Address to serve on. With an address that other machines can reach, such as 0.0.0.0, the page opens"
+        " only with the token in the"
         " printed address.",
         ADVANCED,
     ),
 ]
-Port = Annotated[int | None, integer("--port N", "Port of the page; by default the first free port from 8787.", 0, 65535, group=ADVANCED)]
+Port = Annotated[
+    int | None,
+    integer(
+        "--port N", "Port of the page; by default the first free port from 8787.", 0, 65535, group=ADVANCED
+    ),
+]
 Open = Annotated[bool, option("--open", "Open the page in the browser.")]
-Episode = Annotated[int, integer("--episode K", "Begin with the start of held-out episode K of `deepbots eval`.", 0, group=EPISODES)]
+Episode = Annotated[
+    int,
+    integer(
+        "--episode K", "Begin with the start of held-out episode K of `deepbots eval`.", 0, group=EPISODES
+    ),
+]
 
 
 def view(
@@ -68,7 +80,8 @@ def view(
         str | None,
         option(
             "--driver NAME",
-            "Who acts, as for `deepbots try`; also `policy` (of a run) and `you` (keys and sliders of the page).",
+            "Who acts, as for `deepbots try`; also `policy` (of a run) and `you` (keys and sliders of the"
+            " page).",
         ),
     ] = None,
     seed: Seed = 0,
@@ -76,14 +89,27 @@ def view(
     start: Start = None,
     watch: Annotated[bool, option("--watch", "Restart with the new files when a file is saved.")] = False,
     compare: Annotated[
-        str | None, option("--compare OTHER", "Show another run or scenario beside the first one, with the same seeds.")
+        str | None,
+        option("--compare OTHER", "Show another run or scenario beside the first one, with the same seeds."),
     ] = None,
     worlds: Annotated[
-        int | None, integer("--worlds N", "Step a batch of N worlds in MuJoCo, and show one of them.", 1, 4096, group=ADVANCED)
+        int | None,
+        integer(
+            "--worlds N", "Step a batch of N worlds in MuJoCo, and show one of them.", 1, 4096, group=ADVANCED
+        ),
     ] = None,
-    world: Annotated[int, integer("--world K", "The world to show first, with --worlds.", 0, group=ADVANCED)] = 0,
+    world: Annotated[
+        int, integer("--world K", "The world to show first, with --worlds.", 0, group=ADVANCED)
+    ] = 0,
     frame_rate: Annotated[
-        int, integer("--fps N", "Pictures per second. A browser without a graphics card needs fewer.", 1, 60, group=ADVANCED)
+        int,
+        integer(
+            "--fps N",
+            "Pictures per second. A browser without a graphics card needs fewer.",
+            1,
+            60,
+            group=ADVANCED,
+        ),
     ] = 30,
     overrides: Overrides = None,
     case: Case = None,
@@ -96,17 +122,19 @@ def view(
 ) -> None:
     """Watch a policy, a scenario or a recording in the browser.
 
-    The command prints the address of the page, and serves it until Ctrl-C. The page shows robots, objects, sensor rays and contacts,
-    with pause, single steps, speed and seed, and plots the observation, the action and every reward term.
+    The command prints the address of the page, and serves it until Ctrl-C. The page shows robots, objects,
+    sensor rays and contacts, with pause, single steps, speed and seed, and plots the observation, the action
+    and every reward term.
 
-    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random. While a run is trained, each
-    episode shows its newest policy. A recording is played, with a slider for its steps.
+    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
+    While a run is trained, each episode shows its newest policy. A recording is played, with a slider for its
+    steps.
 
-    The log of a robot, which `deepbots serve --log` writes, is played too: joint positions and poses that the robot reported move its
-    model, and values, commands, ages and the safe posture are plotted.
+    The log of a robot, which `deepbots serve --log` writes, is played too: joint positions and poses that the
+    robot reported move its model, and values, commands, ages and the safe posture are plotted.
 
-    With --worlds N, a batch of N worlds is stepped together in MuJoCo, and a slider chooses the world that is shown. World K begins as
-    held-out episode K.
+    With --worlds N, a batch of N worlds is stepped together in MuJoCo, and a slider chooses the world that is
+    shown. World K begins as held-out episode K.
 
     \b
       deepbots view find_ball
@@ -127,16 +155,29 @@ def view(
     from deepbots_cli.view.episodes import Showing
 
     engine = engine or ("mujoco" if worlds else None)
-    source = Showing(shown, overrides or (), permissions, engine, case, stage, worlds or 0, start_values(start))
+    source = Showing(
+        shown, overrides or (), permissions, engine, case, stage, worlds or 0, start_values(start)
+    )
     other = replace(source, reference=compare) if compare else None
-    settings = {"driver": driver, "seed": seed, "episode": episode, "world": world, "watch": watch, "frame_rate": frame_rate}
+    settings = {
+        "driver": driver,
+        "seed": seed,
+        "episode": episode,
+        "world": world,
+        "watch": watch,
+        "frame_rate": frame_rate,
+    }
     _serve(source, open_, compare=other, host=host, port=port, **settings)
 
 
 def play(
     shown: ScenarioOrRun,
     output: Annotated[
-        Path | None, option("--output -o FILE", "Record the episodes that you drive in this file (.mcap), which `replay` and `view` read.")
+        Path | None,
+        option(
+            "--output -o FILE",
+            "Record the episodes that you drive in this file (.mcap), which `replay` and `view` read.",
+        ),
     ] = None,
     seed: Seed = 0,
     episode: Episode = 0,
@@ -152,11 +193,13 @@ def play(
 ) -> None:
     """Drive the robot of a scenario in the browser.
 
-    You command the robot with keys, a gamepad, or buttons and sliders in the page. The page compares your return with that of another
-    driver from the same start: the policy of a run, or the first script of a scenario (a policy written by hand).
+    You command the robot with keys, a gamepad, or buttons and sliders in the page. The page compares your
+    return with that of another driver from the same start: the policy of a run, or the first script of a
+    scenario (a policy written by hand).
 
-    With --output, each episode that you drive from the reset to the end is recorded. The file is complete after each of them, and takes at
-    most 256 MiB of steps before compression: half an hour of CartPole, or two hours of FindBall.
+    With --output, each episode that you drive from the reset to the end is recorded. The file is complete
+    after each of them, and takes at most 256 MiB of steps before compression: half an hour of CartPole, or
+    two hours of FindBall.
 
     \b
       deepbots play find_ball
@@ -203,9 +246,14 @@ def _finish(driven: DrivenEpisodes) -> None:
     driven.save()
     rows = records.recorded_rows(enumerate(driven.ends))
     count = f"{len(rows)} episode{'s' * (len(rows) > 1)}"
-    lines = [records.recorded_table(rows), f"{driven.path} ({count}, {driven.path.stat().st_size / 1000:,.0f} kB)"]
+    lines = [
+        records.recorded_table(rows),
+        f"{driven.path} ({count}, {driven.path.stat().st_size / 1000:,.0f} kB)",
+    ]
     further = [["deepbots", "replay", "--verify"], [*_training_words(driven.player.opened), "--teacher"]]
-    terminal.show(None, *lines, as_json=False, next_commands=[join([*words, str(driven.path)]) for words in further])
+    terminal.show(
+        None, *lines, as_json=False, next_commands=[join([*words, str(driven.path)]) for words in further]
+    )
 
 
 def _training_words(opened: ShowingState) -> list[str]:
@@ -216,4 +264,10 @@ def _training_words(opened: ShowingState) -> list[str]:
 
         return training_command(opened.run, shown.overrides)
     changed = [word for text in shown.overrides for word in ("--set", text)]
-    return ["deepbots", "train", shown.reference, *changed, *(["--engine", shown.engine] if shown.engine else [])]
+    return [
+        "deepbots",
+        "train",
+        shown.reference,
+        *changed,
+        *(["--engine", shown.engine] if shown.engine else []),
+    ]

@@ -1,4 +1,5 @@
-"""A first scenario for a robot file: the task that suits its build, and the values of the template of this task.
+"""A first scenario for a robot file: the task that suits its build, and the values of the template of this
+task.
 
 for_robots/  one Jinja template per task; parts.yaml holds the parts that they share
 build.py     the build of a robot: wheels, limbs, rotors
@@ -39,7 +40,8 @@ _STANDING_LEG_SHARE = 0.75
 class Draft:
     """The parts of a robot's entry that depend on its joints; the templates read them by these names.
 
-    `motors` maps actuators to (type, group, max_torque), `commands` to their `apply` expressions, `starts` groups to poses.
+    `motors` maps actuators to (type, group, max_torque), `commands` to their `apply` expressions, `starts`
+    groups to poses.
     """
 
     build: Build
@@ -57,7 +59,8 @@ class Draft:
         return self.build.is_fixed
 
     def group(self, name: str, joints: Sequence[Joint]) -> str:
-        """Add a group of joints; returns its name, which differs from `name` where a link or a joint has that one."""
+        """Add a group of joints; returns its name, which differs from `name` where a link or a joint has that
+        one."""
         model = self.build.model
         name = _unused(name, [*(link.name for link in model.links), *(joint.name for joint in model.joints)])
         self.groups[name] = [joint.name for joint in joints]
@@ -73,12 +76,17 @@ class Draft:
         return name
 
     def motor(self, name: str, kind: str, group: str, joints: Sequence[Joint], command: str) -> None:
-        """Add a motor for a group; where the file names no effort, one that is strong enough for the robot's weight."""
+        """Add a motor for a group; where the file names no effort, one that is strong enough for the robot's
+        weight."""
         strength = ""
         if not all(joint.limit.effort for joint in joints):
             weight = max(self.build.mass, 0.1) * _GRAVITY
             arm = max((wheel.radius for wheel in self.build.wheels), default=self.build.size / 2)
-            strength = f"{short_number(2.0 * weight)} N" if joints[0].type == "prismatic" else f"{short_number(weight * arm)} N*m"
+            strength = (
+                f"{short_number(2.0 * weight)} N"
+                if joints[0].type == "prismatic"
+                else f"{short_number(weight * arm)} N*m"
+            )
         self.motors[name] = (kind, group, strength)
         self.commands[name] = command
 
@@ -91,13 +99,15 @@ class Draft:
 
     @property
     def height(self) -> float:
-        """Height of the root at the start, in m; a fixed base is only raised to keep the rest out of the ground."""
+        """Height of the root at the start, in m; a fixed base is only raised to keep the rest out of the
+        ground."""
         height = self.build.height(self.positions)
         return max(height, 0.0) if self.fixed else height
 
     @property
     def raised(self) -> dict[str, str]:
-        """The start height, where the robot would begin within the ground: by default it rests on it with all joints at 0."""
+        """The start height, where the robot would begin within the ground: by default it rests on it with all
+        joints at 0."""
         usual = 0.0 if self.fixed else self.build.height({})
         return {"z": f"{short_number(self.height)} m"} if self.height > usual + 1e-3 else {}
 
@@ -106,16 +116,24 @@ def scenario(model: RobotModel, urdf: str, name: str) -> str:
     """The text of a scenario called `name` about a robot file.
 
     Raises:
-        UsageError: Nothing of the robot can be driven, or a joint moves no mass, with which no simulation begins.
+        UsageError: Nothing of the robot can be driven, or a joint moves no mass, with which no simulation
+            begins.
     """
     build = Build(model)
     if build.weightless:
         joint = build.weightless[0]
-        raise UsageError(f"joint '{joint.name}' of {urdf} moves no mass; add an <inertial> with a mass to link '{joint.child}'")
+        raise UsageError(
+            f"joint '{joint.name}' of {urdf} moves no mass; add an <inertial> with a mass to link"
+            f" '{joint.child}'"
+        )
     if not build.driven and not build.rotors:
-        raise UsageError(f"{urdf} has neither a joint that a motor can drive nor a rotor, so a policy could not control it")
+        raise UsageError(
+            f"{urdf} has neither a joint that a motor can drive nor a rotor, so a policy could not control it"
+        )
     draft = Draft(build, urdf)
-    template, values = next((task.__name__, values) for task in _suited(build) if (values := task(draft)) is not None)
+    template, values = next(
+        (task.__name__, values) for task in _suited(build) if (values := task(draft)) is not None
+    )
     text = (
         _templates()
         .get_template(f"{template}.yaml")
@@ -147,13 +165,19 @@ def _found(draft: Draft) -> list[str]:
         "rotors": len(build.rotors),
         "limb" if len(build.limbs) == 1 else "limbs": 0 if build.wheels else len(build.limbs),
         "without a motor": len(build.idle),
-        "follows another joint" if len(model.followers) == 1 else "follow another joint": len(model.followers),
+        "follows another joint" if len(model.followers) == 1 else "follow another joint": len(
+            model.followers
+        ),
     }
-    parts = [f"{len(model.moving_joints)} of {len(model.joints)} joints move", *(f"{n} {what}" for what, n in counts.items() if n)]
+    parts = [
+        f"{len(model.moving_joints)} of {len(model.joints)} joints move",
+        *(f"{n} {what}" for what, n in counts.items() if n),
+    ]
     base = "taken to be fixed to the ground" if draft.fixed else "free"
     lines = [
         f"What was found in {draft.urdf}: {', '.join(parts)};",
-        f"{build.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were chosen from these: change them.",
+        f"{build.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were"
+        " chosen from these: change them.",
     ]
     return [" ".join(line.split()) for line in lines]  # the name of a file may hold line breaks
 
@@ -165,17 +189,27 @@ def drive(draft: Draft) -> dict[str, object]:
     """Drive to a mark that lies somewhere around the robot."""
     build = draft.build
     speed, steered = _wheel_speed(build, build.size), bool(build.steering)
-    wheels = _drive_wheels(draft, {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}, "gas")
+    wheels = _drive_wheels(
+        draft, {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}, "gas"
+    )
     _steer(draft, "turn")
     draft.hold(_others(build))
     field = max(1.0, 4.0 * build.size)
     heading = degrees(atan2(build.forward[1], build.forward[0]))
     time = max(10.0, round(12.0 * field / (speed * build.wheels[0].radius)))
-    return {"wheels": wheels, "steered": steered, "speed": speed, "field": field, "heading": heading, "max_time": time}
+    return {
+        "wheels": wheels,
+        "steered": steered,
+        "speed": speed,
+        "field": field,
+        "heading": heading,
+        "max_time": time,
+    }
 
 
 def balance(draft: Draft) -> dict[str, object]:
-    """Keep upright what would fall: a body on two wheels of one axle, or a pole on a hinge without a motor."""
+    """Keep upright what would fall: a body on two wheels of one axle, or a pole on a hinge without a
+    motor."""
     build = draft.build
     tilts = not build.poles
     values: dict[str, object] = {"wheels": None, "pushed": [], "poles": None, "chassis": build.chassis}
@@ -202,14 +236,22 @@ def _add_joint_motor(draft: Draft, name: str, unit: str, joints: Sequence[Joint]
     top = min(1.0 if unit == "m" else 3.0, *(joint.limit.velocity or inf for joint in joints))
     draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {short_number(top)} {unit}/s")
     ends = [min(abs(end), 5.0) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
-    measures: dict[str, object] = {"unit": unit, "top": top, "span": min(ends, default=3.0), "ends": bool(ends)}
+    measures: dict[str, object] = {
+        "unit": unit,
+        "top": top,
+        "span": min(ends, default=3.0),
+        "ends": bool(ends),
+    }
     return {"name": name, "group": group, "end": f"at_end_of_{name}", **measures}
 
 
 def hover(draft: Draft) -> dict[str, object]:
     """Fly to a point and stay there."""
     draft.groups["rotors"] = draft.build.rotors
-    return {"each": draft.build.mass * _GRAVITY / len(draft.build.rotors), "mark": max(0.1 * draft.build.size, 0.01)}
+    return {
+        "each": draft.build.mass * _GRAVITY / len(draft.build.rotors),
+        "mark": max(0.1 * draft.build.size, 0.01),
+    }
 
 
 def reach(draft: Draft) -> dict[str, object] | None:
@@ -221,19 +263,38 @@ def reach(draft: Draft) -> dict[str, object] | None:
     joints = limb.joints
     if any(joint not in build.driven or joint.type == "prismatic" for joint in joints):
         return None
-    found = _reachable_box(build, limb)
-    if found is None:
+    box = _reachable_box(build, limb)
+    if box is None:
         return None
-    low, high, positions = found
+    low, high, positions = box
     group = draft.group("arm", joints)
     draft.start(group, "ready", positions, joints)
-    draft.motor("motors", "position_motor", group, joints, "angles + stride * move    # each joint goes on from where it is")
+    draft.motor(
+        "motors",
+        "position_motor",
+        group,
+        joints,
+        "angles + stride * move    # each joint goes on from where it is",
+    )
     draft.hold([joint for joint in build.driven if joint not in joints])
     lift = (0.0, 0.0, draft.height)
-    ends = [" ".join(short_number(round(value, 3)) for value in frames.add(corner, lift)) for corner in (low, high)]
-    bounded = all(joint.type != "continuous" and joint.limit.lower is not None and joint.limit.upper is not None for joint in joints)
+    ends = [
+        " ".join(short_number(round(value, 3)) for value in frames.add(corner, lift))
+        for corner in (low, high)
+    ]
+    bounded = all(
+        joint.type != "continuous" and joint.limit.lower is not None and joint.limit.upper is not None
+        for joint in joints
+    )
     plane = "".join(name for name, one, other in zip("xyz", low, high, strict=True) if one < other)
-    values = {"arm": group, "low": ends[0], "high": ends[1], "tip": limb.tip, "reach": limb.reach, "bounded": bounded}
+    values = {
+        "arm": group,
+        "low": ends[0],
+        "high": ends[1],
+        "tip": limb.tip,
+        "reach": limb.reach,
+        "bounded": bounded,
+    }
     return values | {"plane": "" if plane == "xyz" else f".{plane}"}
 
 
@@ -254,9 +315,17 @@ def walk(draft: Draft) -> dict[str, object]:
     hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
     along, across = (max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1))
     height = build.height(positions, tilt)
-    turns = {name: f"{short_number(angle)} deg" for name, angle in (("roll", roll), ("pitch", pitch)) if angle}
+    turns = {
+        name: f"{short_number(angle)} deg" for name, angle in (("roll", roll), ("pitch", pitch)) if angle
+    }
     place = {"z": f"{short_number(height * 1.02)} m", **turns, "yaw": "uniform(-5 .. 5 deg)"}
-    return {"legs": group, "axis": "x" if along >= across else "y", "height": height, "chassis": build.chassis, "place": place}
+    return {
+        "legs": group,
+        "axis": "x" if along >= across else "y",
+        "height": height,
+        "chassis": build.chassis,
+        "place": place,
+    }
 
 
 def roam(draft: Draft) -> dict[str, object]:
@@ -267,11 +336,23 @@ def roam(draft: Draft) -> dict[str, object]:
         if endless:
             actions[f"spin_{kind}"] = group = draft.group(f"turning_{kind}", endless)
             top = min(10.0, *(joint.limit.velocity or 10.0 for joint in endless))
-            draft.motor(f"spin_{kind}", "velocity_motor", group, endless, f"spin_{kind} * {short_number(top)} {unit}/s")
+            draft.motor(
+                f"spin_{kind}",
+                "velocity_motor",
+                group,
+                endless,
+                f"spin_{kind} * {short_number(top)} {unit}/s",
+            )
         if others := [joint for joint in joints if joint not in endless]:
             actions[f"bend_{kind}"] = group = draft.group(f"bending_{kind}", others)
             rest, swing = _middle(draft, group, f"rest_{kind}", others)
-            draft.motor(f"bend_{kind}", "position_motor", group, others, f"{rest} + {short_number(swing)} {unit} * bend_{kind}")
+            draft.motor(
+                f"bend_{kind}",
+                "position_motor",
+                group,
+                others,
+                f"{rest} + {short_number(swing)} {unit} * bend_{kind}",
+            )
     return {"actions": actions, "chassis": build.chassis, "place": draft.raised | {"yaw": "any"}}
 
 
@@ -281,7 +362,13 @@ def posture(draft: Draft) -> dict[str, object]:
     for kind, unit, joints in by_unit(draft.build.driven):
         group = draft.group(f"moved_{kind}", joints)
         rest, swing = _middle(draft, group, f"rest_{kind}", joints)
-        draft.motor(f"move_{kind}", "position_motor", group, joints, f"{kind} + {short_number(0.2 * swing)} {unit} * turn_{kind}")
+        draft.motor(
+            f"move_{kind}",
+            "position_motor",
+            group,
+            joints,
+            f"{kind} + {short_number(0.2 * swing)} {unit} * turn_{kind}",
+        )
         moved.append({"name": kind, "group": group, "rest": rest, "swing": swing, "unit": unit})
     return {"moved": moved}
 
@@ -289,7 +376,13 @@ def posture(draft: Draft) -> dict[str, object]:
 def _middle(draft: Draft, group: str, pose: str, joints: Sequence[Joint]) -> tuple[str, float]:
     """A pose in which every joint can move either way, and by how much, at most 0.5 rad or m."""
     middle = {joint.name: neutral(joint, 0.2) for joint in joints}
-    swing = min(0.5, *(min(range_of(joint)[1] - middle[joint.name], middle[joint.name] - range_of(joint)[0]) for joint in joints))
+    swing = min(
+        0.5,
+        *(
+            min(range_of(joint)[1] - middle[joint.name], middle[joint.name] - range_of(joint)[0])
+            for joint in joints
+        ),
+    )
     return draft.start(group, pose, middle, joints), swing
 
 
@@ -297,7 +390,8 @@ def _middle(draft: Draft, group: str, pose: str, joints: Sequence[Joint]) -> tup
 
 
 def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> str:
-    """Velocity motors for the wheels of each side named in `commands`, mirrored axles apart; returns the group of all wheels."""
+    """Velocity motors for the wheels of each side named in `commands`, mirrored axles apart; returns the
+    group of all wheels."""
     build = draft.build
     everything = draft.group("wheels", [wheel.joint for wheel in build.wheels])
     left = frames.cross((0.0, 0.0, 1.0), build.forward)
@@ -305,7 +399,12 @@ def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> 
     sides: dict[tuple[str, bool], list[Wheel]] = {}
     for wheel in build.wheels:
         offset = frames.dot(wheel.center, left) - middle
-        side = "middle" if abs(offset) < 0.1 * wheel.radius else "left" if offset > 0 else "right"
+        if abs(offset) < 0.1 * wheel.radius:
+            side = "middle"
+        elif offset > 0:
+            side = "left"
+        else:
+            side = "right"
         side = side if commands and not build.steering else "driven"
         sides.setdefault((side, frames.dot(wheel.axle, left) < 0), []).append(wheel)
     for (side, mirrored), wheels in sides.items():
@@ -313,7 +412,13 @@ def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> 
         joints = [wheel.joint for wheel in wheels]
         name, group = ("wheels", everything) if len(sides) == 1 else (name, draft.group(name, joints))
         command = commands.get(side, otherwise)
-        draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"{'-' if mirrored else ''}{command} * top_speed")
+        draft.motor(
+            f"drive_{name}",
+            "velocity_motor",
+            group,
+            joints,
+            f"{'-' if mirrored else ''}{command} * top_speed",
+        )
     return everything
 
 
@@ -323,8 +428,17 @@ def _steer(draft: Draft, command: str) -> None:
     for mirrored, name in ((False, "steering"), (True, "steering_mirrored")):
         joints = [joint for joint in build.steering if (build.axis(joint)[2] < 0) is mirrored]
         if joints:
-            ends = [min(abs(end), 0.5) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
-            angle = f"{'-' if mirrored else ''}{command} * {short_number(degrees(min(ends, default=0.5)))} deg" if command else "0 deg"
+            ends = [
+                min(abs(end), 0.5)
+                for joint in joints
+                for end in (joint.limit.lower, joint.limit.upper)
+                if end
+            ]
+            angle = (
+                f"{'-' if mirrored else ''}{command} * {short_number(degrees(min(ends, default=0.5)))} deg"
+                if command
+                else "0 deg"
+            )
             draft.motor(name, "position_motor", draft.group(name, joints), joints, angle)
 
 
@@ -344,34 +458,55 @@ def _wheel_speed(build: Build, wanted: float) -> float:
 
 
 def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, float]] | None:
-    """A box in front of an arm, or beside it, whose corners its tip reaches, and joint positions at the start.
+    """A box in front of an arm, or beside it, whose corners its tip reaches, and joint positions at the
+    start.
 
-    The arm starts with its tip in the middle. The box of an arm that moves in a plane along two axes of the world is flat, and the tip
-    starts beside it: in the middle it would often be at the drawn place already.
+    The arm starts with its tip in the middle. The box of an arm that moves in a plane along two axes of the
+    world is flat, and the tip starts beside it: in the middle it would often be at the drawn place already.
     """
     bending = [limb.joints[0], *(joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.3)]
     shoulder = next((joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.7), limb.joints[0])
     far, near = limb.reach, _TIP_TOLERANCE * limb.reach
-    across = next((axis for axis in range(3) if all(abs(build.axis(joint)[axis]) > _PARALLEL for joint in limb.joints)), None)
+    across = next(
+        (axis for axis in range(3) if all(abs(build.axis(joint)[axis]) > _PARALLEL for joint in limb.joints)),
+        None,
+    )
     sides = ((1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))
     for half, (x, y), rise in product((0.2, 0.12, 0.06), sides, (0.1, 0.3, 0.0)):
         away = (0.5 if across is None else 0.65) * far
         middle = frames.add(build.frames[shoulder.child][0], (away * x, away * y, rise * far))
         starts, orders, inner, sizes = [middle], [bending, None], [], [half * far] * 3
         if across is not None:
-            middle, sizes[across] = _moved(middle, across, build.frames[limb.tip][0][across] - middle[across]), 0.0
-            starts = [_moved(middle, axis, 1.5 * sign * half * far) for axis in (2, 1, 0) if axis != across for sign in (1, -1)]
+            middle, sizes[across] = (
+                _moved(middle, across, build.frames[limb.tip][0][across] - middle[across]),
+                0.0,
+            )
+            starts = [
+                _moved(middle, axis, 1.5 * sign * half * far)
+                for axis in (2, 1, 0)
+                if axis != across
+                for sign in (1, -1)
+            ]
             orders.append(bending[::-1])  # which often bends the elbow the other way
             # The circle that a hinge at its limit leaves out may reach into a flat box between two corners.
-            inner = [middle, *(_moved(middle, axis, sign * sizes[axis]) for axis in range(3) for sign in (1, -1))]
-        low, high = (frames.add(middle, (sign * sizes[0], sign * sizes[1], sign * sizes[2])) for sign in (-1, 1))
+            inner = [
+                middle,
+                *(_moved(middle, axis, sign * sizes[axis]) for axis in range(3) for sign in (1, -1)),
+            ]
+        low, high = (
+            frames.add(middle, (sign * sizes[0], sign * sizes[1], sign * sizes[2])) for sign in (-1, 1)
+        )
         if across != 2:
             low = low[0], low[1], max(low[2], build.lowest + 0.05 * far)
         tried = [limb.positions_for(start, order) for start in starts for order in orders]
-        found = [positions for positions, missing in tried if missing < near]
+        reached = [positions for positions, missing in tried if missing < near]
         corners = product((low[0], high[0]), (low[1], high[1]), (low[2], high[2]))
-        if found and all(limb.positions_for(place)[1] < near for place in (*corners, *inner)):
-            return low, high, found[0] if across is None else max(found, key=limb.lowest)  # above the ground
+        if reached and all(limb.positions_for(place)[1] < near for place in (*corners, *inner)):
+            return (
+                low,
+                high,
+                reached[0] if across is None else max(reached, key=limb.lowest),
+            )  # above the ground
     return None
 
 
@@ -381,12 +516,18 @@ def _moved(point: Triple, axis: int, distance: float) -> Triple:
 
 
 def _upright(build: Build) -> tuple[float, float]:
-    """Roll and pitch (deg) that bring the legs below the body, for a robot that was drawn lying on its side."""
-    legs = [frames.subtract(build.frames[limb.tip][0], build.frames[limb.joints[0].child][0]) for limb in build.limbs]
+    """Roll and pitch (deg) that bring the legs below the body, for a robot that was drawn lying on its
+    side."""
+    legs = [
+        frames.subtract(build.frames[limb.tip][0], build.frames[limb.joints[0].child][0])
+        for limb in build.limbs
+    ]
     x, y = (sum(leg[axis] / (hypot(*leg) or 1.0) for leg in legs) / len(legs) for axis in (0, 1))
     if abs(y) > 0.8:
         return (90.0 if y < 0 else -90.0), 0.0
-    return 0.0, (0.0 if abs(x) <= 0.8 else 90.0 if x > 0 else -90.0)
+    if abs(x) <= 0.8:
+        return 0.0, 0.0
+    return 0.0, 90.0 if x > 0 else -90.0
 
 
 def _standing(build: Build, limb: Limb, down: Triple) -> dict[str, float]:
@@ -395,7 +536,9 @@ def _standing(build: Build, limb: Limb, down: Triple) -> dict[str, float]:
     leg = frames.subtract(build.frames[limb.tip][0], hip)
     aside = frames.subtract(leg, frames.scaled(down, frames.dot(leg, down)))
     kept = aside if hypot(*aside) < 0.35 * limb.reach else (0.0, 0.0, 0.0)
-    return limb.positions_for(frames.add(hip, frames.add(kept, frames.scaled(down, _STANDING_LEG_SHARE * limb.reach))))[0]
+    return limb.positions_for(
+        frames.add(hip, frames.add(kept, frames.scaled(down, _STANDING_LEG_SHARE * limb.reach)))
+    )[0]
 
 
 # Text
@@ -422,7 +565,11 @@ def yaml_name(name: str) -> str:
 
 def flow_collection(items: Sequence[str] | Mapping[str, str], key: str, indent: int = 6) -> str:
     """`key: [a, b]` or `key: {a: 1, b: 2}`, over several lines where it is long."""
-    pairs = [f"{yaml_name(name)}: {value}" for name, value in items.items()] if isinstance(items, Mapping) else list(map(yaml_name, items))
+    pairs = (
+        [f"{yaml_name(name)}: {value}" for name, value in items.items()]
+        if isinstance(items, Mapping)
+        else list(map(yaml_name, items))
+    )
     start, end = "{}" if isinstance(items, Mapping) else "[]"
     lines = [f"{' ' * indent}{key}: {start}"]
     for position, pair in enumerate(pairs, start=1):
@@ -439,13 +586,17 @@ def short_number(value: float) -> str:
 
 
 def by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:
-    """Joints that turn apart from joints that slide, which never share a group: what they are, their unit, the joints."""
-    hinges, slides = ([joint for joint in joints if (joint.type == "prismatic") is slides] for slides in (False, True))
+    """Joints that turn apart from joints that slide, which never share a group: what they are, their unit,
+    the joints."""
+    hinges, slides = (
+        [joint for joint in joints if (joint.type == "prismatic") is slides] for slides in (False, True)
+    )
     return [entry for entry in (("hinges", "rad", hinges), ("slides", "m", slides)) if entry[2]]
 
 
 def _rounded(joint: Joint, value: float) -> float:
-    """Whole degrees or millimeters within the limits of the joint; the middle of limits that are closer than that."""
+    """Whole degrees or millimeters within the limits of the joint; the middle of limits that are closer than
+    that."""
     step = 1e-3 if joint.type == "prismatic" else radians(1.0)
     low, high = joint.limit.lower, joint.limit.upper
     rounded = round(value / step) * step
@@ -460,8 +611,10 @@ def _with_unit(joint: Joint, value: float) -> str:
 
 
 def _unused(name: str, used: Iterable[str]) -> str:
-    known = set(used)
-    return next(free for free in (name, *(f"{name}_{n}" for n in range(2, len(known) + 3))) if free not in known)
+    taken = set(used)
+    return next(
+        free for free in (name, *(f"{name}_{n}" for n in range(2, len(taken) + 3))) if free not in taken
+    )
 
 
 def _aligned(line: str) -> str:

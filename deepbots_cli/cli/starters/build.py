@@ -1,7 +1,7 @@
 """The build of a robot: wheels, steering, limbs, rotors, and joints without a motor.
 
-It is read from shapes and joints with all joints at 0. Names count only for rotors, which look like any other link.
-All coordinates are in the frame of the root link, in m and rad.
+It is read from shapes and joints with all joints at 0. Names count only for rotors, which look like any other
+link. All coordinates are in the frame of the root link, in m and rad.
 """
 
 from __future__ import annotations
@@ -13,7 +13,15 @@ from functools import cached_property
 from math import atan2, dist, hypot, inf, pi
 
 from deepbots_cli import frames
-from deepbots_cli.footprint import Bounds, bounds_of_shape, box_around, box_sides, child_frame, link_frames, robot_bounds
+from deepbots_cli.footprint import (
+    Bounds,
+    bounds_of_shape,
+    box_around,
+    box_sides,
+    child_frame,
+    link_frames,
+    robot_bounds,
+)
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.robots.model import Joint, Link, RobotModel
 
@@ -44,7 +52,8 @@ class Wheel:
 
 @dataclass(frozen=True)
 class Limb:
-    """A chain of joints that does not branch. `path` holds its joints in order, fixed ones too; `base` is the frame it begins in."""
+    """A chain of joints that does not branch. `path` holds its joints in order, fixed ones too; `base` is the
+    frame it begins in."""
 
     path: tuple[Joint, ...]
     base: Frame
@@ -65,20 +74,23 @@ class Limb:
 
     def frames(self, positions: Positions) -> dict[str, Frame]:
         """The frame of the link behind each joint."""
-        here, found = self.base, {}
+        here, frames = self.base, {}
         for joint in self.path:
-            found[joint.name] = here = child_frame(joint, here, positions.get(joint.name, 0.0))
-        return found
+            frames[joint.name] = here = child_frame(joint, here, positions.get(joint.name, 0.0))
+        return frames
 
     def lowest(self, positions: Positions) -> float:
         """The height of the lowest of these frames."""
         return min(place[2] for place, _ in self.frames(positions).values())
 
-    def positions_for(self, target: Triple, using: Sequence[Joint] | None = None) -> tuple[dict[str, float], float]:
+    def positions_for(
+        self, target: Triple, using: Sequence[Joint] | None = None
+    ) -> tuple[dict[str, float], float]:
         """Joint positions that bring the tip near `target`, and the distance that remains.
 
-        Cyclic coordinate descent: each of the joints `using`, from the last to the first, takes the position within its range
-        that brings the tip nearest to the target, round after round. It needs no numpy, which `deepbots new` does without.
+        Cyclic coordinate descent: each of the joints `using`, from the last to the first, takes the position
+        within its range that brings the tip nearest to the target, round after round. It needs no numpy,
+        which `deepbots new` does without.
         """
         used = self.joints if using is None else using
         positions = {joint.name: neutral(joint) for joint in self.joints}
@@ -112,14 +124,20 @@ def range_of(joint: Joint) -> tuple[float, float]:
 
 
 def neutral(joint: Joint, margin: float = 0.0) -> float:
-    """0, or the middle of the range where 0 is not within it by `margin` (a fraction of the range) on either side."""
+    """0, or the middle of the range where 0 is not within it by `margin` (a fraction of the range) on either
+    side."""
     low, high = range_of(joint)
     return 0.0 if min(-low, high) >= margin * (high - low) else (low + high) / 2
 
 
 def _bent(joint: Joint, number: int) -> float:
     low, high = range_of(joint)
-    bend = 0.0 if number == 0 else _INITIAL_BEND if number % 2 else -_INITIAL_BEND
+    if number == 0:
+        bend = 0.0
+    elif number % 2:
+        bend = _INITIAL_BEND
+    else:
+        bend = -_INITIAL_BEND
     return (low + high) / 2 if joint.type == "prismatic" else _clamped(joint, neutral(joint) + bend)
 
 
@@ -187,7 +205,8 @@ class Build:
 
     @cached_property
     def driven(self) -> list[Joint]:
-        """The joints that a motor may move: those with an effort, or all where the file names no effort; locked joints never."""
+        """The joints that a motor may move: those with an effort, or all where the file names no effort;
+        locked joints never."""
         free = [joint for joint in self._free if joint.name not in self.model.followers]
         named = any(joint.limit.effort for joint in free)
         return [joint for joint in free if joint.limit.effort or (joint.limit.effort is None and not named)]
@@ -207,9 +226,16 @@ class Build:
 
     @property
     def poles(self) -> list[Joint]:
-        """Level hinges without a motor below the mass that they carry, such as the hinge of a pole on a cart."""
-        level = [joint for joint in self.idle if joint.type != "prismatic" and abs(self.axis(joint)[2]) < _MAX_LEVEL_Z]
-        return [joint for joint in level if self._center_of_mass(joint.child)[2] > self.frames[joint.child][0][2]]
+        """Level hinges without a motor below the mass that they carry, such as the hinge of a pole on a
+        cart."""
+        level = [
+            joint
+            for joint in self.idle
+            if joint.type != "prismatic" and abs(self.axis(joint)[2]) < _MAX_LEVEL_Z
+        ]
+        return [
+            joint for joint in level if self._center_of_mass(joint.child)[2] > self.frames[joint.child][0][2]
+        ]
 
     def _center_of_mass(self, link: str) -> Triple:
         inertial, (origin, turn) = self.model.link(link).inertial, self.frames[link]
@@ -218,15 +244,20 @@ class Build:
     @cached_property
     def wheels(self) -> list[Wheel]:
         """Two wheels at least, or none."""
-        found = [wheel for joint in self.driven if (wheel := self._wheel(joint))]
-        return found if len(found) > 1 else []
+        wheels = [wheel for joint in self.driven if (wheel := self._wheel(joint))]
+        return wheels if len(wheels) > 1 else []
 
     def _wheel(self, joint: Joint) -> Wheel | None:
-        """The wheel on an endless joint with a level axle whose links are round, stand on the ground and carry no further joint."""
+        """The wheel on an endless joint with a level axle whose links are round, stand on the ground and
+        carry no further joint."""
         axle = self.axis(joint)
         endless = joint.type == "continuous" or (joint.type == "revolute" and joint.limit.lower is None)
         links = self.rigid(joint.child)
-        if not endless or abs(axle[2]) > _MAX_LEVEL_Z or any(other.moves and other.parent in links for other in self.model.joints):
+        if (
+            not endless
+            or abs(axle[2]) > _MAX_LEVEL_Z
+            or any(other.moves and other.parent in links for other in self.model.joints)
+        ):
             return None
         boxes = [self.boxes[name] for name in links if name in self.boxes]
         if not boxes:
@@ -234,7 +265,11 @@ class Build:
         (low_x, low_y, low_z), (high_x, high_y, high_z) = box_around(boxes)
         center = self.frames[joint.child][0]
         radius = center[2] - low_z
-        if radius <= 0.0 or abs(high_z - center[2] - radius) > _WHEEL_TOLERANCE * radius or low_z - self.lowest > _WHEEL_TOLERANCE * radius:
+        if (
+            radius <= 0.0
+            or abs(high_z - center[2] - radius) > _WHEEL_TOLERANCE * radius
+            or low_z - self.lowest > _WHEEL_TOLERANCE * radius
+        ):
             return None
         across = high_x - low_x if abs(axle[1]) > abs(axle[0]) else high_y - low_y
         if abs(across - 2.0 * radius) >= 4.0 * _WHEEL_TOLERANCE * radius:
@@ -251,31 +286,48 @@ class Build:
     @property
     def steering(self) -> list[Joint]:
         """The upright hinges that carry a wheel."""
-        upright = [joint for joint in self.driven if joint.type != "prismatic" and abs(self.axis(joint)[2]) > _MIN_UPRIGHT_Z]
-        return [joint for joint in upright if any(wheel.joint.parent in self.rigid(joint.child) for wheel in self.wheels)]
+        upright = [
+            joint
+            for joint in self.driven
+            if joint.type != "prismatic" and abs(self.axis(joint)[2]) > _MIN_UPRIGHT_Z
+        ]
+        return [
+            joint
+            for joint in upright
+            if any(wheel.joint.parent in self.rigid(joint.child) for wheel in self.wheels)
+        ]
 
     @property
     def balances(self) -> bool:
         """Whether the robot stands on two wheels and on nothing else."""
         rolling = {name for wheel in self.wheels for name in self.rigid(wheel.joint.child)}
         slack = 0.3 * self.wheels[0].radius if len(self.wheels) == 2 else 0.0
-        return slack > 0.0 and all(low[2] - self.lowest >= slack for name, (low, _) in self.boxes.items() if name not in rolling)
+        return slack > 0.0 and all(
+            low[2] - self.lowest >= slack for name, (low, _) in self.boxes.items() if name not in rolling
+        )
 
     @cached_property
     def rotors(self) -> list[str]:
         """The links named after rotors whose z axis is upright: three at least, or none."""
         named = [link.name for link in self.model.links if _ROTOR.search(link.name)]
-        upright = [name for name in named if frames.rotate(self.frames[name][1], (0.0, 0.0, 1.0))[2] > _MIN_UPRIGHT_Z]
+        upright = [
+            name for name in named if frames.rotate(self.frames[name][1], (0.0, 0.0, 1.0))[2] > _MIN_UPRIGHT_Z
+        ]
         return upright if len(upright) > 2 else []
 
     @cached_property
     def limbs(self) -> list[Limb]:
         """The chains of joints that begin at the trunk, each as far as it does not branch."""
-        return [self._limb(joint) for joint in self.model.joints if joint.moves and joint.parent in self.trunk]
+        return [
+            self._limb(joint) for joint in self.model.joints if joint.moves and joint.parent in self.trunk
+        ]
 
     def _limb(self, first: Joint) -> Limb:
         joint, links = first, self.rigid(first.child)
-        while len(further := [other for other in self.model.joints if other.moves and other.parent in links]) == 1:
+        while (
+            len(further := [other for other in self.model.joints if other.moves and other.parent in links])
+            == 1
+        ):
             joint, links = further[0], self.rigid(further[0].child)
         tip = max(links, key=lambda name: dist(self.frames[name][0], self.frames[joint.child][0]))
         above = {joint.child: joint for joint in self.model.joints}
@@ -286,7 +338,8 @@ class Build:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether the base is to be bolted down: the root is no body, or all of the robot is one limb that reaches out of its foot."""
+        """Whether the base is to be bolted down: the root is no body, or all of the robot is one limb that
+        reaches out of its foot."""
         if self.wheels or self.rotors:
             return False
         if self.model.root == "world" or not any(self.model.link(name).inertial for name in self.trunk):
@@ -305,7 +358,11 @@ def _mass(link: Link) -> float:
 
 
 def _is_locked(joint: Joint) -> bool:
-    return joint.type != "continuous" and joint.limit.lower is not None and joint.limit.lower == joint.limit.upper
+    return (
+        joint.type != "continuous"
+        and joint.limit.lower is not None
+        and joint.limit.lower == joint.limit.upper
+    )
 
 
 def _box(link: Link, frame: Frame) -> Bounds | None:

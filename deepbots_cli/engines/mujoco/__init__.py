@@ -10,14 +10,16 @@ batch.py       many worlds of one model, stepped by `mujoco.batch`, read and wri
 
 What MuJoCo leaves to its callers, and is settled here:
 
-- the friction of a pair is the larger of the two: ours is their product, as in PyBullet, so each pair of surfaces that may
-  touch is an entry of its own
-- positions of links and velocities belong to the state before the last step: they are computed again when they are read
+- the friction of a pair is the larger of the two: ours is their product, as in PyBullet, so each pair of
+  surfaces that may touch is an entry of its own
+- positions of links and velocities belong to the state before the last step: they are computed again when
+  they are read
 - bodies cannot come and go: an absent one floats without weight far away
-- a state that is not finite is silently replaced by the first one, with a line in a log file: ours stays as it is, for `require_finite`
+- a state that is not finite is silently replaced by the first one, with a line in a log file: ours stays as
+  it is, for `require_finite`
 - rays leave out one link: ours leave out the robot
-- a motor that is stiff for a light wheel is unstable, or breaks the grip of the wheel if it is integrated implicitly after
-  contacts are solved: ours adds what it does within a step to the inertia of the joint
+- a motor that is stiff for a light wheel is unstable, or breaks the grip of the wheel if it is integrated
+  implicitly after contacts are solved: ours adds what it does within a step to the inertia of the joint
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ __all__ = ["mujoco"]
 
 
 def _ignore(_: str) -> None:
-    """A warning of MuJoCo: it says that a state is not finite, which `require_finite` says with the name of the body."""
+    """A warning of MuJoCo: it says that a state is not finite, which `require_finite` says with the name of
+    the body."""
 
 
 mujoco.set_mju_user_warning(_ignore)  # by default it writes MUJOCO_LOG.TXT into the working directory

@@ -1,12 +1,15 @@
-"""Many worlds of one model on `mujoco.batch.Batch`: one call steps all of them, and they are read and written as columns.
+"""Many worlds of one model on `mujoco.batch.Batch`: one call steps all of them, and they are read and written
+as columns.
 
-Values that differ between worlds (gains of motors, masses, frictions) are rows of expanded model fields. Episodes begin in one engine of a
-single world, which all members share: it takes the world that is asked for, and what was done to that becomes the rows of the world. A
-vector is a sequence of columns, one number per world in each.
+Values that differ between worlds (gains of motors, masses, frictions) are rows of expanded model fields.
+Episodes begin in one engine of a single world, which all members share: it takes the world that is asked for,
+and what was done to that becomes the rows of the world. A vector is a sequence of columns, one number per
+world in each.
 
-Positions and velocities of links, rays and distances come from `Observer`, a second batch of the same model without contacts: after a
-step, those of MuJoCo belong to the state before its last substep. Gains that are written between two steps change the inertia of joints, so
-that a step cannot continue from positions that were computed before.
+Positions and velocities of links, rays and distances come from `Observer`, a second batch of the same model
+without contacts: after a step, those of MuJoCo belong to the state before its last substep. Gains that are
+written between two steps change the inertia of joints, so that a step cannot continue from positions that
+were computed before.
 """
 
 from __future__ import annotations
@@ -55,7 +58,8 @@ SEEN_GROUPS = [number != HIDDEN_GROUP for number in range(int(mj.mjNGROUP))]
 
 
 class Sensor(NamedTuple):
-    """What a batch adds to its model: whether `one` touches `other` (None: anything), in `slots` the forces, or the distance of two geoms.
+    """What a batch adds to its model: whether `one` touches `other` (None: anything), in `slots` the forces,
+    or the distance of two geoms.
 
     Each is a number, of a link, and whether all that it carries belongs to it; or of a geom.
     """
@@ -67,7 +71,8 @@ class Sensor(NamedTuple):
 
 
 class BatchMember(EngineProxy):
-    """One world of a batch. What it reads and changes is that of the shared engine; the batch steps and drives it."""
+    """One world of a batch. What it reads and changes is that of the shared engine; the batch steps and
+    drives it."""
 
     def __init__(self, batch: MuJoCoBatch, index: int) -> None:
         self._batch, self._index = batch, index
@@ -104,7 +109,8 @@ class BatchMember(EngineProxy):
         self.snapshot()
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        """That of a free body comes from its row where the shared engine does not have this world: 1 us instead of 8."""
+        """That of a free body comes from its row where the shared engine does not have this world: 1 us
+        instead of 8."""
         read_attached: PoseReader = super().pose(body, link)
         batch, index, place = self._batch, self._index, self._batch.form_and_link(body, link)
         if place is None or place[1] != place[0].root_id or place[0].position_index < 0:
@@ -126,12 +132,18 @@ class BatchMember(EngineProxy):
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         if self._pushers == len(self._batch._pushes):
             self._batch._pushes.append(Pushes(self._batch.count, frame))
-        pushes, index, pool = self._batch._pushes[self._pushers], self._index, self._batch.single._pool(part[0])
+        pushes = self._batch._pushes[self._pushers]
+        index = self._index
+        pool = self._batch.single._pool(part[0])
         self._pushers += 1
         link = _link(pool.current, part[1])
 
         def push(force: Triple, torque: Triple) -> None:
-            at = link if len(list(pool)) == 1 else _link(self._batch.attach(index)._pool(part[0]).current, part[1])
+            at = (
+                link
+                if len(list(pool)) == 1
+                else _link(self._batch.attach(index)._pool(part[0]).current, part[1])
+            )
             pushes.give(index, at, force, torque)
 
         return push
@@ -153,7 +165,8 @@ class BatchMember(EngineProxy):
 
 
 class MuJoCoBatch:
-    """`count` worlds of one model; `members` are engines of one world each, which resets and rare readers use."""
+    """`count` worlds of one model; `members` are engines of one world each, which resets and rare readers
+    use."""
 
     name = "mujoco"
     capabilities: frozenset[Any] = frozenset({"contacts", "mimic"})
@@ -173,11 +186,13 @@ class MuJoCoBatch:
         """Whether the shared engine has changed it."""
         self._remembered = self._world.memory()
         self._memories = [self._remembered] * count
-        """Of each world, what the shared engine remembers besides the state: which bodies are there, colors, light."""
+        """Of each world, what the shared engine remembers besides the state: which bodies are there, colors,
+        light."""
         self._stale: set[int] = set()
         """The worlds with new masses, until the first step computes what follows from them."""
         self._weighed: dict[int, Column] = {}
-        """The worlds whose mean inertia is not that of the model, and the armature that it was computed with."""
+        """The worlds whose mean inertia is not that of the model, and the armature that it was computed
+        with."""
         self.acts_in_substeps = False
         """Whether members do something in each substep."""
         self._pushes: list[Pushes] = []
@@ -207,7 +222,9 @@ class MuJoCoBatch:
     def _build(self) -> None:
         """The batch of MuJoCo, anew where sensors were added."""
         before, fields = self._batch, self.rows
-        self._batch = Batch(model_with_sensors(self._builder, self.nominal, self._sensors), self.count, self._threads)
+        self._batch = Batch(
+            model_with_sensors(self._builder, self.nominal, self._sensors), self.count, self._threads
+        )
         self.state, model = self._batch.state, self._batch.model
         self.ctrl, self.qpos, self.qvel = (self._batch.bind(name) for name in ("ctrl", "qpos", "qvel"))
         self.rows = {name: self._batch.expand(name) for name in fields}
@@ -223,7 +240,9 @@ class MuJoCoBatch:
         for name in [*self._outputs, *["sensordata" for sensor in self._sensors if sensor.slots][:1]]:
             self._output(name)
         self._built = len(self._sensors)
-        self._touch_columns = np.array([column for sensor, column in self._sensors.items() if not sensor.slots], int)
+        self._touch_columns = np.array(
+            [column for sensor, column in self._sensors.items() if not sensor.slots], int
+        )
         self._touch_places = np.array([model.sensor_adr[column] for column in self._touch_columns], int)
 
     @property
@@ -271,7 +290,9 @@ class MuJoCoBatch:
             return
         before, warned = (self.state.copy(), self._batch.warning.copy()) if substeps > 1 else (None, None)
         readings = self._batch.rollout(substeps, ids=ids, record=("sensordata",))["sensordata"]
-        self.touched[np.ix_(ids, self._touch_columns)] |= (readings[..., self._touch_places] > 0.0).any(axis=1)
+        self.touched[np.ix_(ids, self._touch_columns)] |= (readings[..., self._touch_places] > 0.0).any(
+            axis=1
+        )
         if before is not None and (again := (self._batch.warning != warned).any(axis=(1, 2))).any():
             self.state[again] = before[again]  # a rollout ends with a warning, and a step goes on
             for _ in range(substeps):
@@ -339,7 +360,9 @@ class MuJoCoBatch:
             self._release()
             world = self._world
             mj.mj_setState(world.model, world.data, self.state[index], FULL_STATE)
-            changed = [*(self.rows.keys() - self._usual_rows)] if len(self.rows) > len(self._usual_rows) else []
+            changed = (
+                [*(self.rows.keys() - self._usual_rows)] if len(self.rows) > len(self._usual_rows) else []
+            )
             if self._memories[index] != self._remembered:
                 self._remembered = self._memories[index]
                 world.remember(self._remembered)
@@ -364,7 +387,9 @@ class MuJoCoBatch:
             if world.settle_values():
                 self._stale.add(index)
             for name in VARIED_FIELDS:
-                if name not in self.rows and not np.array_equal(_field(world.model, name), _field(self.nominal, name)):
+                if name not in self.rows and not np.array_equal(
+                    _field(world.model, name), _field(self.nominal, name)
+                ):
                     self.rows[name] = self._batch.expand(name)
             changed = [name for name in self.rows if name not in MOTOR_FIELDS]
         for name in changed:
@@ -377,20 +402,23 @@ class MuJoCoBatch:
         now = self.rows["dof_armature"][index].copy()
         self.rows["dof_armature"][index] = armature
         self._batch.set_const([index])
-        self.rows |= {name: self._batch.expand(name) for name in VARIED_FIELDS if self._batch.expanded(name) is not None}
+        self.rows |= {
+            name: self._batch.expand(name) for name in VARIED_FIELDS if self._batch.expanded(name) is not None
+        }
         self.rows["dof_armature"][index] = now
         self._weighed[index] = armature
 
     # What is read
 
     def _column(self, key: Any, part: Callable[[], Column]) -> Column:
-        """A part of an array of all worlds with a column per world, made anew after each step, so that what was read stays."""
-        found = self._columns.get(key)
-        if found is None:
+        """A part of an array of all worlds with a column per world, made anew after each step, so that what
+        was read stays."""
+        column = self._columns.get(key)
+        if column is None:
             rows = part()
-            found = self._columns[key] = np.ascontiguousarray(rows.reshape(self.count, -1).T)
-            found.flags.writeable = False
-        return found
+            column = self._columns[key] = np.ascontiguousarray(rows.reshape(self.count, -1).T)
+            column.flags.writeable = False
+        return column
 
     def _state(self, name: str) -> Column:
         return self._column(name, lambda: self._batch.bind(name))
@@ -406,11 +434,16 @@ class MuJoCoBatch:
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
         numbers = list(self.single._joints(robot, joints))
-        positions, velocities = (adr[numbers].tolist() for adr in (self.nominal.jnt_qposadr, self.nominal.jnt_dofadr))
+        positions, velocities = (
+            adr[numbers].tolist() for adr in (self.nominal.jnt_qposadr, self.nominal.jnt_dofadr)
+        )
 
         def read() -> Any:
             qpos, qvel = self._state("qpos"), self._state("qvel")
-            return tuple((qpos[position], qvel[velocity]) for position, velocity in zip(positions, velocities, strict=True))
+            return tuple(
+                (qpos[position], qvel[velocity])
+                for position, velocity in zip(positions, velocities, strict=True)
+            )
 
         return read
 
@@ -463,7 +496,8 @@ class MuJoCoBatch:
         root = int(self.nominal.body_rootid[number])
 
         def read() -> Any:
-            """Of the link's origin, from the velocity of the body at the center of mass of its tree, as `mj_objectVelocity` does."""
+            """Of the link's origin, from the velocity of the body at the center of mass of its tree, as
+            `mj_objectVelocity` does."""
             spatial = self._observed("cvel", number)
             apart = self._observed("xpos", number) - self._observed("subtree_com", root)
             angular = tuple(spatial[:3])
@@ -475,12 +509,18 @@ class MuJoCoBatch:
         pose, velocity = self.pose(body, link), self.velocity(body, link)
         return lambda: (pose(), velocity())
 
-    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> Callable[[], Column]:
+    def contact(
+        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
+    ) -> Callable[[], Column]:
         """See `Engine.contact`."""
         links = self._links(one)
         met: list[tuple[int, bool] | None] = [None]
         if others is not None or not ground:
-            others = [(name, None) for name in self._world.pools if name not in (one[0], GROUND)] if others is None else others
+            others = (
+                [(name, None) for name in self._world.pools if name not in (one[0], GROUND)]
+                if others is None
+                else others
+            )
             met = [link for part in others for link in self._links(part)]
         places = [self._sensor(Sensor(link, other)) for link in links for other in met]
         return lambda: cast("Column", self.touched[:, places].any(axis=1))
@@ -493,11 +533,20 @@ class MuJoCoBatch:
             total = np.zeros(self.count)
             for number in numbers if self._built == len(self._sensors) else ():
                 at = self._batch.model.sensor_adr[number]
-                found, forces = self._outputs["sensordata"][:, at : at + 4 * FORCE_SLOTS].reshape(self.count, FORCE_SLOTS, 4).T[:2]
-                if (found[0] > FORCE_SLOTS).any():
-                    where = f"world {int(found[0].argmax())}: a link of '{one[0]}' has {int(found[0].max())} contacts"
-                    raise EngineError(f"{where}, but a batch supports at most {FORCE_SLOTS}; simplify its collision shapes")
-                for force, held in zip(forces, found > 0.0, strict=True):
+                counts, forces = (
+                    self._outputs["sensordata"][:, at : at + 4 * FORCE_SLOTS]
+                    .reshape(self.count, FORCE_SLOTS, 4)
+                    .T[:2]
+                )
+                if (counts[0] > FORCE_SLOTS).any():
+                    where = (
+                        f"world {int(counts[0].argmax())}: a link of '{one[0]}' has"
+                        f" {int(counts[0].max())} contacts"
+                    )
+                    raise EngineError(
+                        f"{where}, but a batch supports at most {FORCE_SLOTS}; simplify its collision shapes"
+                    )
+                for force, held in zip(forces, counts > 0.0, strict=True):
                     total += np.where(held, force, 0.0)
             return total
 
@@ -511,8 +560,12 @@ class MuJoCoBatch:
             return self._read_each(lambda member: member.clearance(one, other))
         near, far = (pool.current.geoms_of(part[1]) for pool, part in zip(pools, (one, other), strict=True))
         kinds = self.nominal.geom_type
-        numbers = self._observer.distances([(a, b) for a in near for b in far if ELLIPSOID not in (kinds[a], kinds[b])])
-        absent = [place for place, pool in enumerate(self._world.pools.values()) if pool.pooled and pool in pools]
+        numbers = self._observer.distances(
+            [(a, b) for a in near for b in far if ELLIPSOID not in (kinds[a], kinds[b])]
+        )
+        absent = [
+            place for place, pool in enumerate(self._world.pools.values()) if pool.pooled and pool in pools
+        ]
 
         def read() -> Column:
             apart = self._observer.read("sensordata")[:, numbers].min(axis=1, initial=MAX_CLEARANCE_M)
@@ -581,31 +634,47 @@ class MuJoCoBatch:
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self.motor("torque", robot, joints, max_torque)
 
-    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
+    def position_motor(
+        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+    ) -> MotorWriter:
         return self.motor("position", robot, joints, max_torque, stiffness, damping)
 
     def motor(
-        self, kind: str, robot: str, joints: Sequence[str], limits: Sequence[float], *gains: Gain, world: int | None = None
+        self,
+        kind: str,
+        robot: str,
+        joints: Sequence[str],
+        limits: Sequence[float],
+        *gains: Gain,
+        world: int | None = None,
     ) -> BatchMotor:
-        """The motor of this kind on the same joints of all worlds, with these limits and gains in one of them or in all."""
+        """The motor of this kind on the same joints of all worlds, with these limits and gains in one of them
+        or in all."""
         stiffness, damping = gains or (None, None)
         numbers = self.single._joints(robot, joints)
         key = kind, numbers, stiffness is None
         if key not in self.motors:
             is_servo = kind == "position" and stiffness is None
             rate = motors.servo_rate(self.nominal) if is_servo else 0.0
-            made = TrackingMotor(self, numbers, rate) if kind == "velocity" or is_servo else BatchMotor(self, numbers)
+            motor = (
+                TrackingMotor(self, numbers, rate)
+                if kind == "velocity" or is_servo
+                else BatchMotor(self, numbers)
+            )
             for other in self.motors.values():
                 if not set(other.joints).isdisjoint(numbers):
-                    made.rivals.append(other)
-                    other.rivals.append(made)
-            self.motors[key] = made
-        self.motors[key].bind(slice(None) if world is None else slice(world, world + 1), limits, stiffness, damping)
+                    motor.rivals.append(other)
+                    other.rivals.append(motor)
+            self.motors[key] = motor
+        self.motors[key].bind(
+            slice(None) if world is None else slice(world, world + 1), limits, stiffness, damping
+        )
         return self.motors[key]
 
 
 class Observer:
-    """Links, rays and distances of all worlds as they stand, from the same model without contacts and motors."""
+    """Links, rays and distances of all worlds as they stand, from the same model without contacts and
+    motors."""
 
     def __init__(self, batch: MuJoCoBatch, threads: int) -> None:
         self._batch, self._threads = batch, threads
@@ -616,8 +685,8 @@ class Observer:
 
     def distances(self, pairs: Sequence[tuple[int, int]]) -> list[int]:
         """The places in `sensordata` of the distances between geoms."""
-        found = [Sensor((one, False), (other, False), of_geoms=True) for one, other in pairs]
-        return [self._distances.setdefault(sensor, len(self._distances)) for sensor in found]
+        sensors = [Sensor((one, False), (other, False), of_geoms=True) for one, other in pairs]
+        return [self._distances.setdefault(sensor, len(self._distances)) for sensor in sensors]
 
     def read(self, name: str) -> Column:
         """An array of MuJoCo's data, with a row per world."""
@@ -651,10 +720,15 @@ class Observer:
 
 
 class Pushes:
-    """What the pushers of all worlds that were bound in the same place give for the next substep; see `motors.pusher`."""
+    """What the pushers of all worlds that were bound in the same place give for the next substep; see
+    `motors.pusher`."""
 
     def __init__(self, count: int, frame: Literal["world", "link"]) -> None:
-        self.waits, self.links, self._values = np.zeros(count, bool), np.zeros(count, int), np.zeros((count, 6))
+        self.waits, self.links, self._values = (
+            np.zeros(count, bool),
+            np.zeros(count, int),
+            np.zeros((count, 6)),
+        )
         self._frame = frame
 
     def begin(self, world: int) -> None:
@@ -677,7 +751,8 @@ class Pushes:
 
 
 class BatchMotor:
-    """A motor on the same joints of all worlds, which exerts torques, or pulls as a spring where it has gains; see `motors.Motor`."""
+    """A motor on the same joints of all worlds, which exerts torques, or pulls as a spring where it has
+    gains; see `motors.Motor`."""
 
     is_soft = False
 
@@ -689,7 +764,9 @@ class BatchMotor:
         """Motors that drive some of its joints."""
         self.waits = np.zeros(count, bool)
         """The worlds in which gains are renewed in each substep."""
-        self._given, self._targets, self._limits, self._stiffness, self._damping = (np.zeros((count, len(joints))) for _ in range(5))
+        self._given, self._targets, self._limits, self._stiffness, self._damping = (
+            np.zeros((count, len(joints))) for _ in range(5)
+        )
         self._is_spring = False
         self._is_active, self._is_given = np.zeros(count, bool), np.zeros(count, bool)
         """The worlds whose joints it drives, and those whose members have commanded it since."""
@@ -697,7 +774,13 @@ class BatchMotor:
         self._dofs = motors.array_index(self._model.jnt_dofadr[list(joints)].tolist())
         self._joint_index = motors.array_index(self.joints)
 
-    def bind(self, worlds: slice, limits: Sequence[float], stiffness: Sequence[float] | None, damping: Sequence[float] | None) -> None:
+    def bind(
+        self,
+        worlds: slice,
+        limits: Sequence[float],
+        stiffness: Sequence[float] | None,
+        damping: Sequence[float] | None,
+    ) -> None:
         """Set the limits and gains of some worlds, which are in force from the next command."""
         self._limits[worlds] = [finite_limit(limit) for limit in limits]
         self._is_spring = stiffness is not None
@@ -739,7 +822,11 @@ class BatchMotor:
 
     def _exert(self, targets: Column, worlds: Any) -> None:
         limits = self._limits[worlds]
-        wanted = self._stiffness[worlds] * targets if self._is_spring else np.minimum(np.maximum(targets, -limits), limits)
+        wanted = (
+            self._stiffness[worlds] * targets
+            if self._is_spring
+            else np.minimum(np.maximum(targets, -limits), limits)
+        )
         self._batch.ctrl[_cells(worlds, self._acts)] = wanted
 
     def _activate(self, worlds: Column) -> None:
@@ -752,8 +839,13 @@ class BatchMotor:
             bias[..., 1][acts], bias[..., 2][acts] = -self._stiffness[worlds], -self._damping[worlds]
         rows["dof_armature"][dofs] = self._model.dof_armature[self._dofs]
         rows["dof_invweight0"][dofs] = self._model.dof_invweight0[self._dofs]
-        rows["actuator_forcelimited"][acts], rows["jnt_actfrclimited"][joints] = not self.is_soft, self.is_soft
-        rows["actuator_forcerange"][acts] = rows["jnt_actfrcrange"][joints] = np.stack([-limits, limits], axis=-1)
+        rows["actuator_forcelimited"][acts], rows["jnt_actfrclimited"][joints] = (
+            not self.is_soft,
+            self.is_soft,
+        )
+        rows["actuator_forcerange"][acts] = rows["jnt_actfrcrange"][joints] = np.stack(
+            [-limits, limits], axis=-1
+        )
         for rival in self.rivals:
             rival._is_active[worlds] = rival.waits[worlds] = False
         self._is_active[worlds] = True
@@ -767,7 +859,8 @@ class BatchMotor:
 
 
 class TrackingMotor(BatchMotor):
-    """A velocity motor, or a servo with a `rate` (1/s); see `motors.Motor.tracking_writer`, which computes the same for one world."""
+    """A velocity motor, or a servo with a `rate` (1/s); see `motors.Motor.tracking_writer`, which computes
+    the same for one world."""
 
     is_soft = True
 
@@ -798,11 +891,13 @@ class TrackingMotor(BatchMotor):
         """The gains, which are renewed."""
         batch, targets, limits = self._batch, self._targets[worlds], self._limits[worlds]
         wanted = (targets - batch.qpos[_cells(worlds, self._places)]) * self._rate if self._rate else targets
-        off = np.maximum(np.abs(wanted - batch.qvel[_cells(worlds, self._dofs)]), motors.MIN_ERROR_SHARE * np.abs(wanted))
+        off = np.maximum(
+            np.abs(wanted - batch.qvel[_cells(worlds, self._dofs)]), motors.MIN_ERROR_SHARE * np.abs(wanted)
+        )
         near = limits / self._stiffest
         gains = np.where(off > near, limits / np.maximum(off, near), self._stiffest)
         batch.ctrl[_cells(worlds, self._acts)] = gains * (self._rate or 1.0) * targets
-        found: Column = gains
+        aimed: Column = gains
         renewed = (gains != self._gains[worlds]).any(axis=1)
         if not renewed.all():
             worlds, gains = np.arange(batch.count)[worlds][renewed], gains[renewed]
@@ -813,7 +908,7 @@ class TrackingMotor(BatchMotor):
             bias[..., 1][_cells(worlds, self._acts)] = -gains * self._rate
         batch.rows["dof_armature"][_cells(worlds, self._dofs)] = self._usual + added
         batch.rows["dof_invweight0"][_cells(worlds, self._dofs)] = 1.0 / (self._moved + added)
-        return found
+        return aimed
 
 
 def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Sensor]) -> Any:
@@ -823,28 +918,40 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
     spec, kinds = builder._spec.copy(), mj.mjtObj
     for sensor in sensors:
         subjects = {}
-        for (kind, name), found in zip((("objtype", "objname"), ("reftype", "refname")), (sensor.one, sensor.other), strict=True):
-            if found is not None:
-                number, whole = found
+        for (kind, name), part_name in zip(
+            (("objtype", "objname"), ("reftype", "refname")), (sensor.one, sensor.other), strict=True
+        ):
+            if part_name is not None:
+                number, whole = part_name
                 link = kinds.mjOBJ_XBODY if whole else kinds.mjOBJ_BODY
                 subjects[kind] = kinds.mjOBJ_GEOM if sensor.of_geoms else link
                 subjects[name] = (model.geom if sensor.of_geoms else model.body)(number).name
         if sensor.of_geoms:
             spec.add_sensor(type=mj.mjtSensor.mjSENS_GEOMDIST, cutoff=MAX_CLEARANCE_M, **subjects)
         else:
-            fields = (mj.mjtConDataField.mjCONDATA_FOUND, mj.mjtConDataField.mjCONDATA_FORCE)[: 2 if sensor.slots else 1]
+            fields = (mj.mjtConDataField.mjCONDATA_FOUND, mj.mjtConDataField.mjCONDATA_FORCE)[
+                : 2 if sensor.slots else 1
+            ]
             added = spec.add_sensor(type=mj.mjtSensor.mjSENS_CONTACT, **subjects)
             added.intprm[:3] = sum(1 << int(field) for field in fields), 0, sensor.slots or 1
-    made = spec.compile()
-    made.opt.disableflags, made.opt.jacobian, made.stat.meaninertia = model.opt.disableflags, model.opt.jacobian, model.stat.meaninertia
+    compiled = spec.compile()
+    compiled.opt.disableflags, compiled.opt.jacobian, compiled.stat.meaninertia = (
+        model.opt.disableflags,
+        model.opt.jacobian,
+        model.stat.meaninertia,
+    )
     for name in ("dof_simplenum", *VARIED_ARRAYS):
-        getattr(made, name)[:] = getattr(model, name)
-    return made
+        getattr(compiled, name)[:] = getattr(model, name)
+    return compiled
 
 
 def _cells(worlds: Any, places: Any) -> tuple[Any, Any]:
     """The index of these places in the rows of these worlds, each a slice or an array."""
-    return (worlds, places) if isinstance(worlds, slice) or isinstance(places, slice) else (worlds[:, None], places)
+    return (
+        (worlds, places)
+        if isinstance(worlds, slice) or isinstance(places, slice)
+        else (worlds[:, None], places)
+    )
 
 
 def _field(model: Any, name: str) -> Column:

@@ -1,4 +1,5 @@
-"""Pictures of the world, drawn with OpenGL from a model of their own, which holds what is seen instead of what collides."""
+"""Pictures of the world, drawn with OpenGL from a model of their own, which holds what is seen instead of
+what collides."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import WorldModel
 
 UNAVAILABLE_MESSAGE = (
-    "MuJoCo cannot render on this machine, because OpenGL needs a display; install EGL or OSMesa and set MUJOCO_GL=egl or "
+    "MuJoCo cannot render on this machine, because OpenGL needs a display; install EGL or OSMesa and set"
+    " MUJOCO_GL=egl or "
     "MUJOCO_GL=osmesa, or use the engine 'pybullet' for pictures"
 )
 
@@ -43,7 +45,8 @@ def _close_all() -> None:
 
 
 def is_available() -> bool:
-    """Whether MuJoCo has found a library for OpenGL. No context is made before the first picture, which may still fail."""
+    """Whether MuJoCo has found a library for OpenGL. No context is made before the first picture, which may
+    still fail."""
     return hasattr(mj, "GLContext")
 
 
@@ -51,15 +54,18 @@ def is_available() -> bool:
 def _opens_context() -> bool:
     """Whether a context of OpenGL can be made; found out once, in 10 ms.
 
-    Software OpenGL brings the LLVM of the system. Triton, which torch loads with some optimizers, has its own, and the process
-    ends with a segmentation fault if Triton is loaded second (triton 3.7, Mesa 22). It is therefore loaded here, in 0.15 s.
+    Software OpenGL brings the LLVM of the system. Triton, which torch loads with some optimizers, has its
+    own, and the process ends with a segmentation fault if Triton is loaded second (triton 3.7, Mesa 22). It
+    is therefore loaded here, in 0.15 s.
     """
     if find_spec("triton") is not None:
         with suppress(ImportError):
             import_module("triton")
     try:
         with warnings.catch_warnings(action="ignore"):
-            if (glfw := sys.modules.get("glfw")) is not None:  # which warns, and returns no window, where it finds no display
+            if (
+                glfw := sys.modules.get("glfw")
+            ) is not None:  # which warns, and returns no window, where it finds no display
                 warnings.simplefilter("error", glfw.GLFWError)
             context = mj.GLContext(8, 8)
             context.make_current()
@@ -96,10 +102,14 @@ class WorldRenderer:
         fine = renderer.render().astype(np.uint16).reshape(view.height, samples, view.width, samples, 3)
         return self._brightened((fine.sum(axis=(1, 3)) // samples**2).astype(np.uint8))
 
-    def render_camera(self, pose: PoseReader, mount: Frame, width: int, height: int, fov: float) -> CameraImage:
+    def render_camera(
+        self, pose: PoseReader, mount: Frame, width: int, height: int, fov: float
+    ) -> CameraImage:
         eye, turned = frames.compose(pose(), mount)
         renderer = self._renderer_of_size(width, height)
-        self._aim(renderer, eye, frames.rotate(turned, (1.0, 0.0, 0.0)), frames.rotate(turned, (0.0, 0.0, 1.0)), fov)
+        self._aim(
+            renderer, eye, frames.rotate(turned, (1.0, 0.0, 0.0)), frames.rotate(turned, (0.0, 0.0, 1.0)), fov
+        )
         colors = self._brightened(renderer.render().copy())
         renderer.enable_depth_rendering()
         depth = np.minimum(renderer.render(), np.float32(CAMERA_RANGE_M))
@@ -113,7 +123,11 @@ class WorldRenderer:
 
     def _brightened(self, picture: Image) -> Image:
         light = self._state.light
-        return picture if light == 1.0 else np.asarray(np.clip(picture * np.float32(light), 0.0, 255.0), dtype=np.uint8)
+        return (
+            picture
+            if light == 1.0
+            else np.asarray(np.clip(picture * np.float32(light), 0.0, 255.0), dtype=np.uint8)
+        )
 
     def _renderer_of_size(self, width: int, height: int) -> Any:
         """A renderer of this size, with the bodies where they are now."""

@@ -72,13 +72,11 @@ class MuJoCoEngine:
         world = self._world
         if world.is_stale:
             world.update_constants()
-        model, data, touches, acts, renewed = (
-            world.model,
-            world.data,
-            self._contact_monitor,
-            self._substep_callbacks,
-            self._motors.gain_updates,
-        )
+        model = world.model
+        data = world.data
+        touches = self._contact_monitor
+        acts = self._substep_callbacks
+        renewed = self._motors.gain_updates
         if not (acts or renewed or world.has_pushes):
             if touches is None:
                 mj.mj_step(model, data, substeps)
@@ -132,7 +130,12 @@ class MuJoCoEngine:
         return x, y, z
 
     def place(
-        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
+        self,
+        body: str,
+        position: Triple,
+        orientation: Quaternion,
+        velocity: Triple = ZERO_VECTOR,
+        angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
         data, placed = self._world.data, self._pool(body).activate()
         self._world.show(placed)
@@ -141,7 +144,10 @@ class MuJoCoEngine:
             data.mocap_pos[placed.mocap_index], data.mocap_quat[placed.mocap_index] = position, (w, x, y, z)
         elif placed.position_index >= 0:
             data.qpos[placed.position_index : placed.position_index + 7] = (*position, w, x, y, z)
-            data.qvel[placed.velocity_index : placed.velocity_index + 6] = (*velocity, *frames.rotate_back(turned, angular_velocity))
+            data.qvel[placed.velocity_index : placed.velocity_index + 6] = (
+                *velocity,
+                *frames.rotate_back(turned, angular_velocity),
+            )
         self._world.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
@@ -170,13 +176,17 @@ class MuJoCoEngine:
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self._motor(robot, joints, max_torque).torque_writer()
 
-    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
+    def position_motor(
+        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+    ) -> MotorWriter:
         motor = self._motor(robot, joints, max_torque)
         rate = motors.servo_rate(self._world.model)
         return motor.tracking_writer(rate) if stiffness is None else motor.spring_writer(stiffness, damping)
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        return self._pool(part[0]).bind_current(lambda body: motors.pusher(self._world, _link(body, part[1]), frame))
+        return self._pool(part[0]).bind_current(
+            lambda body: motors.pusher(self._world, _link(body, part[1]), frame)
+        )
 
     # Readers of motion
 
@@ -189,7 +199,8 @@ class MuJoCoEngine:
             position, velocity = data.qpos.item, data.qvel.item
             return lambda: ((position(place), velocity(dof)),)
         positions, velocities = (
-            motors.array_reader(*pair) for pair in ((data.qpos, model.jnt_qposadr[numbers]), (data.qvel, model.jnt_dofadr[numbers]))
+            motors.array_reader(*pair)
+            for pair in ((data.qpos, model.jnt_qposadr[numbers]), (data.qvel, model.jnt_dofadr[numbers]))
         )
         return lambda: tuple(zip(positions(), velocities(), strict=True))
 
@@ -211,7 +222,8 @@ class MuJoCoEngine:
         return read
 
     def _pose(self, body: Body, link: int) -> PoseReader:
-        """Of a root link from the state, of another from positions that are computed when they are asked for."""
+        """Of a root link from the state, of another from positions that are computed when they are asked
+        for."""
         world, data = self._world, self._world.data
         if link == body.root_id and body.position_index >= 0:
             numbers = data.qpos[body.position_index : body.position_index + 7]
@@ -223,7 +235,9 @@ class MuJoCoEngine:
             return read_free
         at_rest = link == body.root_id and body.mocap_index >= 0
         place, turned = (
-            (data.mocap_pos[body.mocap_index], data.mocap_quat[body.mocap_index]) if at_rest else (data.xpos[link], data.xquat[link])
+            (data.mocap_pos[body.mocap_index], data.mocap_quat[body.mocap_index])
+            if at_rest
+            else (data.xpos[link], data.xquat[link])
         )
 
         def read() -> Frame:
@@ -237,10 +251,8 @@ class MuJoCoEngine:
     def _velocity(self, body: Body, link: int) -> VelocityReader:
         world, model, data = self._world, self._world.model, self._world.data
         if link == body.root_id and body.position_index >= 0:
-            turned, numbers = (
-                data.qpos[body.position_index + 3 : body.position_index + 7],
-                data.qvel[body.velocity_index : body.velocity_index + 6],
-            )
+            turned = data.qpos[body.position_index + 3 : body.position_index + 7]
+            numbers = data.qvel[body.velocity_index : body.velocity_index + 6]
 
             def read_free() -> tuple[Triple, Triple]:
                 vx, vy, vz, wx, wy, wz = numbers.tolist()
@@ -248,7 +260,8 @@ class MuJoCoEngine:
                 return (vx, vy, vz), frames.rotate((x, y, z, w), (wx, wy, wz))
 
             return read_free
-        # Of the center of mass of the tree that the link belongs to; `mj_objectVelocity` takes it from there too, at three times the cost.
+        # Of the center of mass of the tree that the link belongs to; `mj_objectVelocity` takes it from there
+        # too, at three times the cost.
         of_center, center, place = data.cvel[link], data.subtree_com[model.body_rootid[link]], data.xpos[link]
 
         def read() -> tuple[Triple, Triple]:
@@ -265,11 +278,15 @@ class MuJoCoEngine:
         model = self._pool(part[0]).current.model
         chain = Chain(model, part[1] or model.root, joints)
         root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving_joints)
-        return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
+        return lambda position, attitude: chain.solve(
+            root(), [state[0] for state in read()], position, attitude
+        )
 
     # Readers of surfaces
 
-    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+    def contact(
+        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
+    ) -> ContactReader:
         own = self._geoms(one)
         if others is None:
             pools = self._world.pools
@@ -287,15 +304,20 @@ class MuJoCoEngine:
         for geom in (*self._geoms(one), *self._geoms(other)):
             if self._world.model.geom_type[geom] == mj.mjtGeom.mjGEOM_HFIELD:
                 raise EngineError(
-                    "MuJoCo cannot compute distances to terrain; measure them with a ray sensor, or use the engine 'pybullet'"
+                    "MuJoCo cannot compute distances to terrain; measure them with a ray sensor, or use the"
+                    " engine 'pybullet'"
                 )
         read = near.bind_current(
-            lambda body: far.bind_current(lambda its: surfaces.clearance(self._world, body.geoms_of(one[1]), its.geoms_of(other[1])))
+            lambda body: far.bind_current(
+                lambda its: surfaces.clearance(self._world, body.geoms_of(one[1]), its.geoms_of(other[1]))
+            )
         )
         return lambda: read() if near.present and far.present else inf
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
-        return self._pool(part[0]).bind_current(lambda body: surfaces.rays(self._world, body, _link(body, part[1]), tuple(rays), reach))
+        return self._pool(part[0]).bind_current(
+            lambda body: surfaces.rays(self._world, body, _link(body, part[1]), tuple(rays), reach)
+        )
 
     def overlaps(self) -> list[Overlap]:
         owners = {
@@ -308,10 +330,12 @@ class MuJoCoEngine:
         deepest: dict[tuple[str, str], Overlap] = {}
         for one, other, depth in surfaces.penetrations(self._world):
             if one in owners and other in owners:
-                found = Overlap(owners[one], owners[other], depth)
-                known = deepest.get((found.one[0], found.other[0]))
-                deepest[found.one[0], found.other[0]] = found if known is None or known.depth < depth else known
-        return sorted(deepest.values(), key=lambda found: -found.depth)
+                overlap = Overlap(owners[one], owners[other], depth)
+                deepest_here = deepest.get((overlap.one[0], overlap.other[0]))
+                deepest[overlap.one[0], overlap.other[0]] = (
+                    overlap if deepest_here is None or deepest_here.depth < depth else deepest_here
+                )
+        return sorted(deepest.values(), key=lambda overlap: -overlap.depth)
 
     # Pictures
 

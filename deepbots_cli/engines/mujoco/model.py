@@ -28,7 +28,19 @@ from deepbots_cli.engines.objects import (
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.program.world import GROUND, Color, Line, ObjectBody, Terrain, WorldModel
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Joint, Link, Mesh, Mimic, RobotModel, Sphere
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Friction,
+    Geometry,
+    Joint,
+    Link,
+    Mesh,
+    Mimic,
+    RobotModel,
+    Sphere,
+)
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Matrix
@@ -38,12 +50,17 @@ MjObject = Any
 
 PARKING_SPACING_M = 1000.0  # m between bodies that are absent
 GROUND_DEPTH_M = 1.0  # m of ground below the lowest place of a terrain
-SOLID_GROUP, HIDDEN_GROUP, VISUAL_GROUP = 0, 5, 1  # groups of geoms: what rays meet, what they do not, what is only drawn
+SOLID_GROUP, HIDDEN_GROUP, VISUAL_GROUP = (
+    0,
+    5,
+    1,
+)  # groups of geoms: what rays meet, what they do not, what is only drawn
 CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS = 0.01, 3.0
 """Time constant (s) of contacts and joint limits, and the least in engine steps.
 
-MuJoCo's contacts are springs. With these a crate rests 27 um deep at steps of 1 ms and 0.15 mm at 8 ms, and slides as Coulomb's law
-says within 0.4 %. Stiffer ones (2 steps, impedance 0.95 to 0.99) are ten times less deep, and a crate that slides hops: 4 % off.
+MuJoCo's contacts are springs. With these a crate rests 27 um deep at steps of 1 ms and 0.15 mm at 8 ms, and
+slides as Coulomb's law says within 0.4 %. Stiffer ones (2 steps, impedance 0.95 to 0.99) are ten times less
+deep, and a crate that slides hops: 4 % off.
 """
 CONTACT_IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
 GEAR_STEPS, GEAR_IMPEDANCE = 2.0, (0.9999, 0.9999, *CONTACT_IMPEDANCE[2:])
@@ -52,7 +69,8 @@ GEAR_STEPS, GEAR_IMPEDANCE = 2.0, (0.9999, 0.9999, *CONTACT_IMPEDANCE[2:])
 A driven pair is off by 2 um, and one that is pushed into a limit by 6 um (steps of 5 ms, 0.1 kg, 20 N).
 """
 TIRE_IMPEDANCE = (2 * 0.9 / (1 + 0.9), 2 * 0.95 / (1 + 0.95), *CONTACT_IMPEDANCE[2:])
-"""A tire touches in one point where a cylinder touches in two: it gives way half as much as one of them, and sinks as deep as both.
+"""A tire touches in one point where a cylinder touches in two: it gives way half as much as one of them, and
+sinks as deep as both.
 
 A contact gives way by (1 - impedance) / impedance.
 """
@@ -66,8 +84,9 @@ TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
 class Body:
     """A robot or an object in one of its forms: ids of links and of their geoms, and of joints, by name.
 
-    The state holds the 7 position numbers of a root link that moves from `position_index` on, and its 6 velocity numbers from
-    `velocity_index` on; any other root link has a `mocap_index`. `static_links` holds the links that never move.
+    The state holds the 7 position numbers of a root link that moves from `position_index` on, and its 6
+    velocity numbers from `velocity_index` on; any other root link has a `mocap_index`. `static_links` holds
+    the links that never move.
     """
 
     name: str
@@ -91,11 +110,16 @@ class Body:
 
     def geoms_of(self, link: str | None) -> list[int]:
         """The geoms of a link, or of all."""
-        return self.geoms[link] if link is not None else [geom for geoms in self.geoms.values() for geom in geoms]
+        return (
+            self.geoms[link]
+            if link is not None
+            else [geom for geoms in self.geoms.values() for geom in geoms]
+        )
 
 
 class ModelBuilder:
-    """A model of the world, and its bodies. The one for pictures has the same bodies and joints, with what is seen of them as geoms."""
+    """A model of the world, and its bodies. The one for pictures has the same bodies and joints, with what is
+    seen of them as geoms."""
 
     def __init__(self, world: WorldModel, for_rendering: bool = False) -> None:
         self._world, self._for_rendering = world, for_rendering
@@ -112,7 +136,9 @@ class ModelBuilder:
         spec.stat.extent = 1.0
         spec.visual.map.znear, spec.visual.map.zfar = NEAR_CLIP_M, FAR_CLIP_M
         self._response = (max(CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS * step), 1.0)
-        self._made: list[tuple[Body, dict[str, MjObject], dict[str, MjObject], dict[str, list[MjObject]]]] = []
+        self._made: list[
+            tuple[Body, dict[str, MjObject], dict[str, MjObject], dict[str, list[MjObject]]]
+        ] = []
         self._flat = world.terrain is None and world.ground is not None and not for_rendering
         self._wheels: set[str] = set()
         self._tires: set[str] = set()
@@ -143,23 +169,29 @@ class ModelBuilder:
             model = self._spec.compile()
         except ValueError as error:
             raise self._refusal(str(error)) from error
-        if model.ntree == 1:  # looking for islands of contacts takes 5 % of a step, and finds the only body that moves
+        if (
+            model.ntree == 1
+        ):  # looking for islands of contacts takes 5 % of a step, and finds the only body that moves
             model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_ISLAND
             if _branches(model):  # the rows of a contact are then half zeros: 12 % of a step of the quadruped
                 model.opt.jacobian = mj.mjtJacobian.mjJAC_SPARSE
         for body, links, joints, geoms in self._made:
-            body.links = {name: made.id for name, made in links.items()}
-            body.joints = {name: made.id for name, made in joints.items()}
-            body.geoms = {name: [geom.id for geom in made] for name, made in geoms.items()}
+            body.links = {name: element.id for name, element in links.items()}
+            body.joints = {name: element.id for name, element in joints.items()}
+            body.geoms = {name: [geom.id for geom in element] for name, element in geoms.items()}
             body.root_id = body.links[body.model.root]
             body.mocap_index = int(model.body_mocapid[body.root_id])
             if not body.fixed:
                 first = model.body_jntadr[body.root_id]
-                body.position_index, body.velocity_index = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
+                body.position_index, body.velocity_index = (
+                    int(model.jnt_qposadr[first]),
+                    int(model.jnt_dofadr[first]),
+                )
         return model
 
     def _refusal(self, text: str) -> EngineError:
-        """Why MuJoCo refuses the world. Its text is `Error: REASON`, and in the next line `Element name 'NAME', id ID`."""
+        """Why MuJoCo refuses the world. Its text is `Error: REASON`, and in the next line `Element name
+        'NAME', id ID`."""
         first, _, rest = text.partition("\n")
         reason = re.split(r"[.;]\s", re.sub(r":? '?m\d+'?", "", first.removeprefix("Error: ")))[0]
         element = re.search(r"'[bgjm](\d+)'", rest)
@@ -167,7 +199,10 @@ class ModelBuilder:
         owner = next(((body, link) for start, body, link in reversed(self._links) if start <= number), None)
         if owner is None:
             return EngineError(f"MuJoCo cannot build this world: {reason}")
-        return EngineError(f"MuJoCo cannot build link '{owner[1]}' of '{owner[0]}': {reason}; correct its inertia, shapes or joint")
+        return EngineError(
+            f"MuJoCo cannot build link '{owner[1]}' of '{owner[0]}': {reason}; correct its inertia, shapes"
+            " or joint"
+        )
 
     # Ground
 
@@ -177,11 +212,16 @@ class ModelBuilder:
         color: Color | None
         if world.terrain is not None:
             relief = self._relief(world.terrain)
-            shape = {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": GROUND, "pos": (0.0, 0.0, float(relief.heights.min()))}
+            shape = {
+                "type": mj.mjtGeom.mjGEOM_HFIELD,
+                "hfieldname": GROUND,
+                "pos": (0.0, 0.0, float(relief.heights.min())),
+            }
             friction, color = Friction(lateral=world.terrain.friction), world.terrain.color or TERRAIN_COLOR
         elif world.ground is not None:
             shape = {"type": mj.mjtGeom.mjGEOM_PLANE, "size": (0.0, 0.0, 1.0)}
-            friction, color = Friction(lateral=world.ground.friction, restitution=world.ground.restitution), world.ground.color
+            friction = Friction(lateral=world.ground.friction, restitution=world.ground.restitution)
+            color = world.ground.color
         else:
             return
         body = Body(
@@ -218,15 +258,29 @@ class ModelBuilder:
         return relief
 
     def _add_light(self) -> None:
-        """Daylight, a sky that is brighter at the horizon, and colors that do not depend on from where they are seen."""
+        """Daylight, a sky that is brighter at the horizon, and colors that do not depend on from where they
+        are seen."""
         spec = self._spec
         spec.visual.quality.offsamples = 0  # a pixel is what its center sees
         gradient, sky = mj.mjtBuiltin.mjBUILTIN_GRADIENT, mj.mjtTexture.mjTEXTURE_SKYBOX
-        spec.add_texture(name="sky", type=sky, builtin=gradient, rgb1=(0.59, 0.73, 0.87), rgb2=(0.93, 0.95, 0.96), width=128, height=768)
+        spec.add_texture(
+            name="sky",
+            type=sky,
+            builtin=gradient,
+            rgb1=(0.59, 0.73, 0.87),
+            rgb2=(0.93, 0.95, 0.96),
+            width=128,
+            height=768,
+        )
         spec.visual.headlight.active = False  # it shines from where the camera was in the picture before
         sun = mj.mjtLightType.mjLIGHT_DIRECTIONAL
         for direction, ambient, diffuse in (((-0.3, 0.4, -0.87), 0.45, 0.5), ((0.5, -0.6, -0.3), 0.0, 0.1)):
-            dull = {"ambient": (ambient,) * 3, "diffuse": (diffuse,) * 3, "specular": (0.0,) * 3, "castshadow": False}
+            dull = {
+                "ambient": (ambient,) * 3,
+                "diffuse": (diffuse,) * 3,
+                "specular": (0.0,) * 3,
+                "castshadow": False,
+            }
             spec.worldbody.add_light(type=sun, pos=(0, 0, 10), dir=direction, **dull)
 
     def _tiles(self) -> str:
@@ -245,10 +299,23 @@ class ModelBuilder:
             turned = _wxyz(frames.quaternion(0.0, 0.0, yaw))
             if long > 0.0:
                 middle, size = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (long, half, thin)
-                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_BOX, size=size, pos=middle, quat=turned, rgba=line.color)
+                self._geom(
+                    self._spec.worldbody,
+                    type=mj.mjtGeom.mjGEOM_BOX,
+                    size=size,
+                    pos=middle,
+                    quat=turned,
+                    rgba=line.color,
+                )
             for x, y in ((x0, y0), (x1, y1)):
                 disc = (half, thin, 0.0)
-                self._geom(self._spec.worldbody, type=mj.mjtGeom.mjGEOM_CYLINDER, size=disc, pos=(x, y, 0.0), rgba=line.color)
+                self._geom(
+                    self._spec.worldbody,
+                    type=mj.mjtGeom.mjGEOM_CYLINDER,
+                    size=disc,
+                    pos=(x, y, 0.0),
+                    rgba=line.color,
+                )
 
     # Bodies
 
@@ -256,7 +323,10 @@ class ModelBuilder:
         home = frames.frame(thing.pose)
         if pooled:
             self._absent += 1
-            home = (-self._absent * PARKING_SPACING_M, 0.0, self._absent * PARKING_SPACING_M), frames.IDENTITY_ROTATION
+            home = (
+                (-self._absent * PARKING_SPACING_M, 0.0, self._absent * PARKING_SPACING_M),
+                frames.IDENTITY_ROTATION,
+            )
         return self._add(Body(thing.name, as_robot(thing), not is_movable(thing), home), pooled)
 
     def _add(self, body: Body, pooled: bool = False) -> Body:
@@ -279,52 +349,68 @@ class ModelBuilder:
             self._elements += 1
             self._links.append((self._elements, body.name, name))
             weightless = float(pooled and not body.fixed)
-            links[name] = made = parent.add_body(name=f"b{self._elements}", pos=position, quat=_wxyz(turned), gravcomp=weightless)
+            links[name] = body_element = parent.add_body(
+                name=f"b{self._elements}", pos=position, quat=_wxyz(turned), gravcomp=weightless
+            )
             if above is None:
-                made.mocap = body.fixed
+                body_element.mocap = body.fixed
                 if not body.fixed:
-                    made.add_freejoint()
+                    body_element.add_freejoint()
             elif above.moves:
-                joints[above.name] = self._joint(made, above)
-            self._set_inertia(made, body.name, link, ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0)
+                joints[above.name] = self._joint(body_element, above)
+            self._set_inertia(
+                body_element,
+                body.name,
+                link,
+                ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0,
+            )
             pieces = (link.visuals or link.collisions) if self._for_rendering else link.collisions
-            geoms[name] = [self._surface(made, piece, place, pooled) for piece in pieces]
+            geoms[name] = [self._surface(body_element, piece, place, pooled) for piece in pieces]
             if self._flat and above is not None:
-                geoms[name] += self._add_tires(made, link, above, geoms[name])
+                geoms[name] += self._add_tires(body_element, link, above, geoms[name])
             order += children.get(name, ())
         for follower, mimic in model.followers.items() if not self._for_rendering else ():
             self._follow(joints[follower], joints[mimic.joint], mimic)
         self._made.append((body, links, joints, geoms))
         return body
 
-    def _set_inertia(self, made: MjObject, body: str, link: Link, trace: float) -> None:
-        """Mass and inertia; a link that moves and states none gets a `trace` of what it carries, since MuJoCo takes no such link.
+    def _set_inertia(self, element: MjObject, body: str, link: Link, trace: float) -> None:
+        """Mass and inertia; a link that moves and states none gets a `trace` of what it carries, since MuJoCo
+        takes no such link.
 
         Raises:
             EngineError: No rigid body can have the inertia.
         """
-        known = link.inertial
-        mass = known.mass if known else 0.0
-        if known is None or mass <= 0.0:
+        inertial = link.inertial
+        mass = inertial.mass if inertial else 0.0
+        if inertial is None or mass <= 0.0:
             mass, tensor, at = trace, frames.diagonal((trace, trace, trace)), (0.0, 0.0, 0.0)
         else:
-            tensor = frames.rotate_tensor(known.matrix, frames.rotation_matrix(known.origin.rpy))
-            at = known.origin.xyz
-            if not known.is_stated:
+            tensor = frames.rotate_tensor(inertial.matrix, frames.rotation_matrix(inertial.origin.rpy))
+            at = inertial.origin.xyz
+            if not inertial.is_stated:
                 tensor = self._made_up(link, mass)
-            elif not known.is_plausible:
+            elif not inertial.is_plausible:
                 lack = ENGINES.own["mujoco"].implausible_inertia
                 assert lack is not None
                 raise EngineError(f"link '{link.name}' of '{body}' {lack.reason}; {lack.help}")
             else:
                 tensor = _without_excess(tensor)
-        made.explicitinertial = True
-        made.mass, made.ipos = mass, at
+        element.explicitinertial = True
+        element.mass, element.ipos = mass, at
         if mass > 0.0:
-            made.fullinertia = (tensor[0][0], tensor[1][1], tensor[2][2], tensor[0][1], tensor[0][2], tensor[1][2])
+            element.fullinertia = (
+                tensor[0][0],
+                tensor[1][1],
+                tensor[2][2],
+                tensor[0][1],
+                tensor[0][2],
+                tensor[1][2],
+            )
 
     def _made_up(self, link: Link, mass: float) -> Matrix:
-        """The inertia of a link that has a mass but none: that of the box around its mesh, or else a trace."""
+        """The inertia of a link that has a mass but none: that of the box around its mesh, or else a
+        trace."""
         for piece in link.collisions:
             if isinstance(piece.shape, Mesh):
                 corners = mesh_triangles(piece.shape).reshape(-1, 3)
@@ -332,14 +418,14 @@ class ModelBuilder:
                 return frames.diagonal((mass / 12 * (y + z), mass / 12 * (x + z), mass / 12 * (x + y)))
         return frames.diagonal((ROOT_MASS_FRACTION * mass,) * 3)
 
-    def _joint(self, made: MjObject, joint: Joint) -> MjObject:
+    def _joint(self, element: MjObject, joint: Joint) -> MjObject:
         kinds = mj.mjtJoint
         lower, upper = joint.limit.lower, joint.limit.upper
         open_ended = joint.type == "continuous" or (lower is None and upper is None)
         low, high = -1e9 if lower is None else lower, 1e9 if upper is None else upper
         self._elements += 1
         name = f"j{self._elements}"
-        added = made.add_joint(
+        added = element.add_joint(
             name=name,
             type=kinds.mjJNT_SLIDE if joint.type == "prismatic" else kinds.mjJNT_HINGE,
             axis=joint.axis,
@@ -353,7 +439,11 @@ class ModelBuilder:
             solimp_friction=CONTACT_IMPEDANCE,
         )
         actuator = self._spec.add_actuator(
-            name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT, biastype=mj.mjtBias.mjBIAS_AFFINE, gaintype=mj.mjtGain.mjGAIN_FIXED
+            name=name,
+            target=name,
+            trntype=mj.mjtTrn.mjTRN_JOINT,
+            biastype=mj.mjtBias.mjBIAS_AFFINE,
+            gaintype=mj.mjtGain.mjGAIN_FIXED,
         )
         actuator.gainprm[0] = 1.0
         return added
@@ -370,54 +460,77 @@ class ModelBuilder:
             solimp=GEAR_IMPEDANCE,
         )
 
-    def _surface(self, made: MjObject, piece: Geometry, place: int, pooled: bool) -> MjObject:
+    def _surface(self, element: MjObject, piece: Geometry, place: int, pooled: bool) -> MjObject:
         position, turned = frames.frame(piece.origin)
         color = piece.color or LINK_COLORS[place % len(LINK_COLORS)]
-        about: dict[str, Any] = {"pos": position, "quat": _wxyz(turned), "rgba": color if self._for_rendering else (1, 1, 1, 1)}
+        about: dict[str, Any] = {
+            "pos": position,
+            "quat": _wxyz(turned),
+            "rgba": color if self._for_rendering else (1, 1, 1, 1),
+        }
         group = HIDDEN_GROUP if pooled and not self._for_rendering else SOLID_GROUP
         kinds = mj.mjtGeom
         match piece.shape:
             case Box(size):
-                return self._geom(made, group, type=kinds.mjGEOM_BOX, size=[side / 2 for side in size], **about)
+                return self._geom(
+                    element, group, type=kinds.mjGEOM_BOX, size=[side / 2 for side in size], **about
+                )
             case Sphere(radius):
-                return self._geom(made, group, type=kinds.mjGEOM_SPHERE, size=(radius, 0, 0), **about)
+                return self._geom(element, group, type=kinds.mjGEOM_SPHERE, size=(radius, 0, 0), **about)
             case Cylinder(radius, length):
-                return self._geom(made, group, type=kinds.mjGEOM_CYLINDER, size=(radius, length / 2, 0), **about)
+                return self._geom(
+                    element, group, type=kinds.mjGEOM_CYLINDER, size=(radius, length / 2, 0), **about
+                )
             case Capsule(radius, length):
-                return self._geom(made, group, type=kinds.mjGEOM_CAPSULE, size=(radius, length / 2, 0), **about)
+                return self._geom(
+                    element, group, type=kinds.mjGEOM_CAPSULE, size=(radius, length / 2, 0), **about
+                )
             case Mesh():
-                return self._geom(made, group, type=kinds.mjGEOM_MESH, meshname=self._mesh(piece.shape), **about)
+                return self._geom(
+                    element, group, type=kinds.mjGEOM_MESH, meshname=self._mesh(piece.shape), **about
+                )
 
-    def _add_tires(self, made: MjObject, link: Link, axle: Joint, cylinders: list[MjObject]) -> list[MjObject]:
-        """For each wheel of a link, the surface that meets flat ground: an ellipsoid within the wheel, which touches in the middle of it.
+    def _add_tires(
+        self, element: MjObject, link: Link, axle: Joint, cylinders: list[MjObject]
+    ) -> list[MjObject]:
+        """For each wheel of a link, the surface that meets flat ground: an ellipsoid within the wheel, which
+        touches in the middle of it.
 
-        A cylinder touches flat ground at both ends of its width, which doubles the constraints and makes a wheel slip in an arc.
+        A cylinder touches flat ground at both ends of its width, which doubles the constraints and makes a
+        wheel slip in an arc.
         """
         tires = []
         for piece, cylinder in zip(link.collisions, cylinders, strict=True):
             if isinstance(piece.shape, Cylinder) and _is_wheel(piece.shape, frames.frame(piece.origin), axle):
                 radius, half = piece.shape.radius, piece.shape.length / 2
                 kind, size = mj.mjtGeom.mjGEOM_ELLIPSOID, (radius, radius, half)
-                tire = self._geom(made, HIDDEN_GROUP, type=kind, size=size, pos=cylinder.pos, quat=cylinder.quat)
+                tire = self._geom(
+                    element, HIDDEN_GROUP, type=kind, size=size, pos=cylinder.pos, quat=cylinder.quat
+                )
                 self._wheels.add(cylinder.name)
                 self._tires.add(tire.name)
                 tires.append(tire)
         return tires
 
     def _mesh(self, mesh: Mesh) -> str:
-        """The triangles of a mesh; MuJoCo lets its convex hull collide, as PyBullet does with meshes that move."""
+        """The triangles of a mesh; MuJoCo lets its convex hull collide, as PyBullet does with meshes that
+        move."""
         corners = mesh_triangles(mesh).reshape(-1, 3)
         vertices, faces = np.unique(corners, axis=0, return_inverse=True)
         self._elements += 1
         name = f"m{self._elements}"
         convex = mj.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        self._spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist(), inertia=convex)
+        self._spec.add_mesh(
+            name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist(), inertia=convex
+        )
         return name
 
-    def _geom(self, made: MjObject, group: int = SOLID_GROUP, **about: Any) -> MjObject:
+    def _geom(self, element: MjObject, group: int = SOLID_GROUP, **about: Any) -> MjObject:
         """A geom that touches nothing but by an entry of its own, and has no mass."""
         self._elements += 1
-        return made.add_geom(name=f"g{self._elements}", contype=0, conaffinity=0, group=group, mass=0.0, **about)
+        return element.add_geom(
+            name=f"g{self._elements}", contype=0, conaffinity=0, group=group, mass=0.0, **about
+        )
 
     # Pairs
 
@@ -436,11 +549,14 @@ class ModelBuilder:
                             gap=0.0,
                             solref=self._response,
                             solreffriction=(0.0, 0.0),
-                            solimp=TIRE_IMPEDANCE if self._tires & {first.name, second.name} else CONTACT_IMPEDANCE,
+                            solimp=TIRE_IMPEDANCE
+                            if self._tires & {first.name, second.name}
+                            else CONTACT_IMPEDANCE,
                         )
 
     def _meet(self, surface: MjObject, other: MjObject) -> bool:
-        """Whether a surface may touch another: a wheel touches flat ground with its tire, and anything else with its cylinder."""
+        """Whether a surface may touch another: a wheel touches flat ground with its tire, and anything else
+        with its cylinder."""
         ground = self._flat and other.type == mj.mjtGeom.mjGEOM_PLANE
         return surface.name not in (self._wheels if ground else self._tires)
 
@@ -449,8 +565,8 @@ class ModelBuilder:
         owned = set(map(id, pool))
         for body, _, _, geoms in self._made:
             if id(body) in owned:
-                for link, made in geoms.items():
-                    yield from ((geom, link in body.static_links) for geom in made)
+                for link, element in geoms.items():
+                    yield from ((geom, link in body.static_links) for geom in element)
 
 
 def _branches(model: MjObject) -> bool:
@@ -462,7 +578,8 @@ def _branches(model: MjObject) -> bool:
 
 
 def _without_excess(tensor: Matrix) -> Matrix:
-    """The inertia, raised in all directions where the largest moment exceeds the sum of the others by rounding; MuJoCo allows none."""
+    """The inertia, raised in all directions where the largest moment exceeds the sum of the others by
+    rounding; MuJoCo allows none."""
     smallest, middle, largest = np.linalg.eigvalsh(tensor).tolist()
     excess = largest - middle - smallest
     if excess <= 0.0:
@@ -479,7 +596,9 @@ def _is_wheel(shape: Cylinder, at: Frame, axle: Joint) -> bool:
     position, turned = at
     axis = frames.rotate(turned, (0.0, 0.0, 1.0))
     off = np.linalg.norm(np.cross(axis, axle.axis)) / np.linalg.norm(axle.axis)
-    return bool(off < AXLE_TOLERANCE and np.linalg.norm(np.cross(axis, position)) < AXLE_TOLERANCE * shape.radius)
+    return bool(
+        off < AXLE_TOLERANCE and np.linalg.norm(np.cross(axis, position)) < AXLE_TOLERANCE * shape.radius
+    )
 
 
 def _wxyz(q: frames.Quaternion) -> tuple[float, float, float, float]:

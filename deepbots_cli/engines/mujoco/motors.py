@@ -34,9 +34,19 @@ class Motors:
         self._motor_of_joint: dict[int, Motor] = {}
         self.gain_updates: dict[Motor, Callable[[], None]] = {}
         """What to call before each engine step for motors that their limits keep from their targets."""
-        self.nominal_armature, self.nominal_inverse_inertia = world.model.dof_armature.copy(), world.model.dof_invweight0.copy()
-        self.actuators = {joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())}
-        world.state_accessors.append((lambda: (dict(self._motor_of_joint), dict(self.gain_updates)), lambda memory: self.restore(*memory)))
+        self.nominal_armature, self.nominal_inverse_inertia = (
+            world.model.dof_armature.copy(),
+            world.model.dof_invweight0.copy(),
+        )
+        self.actuators = {
+            joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())
+        }
+        world.state_accessors.append(
+            (
+                lambda: (dict(self._motor_of_joint), dict(self.gain_updates)),
+                lambda memory: self.restore(*memory),
+            )
+        )
 
     def activate(self, motor: Motor) -> None:
         """Let a motor drive its joints."""
@@ -60,10 +70,14 @@ class Motors:
             motor.gains = []
 
     def torques(self, joints: Sequence[int]) -> TorqueReader:
-        """What motors exerted in the last engine step: without the part that went into the inertia that velocity motors add."""
+        """What motors exerted in the last engine step: without the part that went into the inertia that
+        velocity motors add."""
         world, model = self.world, self.world.model
         dofs = model.jnt_dofadr[list(joints)]
-        exerted, armature, accelerations, usual = world.data.qfrc_actuator, model.dof_armature, world.data.qacc, self.nominal_armature[dofs]
+        exerted = world.data.qfrc_actuator
+        armature = model.dof_armature
+        accelerations = world.data.qacc
+        usual = self.nominal_armature[dofs]
         return lambda: (exerted[dofs] - (armature[dofs] - usual) * accelerations[dofs]).tolist()
 
 
@@ -88,7 +102,8 @@ class Motor:
         self._joint_index = array_index(self.joints)
 
     def _activate(self, *, soft: bool) -> None:
-        """Drive the joints; `soft` limits are those of the joint, beyond which the damping still acts on the inertia."""
+        """Drive the joints; `soft` limits are those of the joint, beyond which the damping still acts on the
+        inertia."""
         model = self._world.model
         ranges = [(-limit, limit) for limit in self._limits]
         model.actuator_biasprm[self._actuators] = 0.0
@@ -106,7 +121,9 @@ class Motor:
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
                 self._activate(soft=False)
-            ctrl[acts] = [min(max(target, -limit), limit) for target, limit in zip(targets, limits, strict=True)]
+            ctrl[acts] = [
+                min(max(target, -limit), limit) for target, limit in zip(targets, limits, strict=True)
+            ]
 
         return write
 
@@ -124,34 +141,49 @@ class Motor:
         return write
 
     def tracking_writer(self, rate: float = 0.0) -> MotorWriter:
-        """A velocity motor, or with a `rate` (1/s) a servo: the target velocity is then the error times the rate.
+        """A velocity motor, or with a `rate` (1/s) a servo: the target velocity is then the error times the
+        rate.
 
         The torque is `gain * (target - velocity)` with the velocity at the end of each engine step.
-        That is the torque by the velocity at its beginning, and `gain * step` more inertia: the motor is stable however light its joint is,
-        and the solver of contacts knows of it. A gain is such that the limit is exerted at the present error, or, close to the target, at
-        a tenth of the target; then the motor does not overshoot. It is renewed in each engine step while the joint needs several of them
-        to reach the target: else the torque would fall below the limit as the joint speeds up, and a servo would swing.
+        That is the torque by the velocity at its beginning, and `gain * step` more inertia: the motor is
+        stable however light its joint is, and the solver of contacts knows of it. A gain is such that the
+        limit is exerted at the present error, or, close to the target, at a tenth of the target; then the
+        motor does not overshoot. It is renewed in each engine step while the joint needs several of them to
+        reach the target: else the torque would fall below the limit as the joint speeds up, and a servo would
+        swing.
         """
         data, model = self._world.data, self._world.model
         step, renewed = model.opt.timestep, self._motors.gain_updates
-        velocity, position = array_reader(data.qvel, self._dof_index), array_reader(data.qpos, self._position_index)
-        usual, inertias = self._motors.nominal_armature[self._dof_index].tolist(), model.dof_M0[self._dof_index].tolist()
+        velocity = array_reader(data.qvel, self._dof_index)
+        position = array_reader(data.qpos, self._position_index)
+        usual = self._motors.nominal_armature[self._dof_index].tolist()
+        inertias = model.dof_M0[self._dof_index].tolist()
         moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
         stiff = [MAX_GAIN * inertia / step for inertia in inertias]
-        bounds = [(stiffest, limit, limit / stiffest) for stiffest, limit in zip(stiff, self._limits, strict=True)]  # the last: an error
-        least = [4.0 * inertia * rate if rate else inertia / step for inertia in inertias]  # gains below these are renewed
+        bounds = [
+            (stiffest, limit, limit / stiffest) for stiffest, limit in zip(stiff, self._limits, strict=True)
+        ]  # the last: an error
+        least = [
+            4.0 * inertia * rate if rate else inertia / step for inertia in inertias
+        ]  # gains below these are renewed
         # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
         ctrl: Any = memoryview(data.ctrl)
         bias: Any = memoryview(model.actuator_biasprm.reshape(-1))
         armature: Any = memoryview(model.dof_armature)
-        inverses: Any = memoryview(model.dof_invweight0)  # by which MuJoCo scales the stiffness of joint limits
+        inverses: Any = memoryview(
+            model.dof_invweight0
+        )  # by which MuJoCo scales the stiffness of joint limits
         width = model.actuator_biasprm.shape[1]
         acts = [self._motors.actuators[joint] for joint in self.joints]
         dofs = model.jnt_dofadr[list(self.joints)].tolist()
         by_joint = list(zip(acts, [width * act for act in acts], dofs, usual, moved, strict=True))
 
         def aim(targets: Sequence[float]) -> None:
-            wanted = [(target - now) * rate for target, now in zip(targets, position(), strict=True)] if rate else targets
+            wanted = (
+                [(target - now) * rate for target, now in zip(targets, position(), strict=True)]
+                if rate
+                else targets
+            )
             gains = velocity_gains(wanted, velocity(), bounds)
             targets = tuple(targets)
             if gains == self.gains and targets == self.targets:
@@ -187,8 +219,11 @@ def servo_rate(model: Any) -> float:
     return 1.0 / max(SERVO_TIME, model.opt.timestep)  # type: ignore[no-any-return]
 
 
-def velocity_gains(targets: Sequence[float], velocities: Sequence[float], bounds: Sequence[tuple[float, float, float]]) -> list[float]:
-    """The gains of a velocity motor; `bounds` are the largest gain, the limit, and the error at which this gain exerts the limit."""
+def velocity_gains(
+    targets: Sequence[float], velocities: Sequence[float], bounds: Sequence[tuple[float, float, float]]
+) -> list[float]:
+    """The gains of a velocity motor; `bounds` are the largest gain, the limit, and the error at which this
+    gain exerts the limit."""
     gains = []
     for target, now, (stiffest, limit, near) in zip(targets, velocities, bounds, strict=True):
         off, least = abs(target - now), MIN_ERROR_SHARE * abs(target)
@@ -201,11 +236,16 @@ def velocity_gains(targets: Sequence[float], velocities: Sequence[float], bounds
 def array_index(numbers: Sequence[int]) -> Any:
     """An index of these places: a slice where they follow each other, which numpy reads in half the time."""
     first, count = numbers[0], len(numbers)
-    return slice(first, first + count) if list(numbers) == list(range(first, first + count)) else np.array(numbers)
+    return (
+        slice(first, first + count)
+        if list(numbers) == list(range(first, first + count))
+        else np.array(numbers)
+    )
 
 
 def array_reader(array: Any, numbers: Any) -> Callable[[], list[float]]:
-    """Reads these places of an array of the state: through a view where they follow each other, which saves making one."""
+    """Reads these places of an array of the state: through a view where they follow each other, which saves
+    making one."""
     index = numbers if isinstance(numbers, slice) else array_index(list(numbers))
     if isinstance(index, slice):
         return array[index].tolist  # type: ignore[no-any-return]

@@ -1,8 +1,9 @@
 """The state of a world, what is derived from it when somebody asks, and the values that an episode varies.
 
-After `mj_step`, MuJoCo's positions of links, velocities and contacts are those of the state before the step. Therefore joints and
-free root links are read from the state itself, and positions and velocities of other links are computed from it once, when they are first
-asked for. Contacts and forces are those of the last step, which is what the port promises.
+After `mj_step`, MuJoCo's positions of links, velocities and contacts are those of the state before the step.
+Therefore joints and free root links are read from the state itself, and positions and velocities of other
+links are computed from it once, when they are first asked for. Contacts and forces are those of the last
+step, which is what the port promises.
 """
 
 from __future__ import annotations
@@ -28,18 +29,31 @@ if TYPE_CHECKING:
 FULL_STATE = int(mj.mjtState.mjSTATE_INTEGRATION)
 VARIED_ARRAYS = (
     *("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "body_gravcomp"),
-    *("dof_invweight0", "dof_M0", "dof_damping", "dof_frictionloss", "dof_armature", "jnt_actfrclimited", "jnt_actfrcrange"),
+    *(
+        "dof_invweight0",
+        "dof_M0",
+        "dof_damping",
+        "dof_frictionloss",
+        "dof_armature",
+        "jnt_actfrclimited",
+        "jnt_actfrcrange",
+    ),
     *("actuator_biasprm", "actuator_forcelimited", "actuator_forcerange", "actuator_acc0"),
     *("geom_group", "pair_friction", "pair_dim", "pair_solref", "pair_solimp"),
 )
 """The arrays of a model that an episode may change, and those that follow from them."""
 LATERAL, SPINNING, ROLLING, RESTITUTION = range(4)
-_SURFACE = {"lateral_friction": LATERAL, "spinning_friction": SPINNING, "rolling_friction": ROLLING, "restitution": RESTITUTION}
+_SURFACE = {
+    "lateral_friction": LATERAL,
+    "spinning_friction": SPINNING,
+    "rolling_friction": ROLLING,
+    "restitution": RESTITUTION,
+}
 BOUNCE_STEPS, BOUNCE_TIME = (6.0, 16.0), 0.016
 """Engine steps and time (s) that a bounce takes: the time, as far as the steps allow.
 
-A longer bounce keeps its restitution better and sinks deeper. Of 0.8, 0.79 to 0.81 is left at steps of 1 ms, and 0.77 to 0.85 at 4 ms and
-at 16 ms, by how far a ball sinks before the first step sees it.
+A longer bounce keeps its restitution better and sinks deeper. Of 0.8, 0.79 to 0.81 is left at steps of 1 ms,
+and 0.77 to 0.85 at 4 ms and at 16 ms, by how far a ball sinks before the first step sees it.
 """
 BOUNCE_IMPEDANCE = 0.99  # the impedance of a bounce: the share of its spring that the solver applies
 ContactForce = tuple[int, int, float]
@@ -59,7 +73,8 @@ class WorldSnapshot(NamedTuple):
 
 
 class MujocoWorld:
-    """A model with its state. `has_positions` and `has_velocities` say whether positions and velocities of links are those of the state."""
+    """A model with its state. `has_positions` and `has_velocities` say whether positions and velocities of
+    links are those of the state."""
 
     def __init__(self, model: Any, world: WorldModel, pools: Sequence[Pool[Body]]) -> None:
         self.model, self.data, self.scratch_data = model, mj.MjData(model), mj.MjData(model)
@@ -71,26 +86,51 @@ class MujocoWorld:
         self._mass_changed = self._friction_changed = True
         self.is_stale = True
         self.state_accessors: list[tuple[Callable[[], object], Callable[[Any], object]]] = []
-        """How to read and to write what others remember of an episode; a reset restores what they remembered at first."""
+        """How to read and to write what others remember of an episode; a reset restores what they remembered
+        at first."""
         self.surfaces = np.zeros((model.ngeom, 4))
         for pool in pools:
             for body in pool:
                 for link, geoms in body.geoms.items():
                     rubs = body.model.link(link).friction
                     lateral = 1.0 if rubs.lateral is None else rubs.lateral
-                    self.surfaces[geoms] = (lateral, rubs.spinning or 0.0, rubs.rolling or 0.0, rubs.restitution or 0.0)
-        self._initial_positions = model.qpos0.copy(), np.array(self.data.mocap_pos), np.array(self.data.mocap_quat)
+                    self.surfaces[geoms] = (
+                        lateral,
+                        rubs.spinning or 0.0,
+                        rubs.rolling or 0.0,
+                        rubs.restitution or 0.0,
+                    )
+        self._initial_positions = (
+            model.qpos0.copy(),
+            np.array(self.data.mocap_pos),
+            np.array(self.data.mocap_quat),
+        )
         """Positions of joints and of bodies at the beginning of an episode."""
         for body in (body for pool in pools for body in pool):
             position, (x, y, z, w) = body.initial_pose
             if body.mocap_index >= 0:
-                self._initial_positions[1][body.mocap_index], self._initial_positions[2][body.mocap_index] = position, (w, x, y, z)
+                self._initial_positions[1][body.mocap_index], self._initial_positions[2][body.mocap_index] = (
+                    position,
+                    (w, x, y, z),
+                )
             elif body.position_index >= 0:
-                self._initial_positions[0][body.position_index : body.position_index + 7] = (*position, w, x, y, z)
+                self._initial_positions[0][body.position_index : body.position_index + 7] = (
+                    *position,
+                    w,
+                    x,
+                    y,
+                    z,
+                )
             for follower, mimic in body.model.followers.items():
                 self._initial_positions[0][model.jnt_qposadr[body.joints[follower]]] = mimic.offset
-        model.dof_simplenum[:] = 0  # MuJoCo would take the inertia of simple bodies from `dof_M0`; motors change `dof_armature`
-        self._varied_arrays = [model.opt.gravity, self.surfaces, *(getattr(model, name) for name in VARIED_ARRAYS)]
+        model.dof_simplenum[:] = (
+            0  # MuJoCo would take the inertia of simple bodies from `dof_M0`; motors change `dof_armature`
+        )
+        self._varied_arrays = [
+            model.opt.gravity,
+            self.surfaces,
+            *(getattr(model, name) for name in VARIED_ARRAYS),
+        ]
         self._nominal = [np.array(values) for values in self._varied_arrays]
         self.update_constants()
         self._initial_values = self._copy_values()
@@ -124,7 +164,9 @@ class MujocoWorld:
         if self._forces is None:
             contact, exerted = self.data.contact, self.data.efc_force.tolist()
             pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
-            self._forces = [(one, other, exerted[place] if place >= 0 else 0.0) for (one, other), place in pairs]
+            self._forces = [
+                (one, other, exerted[place] if place >= 0 else 0.0) for (one, other), place in pairs
+            ]
         return self._forces
 
     # Course of an episode
@@ -174,7 +216,9 @@ class MujocoWorld:
         mj.mj_getState(self.model, self.data, state, FULL_STATE)
         memory = (*self.memory(), *(read() for read, _ in self.state_accessors))
         data = self.data
-        return WorldSnapshot(state, *self._copy_values(), data.qfrc_actuator.copy(), data.qacc.copy(), self.forces, memory)
+        return WorldSnapshot(
+            state, *self._copy_values(), data.qfrc_actuator.copy(), data.qacc.copy(), self.forces, memory
+        )
 
     def restore(self, snapshot: WorldSnapshot) -> None:
         self.require_open()
@@ -189,8 +233,13 @@ class MujocoWorld:
         self._forces, self.has_pushes = snapshot.forces, bool(self.data.xfrc_applied.any())
 
     def memory(self) -> tuple[Any, ...]:
-        """What an episode has besides its state and the values of the model: which bodies are there in which form, colors, light."""
-        return tuple((pool.present, pool.current) for pool in self.pools.values()), dict(self.colors), self.light
+        """What an episode has besides its state and the values of the model: which bodies are there in which
+        form, colors, light."""
+        return (
+            tuple((pool.present, pool.current) for pool in self.pools.values()),
+            dict(self.colors),
+            self.light,
+        )
 
     def remember(self, memory: tuple[Any, ...]) -> None:
         pools, colors, self.light = memory
@@ -215,7 +264,9 @@ class MujocoWorld:
 
     # Values of an episode
 
-    def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], values: Sequence[float]) -> None:
+    def set_parameter(
+        self, parameter: EngineParameter, owner: tuple[str, ...], values: Sequence[float]
+    ) -> None:
         """See `Engine.set_parameter`."""
         self.is_stale = True
         match parameter:
@@ -226,7 +277,9 @@ class MujocoWorld:
             case "joint_damping" | "joint_friction":
                 body = self.body(owner[0])
                 dof = self.model.jnt_dofadr[find(body.joints, owner[1], f"'{owner[0]}' has no joint")]
-                (self.model.dof_damping if parameter == "joint_damping" else self.model.dof_frictionloss)[dof] = values[0]
+                (self.model.dof_damping if parameter == "joint_damping" else self.model.dof_frictionloss)[
+                    dof
+                ] = values[0]
             case _:
                 body = self.body(owner[0])
                 link = owner[1] or body.model.root
@@ -246,10 +299,14 @@ class MujocoWorld:
         """The inertia scales with the mass. The base of a fixed body keeps its mass, which means nothing."""
         if body.fixed and link == body.root_id:
             return
-        masses, moments = (self._nominal[2 + VARIED_ARRAYS.index(name)] for name in ("body_mass", "body_inertia"))
+        masses, moments = (
+            self._nominal[2 + VARIED_ARRAYS.index(name)] for name in ("body_mass", "body_inertia")
+        )
         usual = float(masses[link])
         if not (usual > 0.0 and mass > 0.0):
-            raise EngineError(f"the mass of a link of '{body.name}' cannot go from {usual:g} kg to {mass:g} kg")
+            raise EngineError(
+                f"the mass of a link of '{body.name}' cannot go from {usual:g} kg to {mass:g} kg"
+            )
         self.model.body_mass[link] = mass
         self.model.body_inertia[link] = moments[link] * (mass / usual)
         self._mass_changed = True
@@ -257,15 +314,19 @@ class MujocoWorld:
     def _update_contact_pairs(self) -> None:
         """Friction and restitution of all pairs.
 
-        Friction and restitution are products; of spinning and rolling friction each side counts with the friction of the other. This is how
-        PyBullet combines them.
+        Friction and restitution are products; of spinning and rolling friction each side counts with the
+        friction of the other. This is how PyBullet combines them.
         """
         model = self.model
         one, other = self.surfaces[model.pair_geom1].T, self.surfaces[model.pair_geom2].T
         sliding = one[LATERAL] * other[LATERAL]
-        spinning, rolling = (one[kind] * other[LATERAL] + other[kind] * one[LATERAL] for kind in (SPINNING, ROLLING))
+        spinning, rolling = (
+            one[kind] * other[LATERAL] + other[kind] * one[LATERAL] for kind in (SPINNING, ROLLING)
+        )
         model.pair_friction[:] = np.stack([sliding, sliding, spinning, rolling, rolling], axis=1)
-        model.pair_dim[:] = np.where(rolling > 0.0, 6, np.where(spinning > 0.0, 4, np.where(sliding > 0.0, 3, 1)))
+        model.pair_dim[:] = np.where(
+            rolling > 0.0, 6, np.where(spinning > 0.0, 4, np.where(sliding > 0.0, 3, 1))
+        )
         model.pair_solref[:], model.pair_solimp[:] = (
             self._nominal[2 + VARIED_ARRAYS.index(name)] for name in ("pair_solref", "pair_solimp")
         )
@@ -283,12 +344,13 @@ class MujocoWorld:
         for body in (pool.current for pool in robots_first):
             joints = list(body.joints.values())
             places, speeds = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
-            states: Iterable[tuple[str, FloatArray]] = (("joints", data.qpos[places]), ("joints", data.qvel[speeds]))
+            states: Iterable[tuple[str, FloatArray]] = (
+                ("joints", data.qpos[places]),
+                ("joints", data.qvel[speeds]),
+            )
             if body.position_index >= 0:
-                pose, speed = (
-                    data.qpos[body.position_index : body.position_index + 7],
-                    data.qvel[body.velocity_index : body.velocity_index + 6],
-                )
+                pose = data.qpos[body.position_index : body.position_index + 7]
+                speed = data.qvel[body.velocity_index : body.velocity_index + 6]
                 states = (("pose", pose), ("pose", speed), *states)
             for what, values in states:
                 if not np.isfinite(values).all():
@@ -296,10 +358,12 @@ class MujocoWorld:
 
 
 def bounce_spring(restitution: float, step: float) -> tuple[float, float]:
-    """Stiffness and damping of a contact, per mass and negative as MuJoCo takes them, which give this share of the speed back.
+    """Stiffness and damping of a contact, per mass and negative as MuJoCo takes them, which give this share
+    of the speed back.
 
-    A damped spring that lets go when it exerts nothing keeps exp(-z / s * (pi - atan2(2 z s, s^2 - z^2))) with the damping ratio z and
-    s = sqrt(1 - z^2); see Schwager and Poeschel, Granular Matter 9 (2007). Nothing bounces by less than exp(-2) here.
+    A damped spring that lets go when it exerts nothing keeps exp(-z / s * (pi - atan2(2 z s, s^2 - z^2)))
+    with the damping ratio z and s = sqrt(1 - z^2); see Schwager and Poeschel, Granular Matter 9 (2007).
+    Nothing bounces by less than exp(-2) here.
     """
     low, high = 0.0, 1.0 - 1e-9
     for _ in range(60):

@@ -31,7 +31,10 @@ class ContactMonitor:
     """Looks after every engine step at what touches, for all contact readers of a world."""
 
     def __init__(self, world: MujocoWorld) -> None:
-        self._data, self._contacts = world.data, world.data.contact  # which stays that of the last engine step
+        self._data, self._contacts = (
+            world.data,
+            world.data.contact,
+        )  # which stays that of the last engine step
         self._readers_by_pair: dict[tuple[int, int], list[int]] = {}
         self._touched: list[bool] = []
         self._all_false: list[bool] = []
@@ -45,7 +48,8 @@ class ContactMonitor:
         self._touched[: len(touched)] = touched
 
     def update(self) -> None:
-        """Marks the readers of the pairs of geoms in contact; `_ignored_pairs` are pairs that mean nothing to any of them."""
+        """Marks the readers of the pairs of geoms in contact; `_ignored_pairs` are pairs that mean nothing to
+        any of them."""
         if self._data.ncon:
             pairs = self._contacts.geom.tolist()
             if pairs != self._ignored_pairs:
@@ -75,24 +79,30 @@ def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
 def clearance(world: MujocoWorld, ones: Sequence[int], others: Sequence[int]) -> ClearanceReader:
     """Tires, which are within their wheels, are left out."""
     model, data = world.model, world.data
-    pairs = [(one, other) for one in ones for other in others if ELLIPSOID not in (model.geom_type[one], model.geom_type[other])]
+    pairs = [
+        (one, other)
+        for one in ones
+        for other in others
+        if ELLIPSOID not in (model.geom_type[one], model.geom_type[other])
+    ]
 
     between = mj.mj_geomDistance
 
     def distance() -> float:
         world.update_positions()
-        found = MAX_CLEARANCE_M
+        smallest = MAX_CLEARANCE_M
         for one, other in pairs:
-            apart = between(model, data, one, other, found, None)
-            if apart < found:
-                found = apart
-        return max(0.0, found) if found < MAX_CLEARANCE_M else inf
+            apart = between(model, data, one, other, smallest, None)
+            if apart < smallest:
+                smallest = apart
+        return max(0.0, smallest) if smallest < MAX_CLEARANCE_M else inf
 
     return distance
 
 
 def penetrations(world: MujocoWorld) -> Iterable[tuple[int, int, float]]:
-    """Geoms within each other and by how much (m), as the world stands; looked for in a state of its own, so that nothing changes."""
+    """Geoms within each other and by how much (m), as the world stands; looked for in a state of its own, so
+    that nothing changes."""
     model, data, spare = world.model, world.data, world.scratch_data
     for name in ("qpos", "mocap_pos", "mocap_quat"):
         getattr(spare, name)[:] = getattr(data, name)
@@ -108,7 +118,8 @@ def penetrations(world: MujocoWorld) -> Iterable[tuple[int, int, float]]:
 
 
 def rays(world: MujocoWorld, body: Body, link: int, ray_frames: Sequence[Frame], reach: float) -> RayReader:
-    """Rays whose lines meet in a point are cast from there in one call, which costs a quarter of a call for each."""
+    """Rays whose lines meet in a point are cast from there in one call, which costs a quarter of a call for
+    each."""
     model, data = world.model, world.data
     own = body.geoms_of(None)
     groups = model.geom_group[min(own) : max(own) + 1] if own else model.geom_group[:0]
@@ -145,9 +156,25 @@ def rays(world: MujocoWorld, body: Body, link: int, ray_frames: Sequence[Frame],
         world.update_positions()
         kept = groups.copy()
         groups.fill(HIDDEN_GROUP)
-        mj.mj_multiRay(model, data, position + axes @ center, (axes @ aside).T.ravel(), seen, True, -1, geoms, met, None, count, far)
+        mj.mj_multiRay(
+            model,
+            data,
+            position + axes @ center,
+            (axes @ aside).T.ravel(),
+            seen,
+            True,
+            -1,
+            geoms,
+            met,
+            None,
+            count,
+            far,
+        )
         lengths = met.tolist()
-        free = [reach if length < 0.0 else min(length - start, reach) for length, start in zip(lengths, ahead, strict=True)]
+        free = [
+            reach if length < 0.0 else min(length - start, reach)
+            for length, start in zip(lengths, ahead, strict=True)
+        ]
         for place, length in enumerate(free):
             if length < 0.0:  # something is between the center and the start
                 origin, way = position + axes @ starts[place], axes @ directions[place]

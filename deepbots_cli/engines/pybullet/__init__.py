@@ -2,7 +2,8 @@
 
 engine.py      the engine: one world in a client of its own
 loading.py     ground, walls, objects and robots, built from the world model
-state.py       bodies with links and joints by name; joints, poses and velocities; masses, friction, colors that an episode varies
+state.py       bodies with links and joints by name; joints, poses and velocities; masses, friction, colors
+               that an episode varies
 motors.py      motors and springs on joints, and forces on links
 surfaces.py    what touches what and how hard, distances between surfaces and along rays
 cameras.py     pictures: bodies, floor and sky
@@ -35,7 +36,8 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def capture_native_output() -> Iterator[Callable[[], str]]:
-    """Catch what is written to the process's own stdout and stderr, below Python's; yields a way to read it."""
+    """Catch what is written to the process's own stdout and stderr, below Python's; yields a way to read
+    it."""
     _flush()
     with tempfile.TemporaryFile() as caught:
         kept: list[tuple[int, int]] = []
@@ -74,7 +76,13 @@ with capture_native_output():  # it prints the time of its build
 __all__ = ["BASE", "FAINT", "GAINS", "STRONGEST", "UNREACHABLE", "capture_native_output", "pybullet"]
 
 BASE_LINK = -1  # the number of a root link
-NEGLIGIBLE_FORCE = 1e-200  # N m or N; stands for no force, at which a motor would go on reporting what it last exerted
+NEGLIGIBLE_FORCE = (
+    1e-200  # N m or N; stands for no force, at which a motor would go on reporting what it last exerted
+)
 UNLIMITED_FORCE = 1e12  # N m or N; stands for an unlimited motor
 UNREACHABLE_SPEED = 1e9  # rad/s or m/s; a velocity motor that aims there exerts exactly its limit
-DEFAULT_GAINS = (0.1, 1.0, -1.0)  # the library's own position and velocity gain, and no cap; positional arguments cost half of named ones
+DEFAULT_GAINS = (
+    0.1,
+    1.0,
+    -1.0,
+)  # the library's own position and velocity gain, and no cap; positional arguments cost half of named ones

@@ -1,7 +1,7 @@
 """Pictures of the world: PyBullet's software renderer draws bodies, this module draws floor and sky.
 
-A software renderer shades a floor pixel by pixel (22 ms of a 30 ms picture of 480 x 320, measured), although it
-looks the same in every picture of one view.
+A software renderer shades a floor pixel by pixel (22 ms of a 30 ms picture of 480 x 320, measured), although
+it looks the same in every picture of one view.
 """
 
 from __future__ import annotations
@@ -29,13 +29,17 @@ if TYPE_CHECKING:
 TILE_SIZE_M = 0.25  # m
 _LIGHT_TILE, _DARK_TILE = np.array([222, 227, 232], np.float32), np.array([198, 206, 214], np.float32)
 _DARK_TILE_SHARE = 0.9  # of the darker tiles of a floor that has a color of its own
-_PAINT_CELL_M, _MAX_PAINT_CELLS = 0.002, 2000  # m across a cell of paint, and how many there are along a side before they grow
+_PAINT_CELL_M, _MAX_PAINT_CELLS = (
+    0.002,
+    2000,
+)  # m across a cell of paint, and how many there are along a side before they grow
 _MAX_PAINTS = 255
 _HORIZON_COLOR, _ZENITH_COLOR = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
 _HAZE_DISTANCE_M = 12.0  # m; the distance over which the floor fades into the horizon
 NEAR_CLIP_M = 0.01  # m
-# m by which the eye is moved ahead. The renderer counts pixels of corners that lie in the plane of the eye, as those of a flat
-# side do on whose link the camera sits, beyond the range of its integers, and then goes through all of them: minutes a picture.
+# m by which the eye is moved ahead. The renderer counts pixels of corners that lie in the plane of the eye,
+# as those of a flat side do on whose link the camera sits, beyond the range of its integers, and then goes
+# through all of them: minutes a picture.
 EYE_OFFSET_M = 1.7e-5
 
 
@@ -54,9 +58,12 @@ class Floor:
         self._dark = _DARK_TILE if color is None else self._light * np.float32(_DARK_TILE_SHARE)
 
     def __call__(self, x: FloatArray, y: FloatArray, across: FloatArray) -> FloatArray:
-        """Shape (n, 3), 0 to 255, seen in pixels `across` m long; tiles too small for a pixel melt into their mean."""
+        """Shape (n, 3), 0 to 255, seen in pixels `across` m long; tiles too small for a pixel melt into their
+        mean."""
         sharp = np.clip(1.5 - across * np.float32(1 / TILE_SIZE_M), 0.0, 1.0)
-        odd = (np.floor(x * np.float32(1 / TILE_SIZE_M)) + np.floor(y * np.float32(1 / TILE_SIZE_M))).astype(np.int32) & 1
+        odd = (np.floor(x * np.float32(1 / TILE_SIZE_M)) + np.floor(y * np.float32(1 / TILE_SIZE_M))).astype(
+            np.int32
+        ) & 1
         shade = 0.5 + (odd - np.float32(0.5)) * sharp
         colors = self._light + (self._dark - self._light) * shade[:, None]
         return colors if self._paint is None else self._paint.paint(colors, x, y)
@@ -66,7 +73,12 @@ class PaintMap:
     """Painted lines as a picture from above: cells of 2 mm, or larger for paint that covers more than 4 m."""
 
     def __init__(self, lines: Sequence[Line]) -> None:
-        edges = [(x + s * line.width, y + s * line.width) for line in lines for x, y in line.points for s in (-0.5, 0.5)]
+        edges = [
+            (x + s * line.width, y + s * line.width)
+            for line in lines
+            for x, y in line.points
+            for s in (-0.5, 0.5)
+        ]
         xs, ys = zip(*edges, strict=True)
         self._corner = min(xs), min(ys)
         size = max(max(xs) - min(xs), max(ys) - min(ys))
@@ -87,18 +99,28 @@ class PaintMap:
             first = max(int((ends[0] - half - self._corner[axis]) / self._cell), 0)
             last = min(int((ends[1] + half - self._corner[axis]) / self._cell) + 1, self._cells.shape[axis])
             spans.append(slice(first, last))
-        x, y = (self._corner[axis] + self._cell * (np.arange(span.start, span.stop) + 0.5) for axis, span in enumerate(spans))
+        x, y = (
+            self._corner[axis] + self._cell * (np.arange(span.start, span.stop) + 0.5)
+            for axis, span in enumerate(spans)
+        )
         dx, dy = end[0] - start[0], end[1] - start[1]
         length = hypot(dx, dy) or 1.0
         ahead = ((x[:, None] - start[0]) * dx + (y[None, :] - start[1]) * dy) / length
         foot = np.clip(ahead, 0.0, length)
-        apart = np.hypot(x[:, None] - start[0] - foot * dx / length, y[None, :] - start[1] - foot * dy / length)
+        apart = np.hypot(
+            x[:, None] - start[0] - foot * dx / length, y[None, :] - start[1] - foot * dy / length
+        )
         self._cells[spans[0], spans[1]][apart <= half] = paint
 
     def paint(self, colors: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """The colors with the paint at points over them."""
-        column, row = ((values - np.float32(low)) * np.float32(1 / self._cell) for values, low in zip((x, y), self._corner, strict=True))
-        inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < self._cells.shape[0]) & (row < self._cells.shape[1]))
+        column, row = (
+            (values - np.float32(low)) * np.float32(1 / self._cell)
+            for values, low in zip((x, y), self._corner, strict=True)
+        )
+        inside = np.flatnonzero(
+            (column >= 0) & (row >= 0) & (column < self._cells.shape[0]) & (row < self._cells.shape[1])
+        )
         paints = self._cells[column[inside].astype(np.int32), row[inside].astype(np.int32)]
         painted = inside[paints > 0]
         colors[painted] = self._colors[paints[paints > 0]]
@@ -106,27 +128,41 @@ class PaintMap:
 
 
 def fill_background(
-    picture: Image, where: NDArray[np.bool_], eye: Triple, rays: NDArray[np.float32], pixel: float, floor: Floor | None
+    picture: Image,
+    where: NDArray[np.bool_],
+    eye: Triple,
+    rays: NDArray[np.float32],
+    pixel: float,
+    floor: Floor | None,
 ) -> None:
     """Draw what is seen where no body is into the pixels `where` of a picture.
 
-    `rays` have a length of 1 along the line of sight (world frame), `pixel` is the width of a pixel at a distance of
-    1 m.
+    `rays` have a length of 1 along the line of sight (world frame), `pixel` is the width of a pixel at a
+    distance of 1 m.
     """
     down = rays[..., 2] < -1e-6 if floor is not None and eye[2] > 0.0 else np.zeros_like(where)
     sky = where & ~down
     if sky.any():
         x, y, z = rays[sky].T
         picture[sky] = (
-            _HORIZON_COLOR + (_ZENITH_COLOR - _HORIZON_COLOR) * np.clip(2.0 * z / np.sqrt(x * x + y * y + z * z), 0.0, 1.0)[:, None]
+            _HORIZON_COLOR
+            + (_ZENITH_COLOR - _HORIZON_COLOR)
+            * np.clip(2.0 * z / np.sqrt(x * x + y * y + z * z), 0.0, 1.0)[:, None]
         )
     ground = where & down
     if floor is not None and ground.any():
         x, y, z = rays[ground].T
         times = np.float32(-eye[2]) / z
         reach = times * np.sqrt(x * x + y * y + z * z)
-        colors = floor(np.float32(eye[0]) + x * times, np.float32(eye[1]) + y * times, np.float32(pixel / eye[2]) * reach * reach)
-        picture[ground] = _HORIZON_COLOR + (colors - _HORIZON_COLOR) * np.exp(reach * np.float32(-1 / _HAZE_DISTANCE_M))[:, None]
+        colors = floor(
+            np.float32(eye[0]) + x * times,
+            np.float32(eye[1]) + y * times,
+            np.float32(pixel / eye[2]) * reach * reach,
+        )
+        picture[ground] = (
+            _HORIZON_COLOR
+            + (colors - _HORIZON_COLOR) * np.exp(reach * np.float32(-1 / _HAZE_DISTANCE_M))[:, None]
+        )
 
 
 def downsampled(picture: Image, samples: int) -> Image:
@@ -143,7 +179,11 @@ def downsampled(picture: Image, samples: int) -> Image:
 
 def brightened(picture: Image, brightness: float) -> Image:
     """The picture in another light; 1 leaves it as it is."""
-    return picture if brightness == 1.0 else np.asarray(np.clip(picture * np.float32(brightness), 0.0, 255.0), dtype=np.uint8)
+    return (
+        picture
+        if brightness == 1.0
+        else np.asarray(np.clip(picture * np.float32(brightness), 0.0, 255.0), dtype=np.uint8)
+    )
 
 
 class CameraPose(NamedTuple):
@@ -179,7 +219,10 @@ class Camera:
         self._rays = np.ones((height, width, 3), np.float32)
         self._rays[..., 1] = across - self._pixel * (np.arange(width) + 0.5)[None, :]
         self._rays[..., 2] = upward - self._pixel * (np.arange(height) + 0.5)[:, None]
-        shift, near = self._pixel / 2, NEAR_CLIP_M  # the renderer looks through the upper left corner of a pixel, turned upside down
+        shift, near = (
+            self._pixel / 2,
+            NEAR_CLIP_M,
+        )  # the renderer looks through the upper left corner of a pixel, turned upside down
         frustum = (near * edge for edge in (shift - across, shift + across, shift - upward, shift + upward))
         self._projection = p.computeProjectionMatrix(*frustum, near, CAMERA_RANGE_M)
 
@@ -203,7 +246,11 @@ class Camera:
         )
         shape = (height, width)
         colors = np.asarray(pixels, np.uint8).reshape(*shape, 4)[..., :3]
-        return colors, np.asarray(buffer, np.float32).reshape(shape), np.asarray(numbers, np.int32).reshape(shape)
+        return (
+            colors,
+            np.asarray(buffer, np.float32).reshape(shape),
+            np.asarray(numbers, np.int32).reshape(shape),
+        )
 
     def _world_rays(self, aim: CameraPose) -> NDArray[np.float32]:
         """The line of sight of each pixel in the world frame, with a length of 1 ahead."""
@@ -218,14 +265,26 @@ class Camera:
         """Floor and sky."""
         width, height = self._size
         picture = np.zeros((height, width, 3), np.uint8)
-        fill_background(picture, np.ones((height, width), np.bool_), aim.eye, self._world_rays(aim), self._pixel, self._floor)
+        fill_background(
+            picture,
+            np.ones((height, width), np.bool_),
+            aim.eye,
+            self._world_rays(aim),
+            self._pixel,
+            self._floor,
+        )
         return picture
 
-    def camera_image(self, aim: CameraPose, places: NDArray[np.int32], ground: int, names: tuple[str, ...]) -> CameraImage:
-        """All that is seen; `places` are those of PyBullet's numbers among `names`, `ground` is that of the floor."""
+    def camera_image(
+        self, aim: CameraPose, places: NDArray[np.int32], ground: int, names: tuple[str, ...]
+    ) -> CameraImage:
+        """All that is seen; `places` are those of PyBullet's numbers among `names`, `ground` is that of the
+        floor."""
         seen, buffer, numbers = self._rendered(aim)
         colors, bare, rays = seen.copy(), numbers < 0, self._world_rays(aim)
-        depth = CAMERA_RANGE_M * NEAR_CLIP_M / (CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * buffer) + np.float32(EYE_OFFSET_M)
+        depth = CAMERA_RANGE_M * NEAR_CLIP_M / (
+            CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * buffer
+        ) + np.float32(EYE_OFFSET_M)
         bodies = np.where(bare, np.int32(-1), places[numbers])
         depth[bare] = CAMERA_RANGE_M
         if self._floor is not None and aim.eye[2] > 0.0:

@@ -14,7 +14,16 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.objects import find
-from deepbots_cli.engines.pybullet import BASE_LINK, DEFAULT_GAINS, NEGLIGIBLE_FORCE, cameras, loading, motors, state, surfaces
+from deepbots_cli.engines.pybullet import (
+    BASE_LINK,
+    DEFAULT_GAINS,
+    NEGLIGIBLE_FORCE,
+    cameras,
+    loading,
+    motors,
+    state,
+    surfaces,
+)
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.cameras import Floor, brightened, downsampled
 from deepbots_cli.engines.pybullet.state import Parameters, ReadCache
@@ -54,7 +63,8 @@ R = TypeVar("R")
 
 
 class Substeps(NamedTuple):
-    """What is called in a step: `begins` once, then in each engine step `acts`, `drives`, the physics, and `looks`.
+    """What is called in a step: `begins` once, then in each engine step `acts`, `drives`, the physics, and
+    `looks`.
 
     Drives are motors that renew their torque. They see the targets that acts have just set.
     """
@@ -65,7 +75,8 @@ class Substeps(NamedTuple):
     looks: list[Callback]
 
     def stepper(self, client: int, now: list[int]) -> Callable[[int], None]:
-        """`Engine.step`. In most worlds nothing acts or looks; asking costs 1 % of the cheapest step. `now` counts states of the world."""
+        """`Engine.step`. In most worlds nothing acts or looks; asking costs 1 % of the cheapest step. `now`
+        counts states of the world."""
         advance, (begins, acts, drives, looks) = p.stepSimulation, self
 
         def step(substeps: int) -> None:
@@ -108,7 +119,9 @@ class PyBulletEngine:
         self._rays: surfaces.Rays | None = None
         self._backdrop: tuple[object, Image] | None = None
         try:
-            self._pools: dict[str, Pool[Body]] = {pool.name: pool for pool in loading.bodies(self._client, world)}
+            self._pools: dict[str, Pool[Body]] = {
+                pool.name: pool for pool in loading.bodies(self._client, world)
+            }
             self._parameters = Parameters(self._client, world, self._pools, self._floor)
             every = [body for pool in self._pools.values() for body in pool]
             self._moving = [body for body in every if not body.fixed or body.brakes]
@@ -121,7 +134,8 @@ class PyBulletEngine:
             raise
 
     def reset(self) -> None:
-        """See `Engine.reset`. A world with values that are not finite cannot be reset; it must be built again."""
+        """See `Engine.reset`. A world with values that are not finite cannot be reset; it must be built
+        again."""
         self.require_finite()
         self._parameters.restore()
         for springs in self._springs.values():
@@ -142,16 +156,24 @@ class PyBulletEngine:
         self._cache.invalidate()
 
     def _reset_body(self, body: Body, pose: Frame, brakes: dict[int, float]) -> None:
-        """Put the center of a body there, all of it at rest, with brakes of so many N m or N on its joints."""
+        """Put the center of a body there, all of it at rest, with brakes of so many N m or N on its
+        joints."""
         number, client = body.number, self._client
         p.resetBasePositionAndOrientation(number, *pose, client)
         p.resetBaseVelocity(number, ZERO_VECTOR, ZERO_VECTOR, client)
         for index, brake in brakes.items():
             p.resetJointState(number, index, body.offsets.get(index, 0.0), 0.0, client)
-            p.setJointMotorControl2(number, index, p.VELOCITY_CONTROL, 0.0, 0.0, brake, *DEFAULT_GAINS, client)
+            p.setJointMotorControl2(
+                number, index, p.VELOCITY_CONTROL, 0.0, 0.0, brake, *DEFAULT_GAINS, client
+            )
 
     def place(
-        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
+        self,
+        body: str,
+        position: Triple,
+        orientation: Quaternion,
+        velocity: Triple = ZERO_VECTOR,
+        angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
         placed = self._pool(body).activate()
         pose = placed.center_pose(position, frames.normalized(orientation))
@@ -165,7 +187,13 @@ class PyBulletEngine:
         number, (index,) = self._joints(robot, (joint,))
         p.resetJointState(number, index, position, velocity, self._client)
         for follower, mimic in body.model.followers_of(joint).items():
-            p.resetJointState(number, body.joints[follower], mimic.position(position), mimic.multiplier * velocity, self._client)
+            p.resetJointState(
+                number,
+                body.joints[follower],
+                mimic.position(position),
+                mimic.multiplier * velocity,
+                self._client,
+            )
         self._cache.invalidate()
 
     def choose(self, body: str, variant: str) -> None:
@@ -184,15 +212,31 @@ class PyBulletEngine:
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return self._bound(part, lambda body, index: motors.pusher(self._client, body, index, frame))
 
-    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+    def contact(
+        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
+    ) -> ContactReader:
         if others is None:
             left_out = () if ground else self._ground
-            return self._bound(one, lambda body, link: self._contact_monitor(body).touches_any_but(link, left_out), surfaces.ANY_LINK)
-        places = [(body.number, _index(body, link, surfaces.ANY_LINK)) for name, link in others for body in self._pool(name)]
-        return self._bound(one, lambda body, link: self._contact_monitor(body).touches_any_of(link, places), surfaces.ANY_LINK)
+            return self._bound(
+                one,
+                lambda body, link: self._contact_monitor(body).touches_any_but(link, left_out),
+                surfaces.ANY_LINK,
+            )
+        places = [
+            (body.number, _index(body, link, surfaces.ANY_LINK))
+            for name, link in others
+            for body in self._pool(name)
+        ]
+        return self._bound(
+            one,
+            lambda body, link: self._contact_monitor(body).touches_any_of(link, places),
+            surfaces.ANY_LINK,
+        )
 
     def contact_force(self, one: Part) -> ForceReader:
-        return self._bound(one, lambda body, link: surfaces.force(self._client, body.number, link), surfaces.ANY_LINK)
+        return self._bound(
+            one, lambda body, link: surfaces.force(self._client, body.number, link), surfaces.ANY_LINK
+        )
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         pools = (self._pool(one[0]), self._pool(other[0]))
@@ -200,7 +244,9 @@ class PyBulletEngine:
         def between(body: Body, link: int) -> ClearanceReader:
             near = (body.number, link)
             return self._bound(
-                other, lambda its, its_link: surfaces.clearance(self._client, near, (its.number, its_link)), surfaces.ANY_LINK
+                other,
+                lambda its, its_link: surfaces.clearance(self._client, near, (its.number, its_link)),
+                surfaces.ANY_LINK,
             )
 
         read = self._bound(one, between, surfaces.ANY_LINK)
@@ -210,25 +256,36 @@ class PyBulletEngine:
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
         if self._rays is None:
-            self._rays = surfaces.Rays(self._client, [body for pool in self._pools.values() for body in pool], self._cache)
+            self._rays = surfaces.Rays(
+                self._client, [body for pool in self._pools.values() for body in pool], self._cache
+            )
         return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach))
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
         model = self._pool(part[0]).current.model
         chain = Chain(model, part[1] or model.root, joints)
         root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving_joints)
-        return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
+        return lambda position, attitude: chain.solve(
+            root(), [state[0] for state in read()], position, attitude
+        )
 
     def overlaps(self) -> list[Overlap]:
-        bodies = {body.number: (pool.name, body) for pool in self._pools.values() if pool.present for body in (pool.current,)}
+        bodies = {
+            body.number: (pool.name, body)
+            for pool in self._pools.values()
+            if pool.present
+            for body in (pool.current,)
+        }
         deepest: dict[tuple[str, str], Overlap] = {}
         for ((one, link), (other, other_link)), depth in surfaces.penetrations(self._client).items():
             if one in bodies and other in bodies:
                 (a, first), (b, second) = bodies[one], bodies[other]
-                found = Overlap((a, first.link(link).name), (b, second.link(other_link).name), depth)
-                known = deepest.get((a, b))
-                deepest[a, b] = found if known is None or known.depth < depth else known
-        return sorted(deepest.values(), key=lambda found: -found.depth)
+                overlap = Overlap((a, first.link(link).name), (b, second.link(other_link).name), depth)
+                deepest_here = deepest.get((a, b))
+                deepest[a, b] = (
+                    overlap if deepest_here is None or deepest_here.depth < depth else deepest_here
+                )
+        return sorted(deepest.values(), key=lambda overlap: -overlap.depth)
 
     def _contact_monitor(self, body: Body) -> surfaces.ContactMonitor:
         if body.number not in self._contact_monitors:
@@ -239,9 +296,14 @@ class PyBulletEngine:
 
     def require_finite(self) -> None:
         client = self._client
-        for body in reversed(self._require_open()._moving):  # robots before objects, to which they spread what is not a number
+        for body in reversed(
+            self._require_open()._moving
+        ):  # robots before objects, to which they spread what is not a number
             joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
-            for what, values in (("pose", p.getBasePositionAndOrientation(body.number, client)), ("joints", (j[:2] for j in joints))):
+            for what, values in (
+                ("pose", p.getBasePositionAndOrientation(body.number, client)),
+                ("joints", (j[:2] for j in joints)),
+            ):
                 if not isfinite(sum(map(sum, values))):
                     raise EngineError(f"the {what} of '{body.name}' became infinite or NaN")
 
@@ -253,13 +315,19 @@ class PyBulletEngine:
         return motors.torques(self.joint_states(robot, joints), body, indices, self._springs)
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        return self._bound((body, link), lambda owner, index: state.pose(self._client, owner, index, self._cache))
+        return self._bound(
+            (body, link), lambda owner, index: state.pose(self._client, owner, index, self._cache)
+        )
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
-        return self._bound((body, link), lambda owner, index: state.velocity(self._client, owner, index, self._cache))
+        return self._bound(
+            (body, link), lambda owner, index: state.velocity(self._client, owner, index, self._cache)
+        )
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
-        return self._bound((body, link), lambda owner, index: state.motion(self._client, owner, index, self._cache))
+        return self._bound(
+            (body, link), lambda owner, index: state.motion(self._client, owner, index, self._cache)
+        )
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.velocity_motor(self._client, *self._joints(robot, joints), max_torque)
@@ -267,24 +335,33 @@ class PyBulletEngine:
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.torque_motor(self._client, *self._joints(robot, joints), max_torque)
 
-    def position_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain) -> MotorWriter:
+    def position_motor(
+        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+    ) -> MotorWriter:
         body, indices = self._joints(robot, joints)
         if stiffness is None:
             return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
-        springs = motors.Springs(self._client, body, indices, self.joint_states(robot, joints), max_torque, stiffness, damping)
+        springs = motors.Springs(
+            self._client, body, indices, self.joint_states(robot, joints), max_torque, stiffness, damping
+        )
         self._springs[body, indices] = springs
         self._substeps.drives[:] = [each.apply for each in self._springs.values()]
         return springs.set_targets
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         camera, pose = cameras.Camera(self._client, width, height, fov, self._floor), self.pose(*part)
-        names, places = tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32)  # of PyBullet's numbers among the names
+        names, places = (
+            tuple(self._pools),
+            np.zeros(p.getNumBodies(self._client) + 1, np.int32),
+        )  # of PyBullet's numbers among the names
         for place, pool in enumerate(self._pools.values()):
             places[[body.number for body in pool]] = place
         ground = names.index(GROUND) if GROUND in names else -1
 
         def look() -> CameraImage:
-            image = camera.camera_image(cameras.pose_along(frames.compose(pose(), mount)), places, ground, names)
+            image = camera.camera_image(
+                cameras.pose_along(frames.compose(pose(), mount)), places, ground, names
+            )
             return image._replace(colors=brightened(image.colors, self._parameters.light))
 
         return look
@@ -292,15 +369,21 @@ class PyBulletEngine:
     def render(self, view: View) -> Image:
         self._require_open()
         fine = replace(view, width=view.width * view.samples, height=view.height * view.samples)
-        camera, aim = cameras.Camera(self._client, fine.width, fine.height, fine.fov, self._floor), cameras.pose_of_view(view)
+        camera = cameras.Camera(self._client, fine.width, fine.height, fine.fov, self._floor)
+        aim = cameras.pose_of_view(view)
         seen = (fine, self._floor.tiles if self._floor else None)
         if self._backdrop is None or self._backdrop[0] != seen:
             self._backdrop = (seen, camera.background(aim))
-        return brightened(downsampled(camera.render(aim, self._backdrop[1]), view.samples), self._parameters.light)
+        return brightened(
+            downsampled(camera.render(aim, self._backdrop[1]), view.samples), self._parameters.light
+        )
 
     def snapshot(self) -> object:
-        """Refused: PyBullet's `saveState` leaves out motors, masses and frictions, and is not exact in every world (docs/engines.md)."""
-        raise EngineError("PyBullet has no exact snapshot of a world; begin the episode again and repeat its actions")
+        """Refused: PyBullet's `saveState` leaves out motors, masses and frictions, and is not exact in every
+        world (docs/engines.md)."""
+        raise EngineError(
+            "PyBullet has no exact snapshot of a world; begin the episode again and repeat its actions"
+        )
 
     def restore(self, snapshot: object) -> None:
         self.snapshot()
@@ -320,7 +403,9 @@ class PyBulletEngine:
         body = self._pool(robot).current
         return body.number, tuple(find(body.joints, name, f"'{body.name}' has no joint") for name in names)
 
-    def _bound(self, part: Part, bind: Callable[[Body, int], Callable[P, R]], none: int = BASE_LINK) -> Callable[P, R]:
+    def _bound(
+        self, part: Part, bind: Callable[[Body, int], Callable[P, R]], none: int = BASE_LINK
+    ) -> Callable[P, R]:
         """What `bind` makes of a link, in whichever form its body takes; `none` stands for the link None."""
         return self._pool(part[0]).bind_current(lambda body: bind(body, _index(body, part[1], none)))
 

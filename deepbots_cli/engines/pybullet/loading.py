@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import LINK_COLORS, Pool, arena_walls, as_robot, forms_of, is_movable, with_explicit_masses
+from deepbots_cli.engines.objects import (
+    LINK_COLORS,
+    Pool,
+    arena_walls,
+    as_robot,
+    forms_of,
+    is_movable,
+    with_explicit_masses,
+)
 from deepbots_cli.engines.pybullet import BASE_LINK, UNREACHABLE_SPEED, capture_native_output
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.state import Body, contact_parameters
@@ -20,7 +28,18 @@ from deepbots_cli.geometry import height_grid, mesh_triangles
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.meshes import read_verified
-from deepbots_cli.robots.model import Cylinder, Friction, Joint, Limit, Link, Mesh, Mimic, RobotModel, Shape, to_urdf
+from deepbots_cli.robots.model import (
+    Cylinder,
+    Friction,
+    Joint,
+    Limit,
+    Link,
+    Mesh,
+    Mimic,
+    RobotModel,
+    Shape,
+    to_urdf,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,24 +51,30 @@ DEFAULT_CONTACT_ERP = 0.08  # that PyBullet by itself takes away in a physics st
 CONTACT_DISTANCE_M = 1e-4
 """Surfaces further apart than this (m) are no contact for the solver.
 
-PyBullet keeps a point of contact until its surfaces are 2 % of the size of a link apart, so a wheel that rolls takes along
-points that carry nothing, and the solver iterates over all of them. With this limit a step of CartPole costs 0.68 of what it
-did, and its heights differ by 1e-6 m. At 2e-5 m and below, wheels lose the ground between two steps and sink by 0.3 mm. On
-terrain there is no such limit: with it, two trainings of PitEscape took 1.25 and 1.65 times as many steps. The cause was not
-measured; a ball that rolls over an edge of a triangle may be further away than this for a step.
+PyBullet keeps a point of contact until its surfaces are 2 % of the size of a link apart, so a wheel that
+rolls takes along points that carry nothing, and the solver iterates over all of them. With this limit a step
+of CartPole costs 0.68 of what it did, and its heights differ by 1e-6 m. At 2e-5 m and below, wheels lose the
+ground between two steps and sink by 0.3 mm. On terrain there is no such limit: with it, two trainings of
+PitEscape took 1.25 and 1.65 times as many steps. The cause was not measured; a ball that rolls over an edge
+of a triangle may be further away than this for a step.
 """
 TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
-_MAX_VISUAL_CELLS = 100  # cells of what is drawn along either side; a finer picture would take longer than it shows
+_MAX_VISUAL_CELLS = (
+    100  # cells of what is drawn along either side; a finer picture would take longer than it shows
+)
 _CYLINDER = "cylinder.obj"
 GEAR_ERP, GEAR_FORCE = 0.2, 1e5
-"""Share of the error of a follower that is taken away in a physics step, and the largest force (N or N m) for it."""
+"""Share of the error of a follower that is taken away in a physics step, and the largest force (N or N m) for
+it."""
 NO_RATIO = 1e-12  # PyBullet takes 0 for a ratio that is not given
 GEAR_ITERATIONS = 100
-"""Iterations of the solver in a world with a follower; PyBullet's own number is 50, and it stops earlier where the forces converge.
+"""Iterations of the solver in a world with a follower; PyBullet's own number is 50, and it stops earlier
+where the forces converge.
 
-A follower that is ten times heavier than its driven leader is off by 2 mm in motion with 50 iterations and by 0.2 mm with 100; one that
-is a hundred times heavier by 65 and 31 mm (steps of 5 ms, strokes of 0.6 m). If both weigh the same, the number makes no difference.
-A step in which a gripper presses on something takes 1.5 times as long.
+A follower that is ten times heavier than its driven leader is off by 2 mm in motion with 50 iterations and by
+0.2 mm with 100; one that is a hundred times heavier by 65 and 31 mm (steps of 5 ms, strokes of 0.6 m). If
+both weigh the same, the number makes no difference. A step in which a gripper presses on something takes 1.5
+times as long.
 """
 OPEN_JOINT_LIMIT = 1e9  # rad or m; the open end of a range with one end
 MAX_JOINTS = 127  # of one robot; a larger one loads, but its joints cannot be read
@@ -63,31 +88,51 @@ def create_client(world: WorldModel) -> int:
         raise EngineError("PyBullet cannot create another world in this process; close some environments")
     p.setGravity(*world.gravity, client)
     p.setPhysicsEngineParameter(
-        fixedTimeStep=world.timestep / world.substeps, deterministicOverlappingPairs=1, enableFileCaching=0, physicsClientId=client
+        fixedTimeStep=world.timestep / world.substeps,
+        deterministicOverlappingPairs=1,
+        enableFileCaching=0,
+        physicsClientId=client,
     )
     if any(robot.model.followers for robot in world.robots):
         p.setPhysicsEngineParameter(numSolverIterations=GEAR_ITERATIONS, physicsClientId=client)
     links = (link for robot in world.robots for link in robot.model.links)
-    stated = [world.ground.restitution if world.ground else 0.0, *(thing.restitution for thing in world.objects)]
+    stated = [
+        world.ground.restitution if world.ground else 0.0,
+        *(thing.restitution for thing in world.objects),
+    ]
     if any(value > 0.0 for value in (*stated, *(link.friction.restitution or 0.0 for link in links))):
-        # Contact error reduction turns penetration into velocity, more with every step of an impact: a restitution of 0.8
-        # measured 0.82 to 0.88 at 1 ms steps. With a reduction within 0.2 s it measures 0.80 to 0.81. Worlds without
-        # restitution keep the default.
-        p.setPhysicsEngineParameter(contactERP=min(DEFAULT_CONTACT_ERP, world.timestep / world.substeps / 0.2), physicsClientId=client)
+        # Contact error reduction turns penetration into velocity, more with every step of an impact: a
+        # restitution of 0.8 measured 0.82 to 0.88 at 1 ms steps. With a reduction within 0.2 s it measures
+        # 0.80 to 0.81. Worlds without restitution keep the default.
+        p.setPhysicsEngineParameter(
+            contactERP=min(DEFAULT_CONTACT_ERP, world.timestep / world.substeps / 0.2), physicsClientId=client
+        )
     return client
 
 
 def bodies(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
     """Everything there is, in the order of the world model."""
     for pool in _loaded(client, world):
-        for body, link in [(each, link) for each in pool for link in each.model.links if world.terrain is None]:
+        for body, link in [
+            (each, link) for each in pool for link in each.model.links if world.terrain is None
+        ]:
             if not link.friction.restitution:
-                p.changeDynamics(body.number, body.links[link.name], contactProcessingThreshold=CONTACT_DISTANCE_M, physicsClientId=client)
+                p.changeDynamics(
+                    body.number,
+                    body.links[link.name],
+                    contactProcessingThreshold=CONTACT_DISTANCE_M,
+                    physicsClientId=client,
+                )
         yield pool
 
 
 def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
-    floor = _terrain(client, world.terrain) if world.terrain is not None else _plane(client, world.ground) if world.ground else None
+    if world.terrain is not None:
+        floor = _terrain(client, world.terrain)
+    elif world.ground:
+        floor = _plane(client, world.ground)
+    else:
+        floor = None
     if floor is not None:
         _make_contact(client, floor)
         yield Pool(GROUND, [(GROUND, floor)], pooled=False)
@@ -99,12 +144,18 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
             variants = [(name, _object(client, form, file)) for name, form in forms_of(thing).items()]
             for _, body in variants if thing.pooled else ():
                 parked += 1
-                body.initial_pose = ((-parked * PARKING_SPACING_M, 0.0, -PARKING_SPACING_M), frames.IDENTITY_ROTATION)
+                body.initial_pose = (
+                    (-parked * PARKING_SPACING_M, 0.0, -PARKING_SPACING_M),
+                    frames.IDENTITY_ROTATION,
+                )
             yield Pool(thing.name, variants, thing.pooled)
         for robot in world.robots:
             if len(robot.model.joints) > MAX_JOINTS:
                 count = len(robot.model.joints)
-                raise EngineError(f"'{robot.name}' has {count} joints, but PyBullet supports at most {MAX_JOINTS}, including fixed joints")
+                raise EngineError(
+                    f"'{robot.name}' has {count} joints, but PyBullet supports at most {MAX_JOINTS},"
+                    " including fixed joints"
+                )
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
             body = _load(client, robot.name, model, robot.fixed_base, file)
             body.initial_pose = body.center_pose(*frames.frame(robot.pose))
@@ -122,7 +173,16 @@ def join_islands(client: int, pools: Iterable[Pool[Body]]) -> None:
     tied = sorted((pool for pool in pools), key=lambda pool: pool.pooled)
     anchors = [(body.number, body.anchor) for pool in tied for body in pool if body.anchor is not None]
     for number, link in anchors[1:]:
-        gear = p.createConstraint(*anchors[0], number, link, p.JOINT_GEAR, (0, 1, 0), ZERO_VECTOR, ZERO_VECTOR, physicsClientId=client)
+        gear = p.createConstraint(
+            *anchors[0],
+            number,
+            link,
+            p.JOINT_GEAR,
+            (0, 1, 0),
+            ZERO_VECTOR,
+            ZERO_VECTOR,
+            physicsClientId=client,
+        )
         p.changeConstraint(gear, maxForce=0.0, physicsClientId=client)
 
 
@@ -133,7 +193,9 @@ def _object(client: int, thing: ObjectBody, file: Path) -> Body:
     return body
 
 
-def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, inertia_known: bool = True) -> Body:
+def _load(
+    client: int, name: str, model: RobotModel, fixed: bool, file: Path, inertia_known: bool = True
+) -> Body:
     file.write_text(to_urdf(for_loader(model, file.parent)), encoding="utf-8")
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
     with capture_native_output() as said:
@@ -156,19 +218,27 @@ def _load(client: int, name: str, model: RobotModel, fixed: bool, file: Path, in
 
 
 def _follow(client: int, number: int, follower: int, leader: int, mimic: Mimic) -> None:
-    """Hold a joint where its leader puts it, by a gear: PyBullet keeps `follower + ratio * leader` at the target."""
+    """Hold a joint where its leader puts it, by a gear: PyBullet keeps `follower + ratio * leader` at the
+    target."""
     joints = (number, follower, number, leader)
-    gear = p.createConstraint(*joints, p.JOINT_GEAR, (0, 0, 1), ZERO_VECTOR, ZERO_VECTOR, physicsClientId=client)
+    gear = p.createConstraint(
+        *joints, p.JOINT_GEAR, (0, 0, 1), ZERO_VECTOR, ZERO_VECTOR, physicsClientId=client
+    )
     ratio = -mimic.multiplier or NO_RATIO
-    settings = {"gearRatio": ratio, "relativePositionTarget": mimic.offset, "erp": GEAR_ERP, "maxForce": GEAR_FORCE}
+    settings = {
+        "gearRatio": ratio,
+        "relativePositionTarget": mimic.offset,
+        "erp": GEAR_ERP,
+        "maxForce": GEAR_FORCE,
+    }
     p.changeConstraint(gear, **settings, physicsClientId=client)
 
 
 def _make_contact(client: int, body: Body) -> None:
     """Set friction and restitution, one property per call: two in one went to the root link.
 
-    A link that bounces makes contact at distance 0. The solver otherwise brakes it before it touches: of a bounce of 0.8
-    between 0.06 and 0.82 was left, at 1 ms a step.
+    A link that bounces makes contact at distance 0. The solver otherwise brakes it before it touches: of a
+    bounce of 0.8 between 0.06 and 0.82 was left, at 1 ms a step.
     """
     for link in body.model.links:
         parameters = contact_parameters(link.friction)
@@ -180,7 +250,9 @@ def _make_contact(client: int, body: Body) -> None:
 
 def _plane(client: int, ground: Ground) -> Body:
     shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
-    unseen = p.createVisualShape(p.GEOM_SPHERE, radius=1e-3, visualFramePosition=(0.0, 0.0, -1000.0), physicsClientId=client)
+    unseen = p.createVisualShape(
+        p.GEOM_SPHERE, radius=1e-3, visualFramePosition=(0.0, 0.0, -1000.0), physicsClientId=client
+    )
     number = p.createMultiBody(0, shape, unseen, physicsClientId=client)
     return _ground_body(client, number, Friction(lateral=ground.friction, restitution=ground.restitution))
 
@@ -195,7 +267,11 @@ def _terrain(client: int, ground: Terrain) -> Body:
     if heights is None:
         assert isinstance(ground.shape, Mesh)  # all else is a grid
         corners = mesh_triangles(ground.shape).reshape(-1, 3)
-        mesh = {"vertices": corners.tolist(), "indices": list(range(len(corners))), "flags": p.GEOM_FORCE_CONCAVE_TRIMESH}
+        mesh = {
+            "vertices": corners.tolist(),
+            "indices": list(range(len(corners))),
+            "flags": p.GEOM_FORCE_CONCAVE_TRIMESH,
+        }
         shape = p.createCollisionShape(p.GEOM_MESH, **mesh, physicsClientId=client)
         drawn, middle = _drawn_terrain(client, corners, np.arange(len(corners)).reshape(-1, 3), ground), 0.0
     else:
@@ -218,7 +294,9 @@ def _terrain(client: int, ground: Terrain) -> Body:
     return made
 
 
-def _drawn_terrain(client: int, vertices: NDArray[np.float64], faces: NDArray[np.int64], ground: Terrain, middle: float = 0.0) -> int:
+def _drawn_terrain(
+    client: int, vertices: NDArray[np.float64], faces: NDArray[np.int64], ground: Terrain, middle: float = 0.0
+) -> int:
     """What is seen of it, shaded smoothly."""
     normals = np.zeros_like(vertices)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
@@ -237,14 +315,17 @@ def _drawn_terrain(client: int, vertices: NDArray[np.float64], faces: NDArray[np
 
 
 def _ground_body(client: int, number: int, friction: Friction) -> Body:
-    return Body(GROUND, number, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, client)
+    return Body(
+        GROUND, number, RobotModel(GROUND, (Link(GROUND, friction=friction),), (), GROUND), True, client
+    )
 
 
 def for_loader(model: RobotModel, folder: Path) -> RobotModel:
-    """The model with both ends on each range of a joint, a color on all that is seen, and meshes still as they were checked.
+    """The model with both ends on each range of a joint, a color on all that is seen, and meshes still as
+    they were checked.
 
-    A link without visuals shows what it collides with. Cylinders are seen as the mesh in `folder`: those of the library share normals
-    between side and caps, so that a flat disc looked like a cone.
+    A link without visuals shows what it collides with. Cylinders are seen as the mesh in `folder`: those of
+    the library share normals between side and caps, so that a flat disc looked like a cone.
 
     Raises:
         EngineError: A mesh cannot be read or has changed.
@@ -256,18 +337,28 @@ def for_loader(model: RobotModel, folder: Path) -> RobotModel:
                 read_verified(geometry.shape)
         color = LINK_COLORS[index % len(LINK_COLORS)]
         visuals = tuple(
-            replace(seen, color=seen.color or color, shape=_seen_shape(seen.shape, folder)) for seen in link.visuals or link.collisions
+            replace(seen, color=seen.color or color, shape=_seen_shape(seen.shape, folder))
+            for seen in link.visuals or link.collisions
         )
         links.append(replace(link, visuals=visuals))
-    return replace(model, links=tuple(links), joints=tuple(replace(joint, limit=_explicit_limits(joint)) for joint in model.joints))
+    return replace(
+        model,
+        links=tuple(links),
+        joints=tuple(replace(joint, limit=_explicit_limits(joint)) for joint in model.joints),
+    )
 
 
 def _seen_shape(shape: Shape, folder: Path) -> Shape:
-    return Mesh(str(folder / _CYLINDER), "", (shape.radius, shape.radius, shape.length)) if isinstance(shape, Cylinder) else shape
+    return (
+        Mesh(str(folder / _CYLINDER), "", (shape.radius, shape.radius, shape.length))
+        if isinstance(shape, Cylinder)
+        else shape
+    )
 
 
 def _cylinder_mesh(sides: int = 48) -> str:
-    """A cylinder of radius 1 and length 1 as OBJ: two corners and a normal for each side, the normals of the caps, and their middles."""
+    """A cylinder of radius 1 and length 1 as OBJ: two corners and a normal for each side, the normals of the
+    caps, and their middles."""
     angles = 2 * np.pi * np.arange(sides) / sides
     rim = [f"{x:.6f} {y:.6f}" for x, y in zip(np.cos(angles), np.sin(angles), strict=True)]
     lines = [f"v {x_y} {z}" for x_y in rim for z in (-0.5, 0.5)] + ["v 0 0 -0.5", "v 0 0 0.5"]
@@ -277,7 +368,10 @@ def _cylinder_mesh(sides: int = 48) -> str:
         after = here % sides + 1
         a, b, c, d = 2 * here - 1, 2 * after - 1, 2 * after, 2 * here
         lines += [f"f {a}//{here} {b}//{after} {c}//{after}", f"f {a}//{here} {c}//{after} {d}//{here}"]
-        lines += [f"f {below}//{sides + 1} {b}//{sides + 1} {a}//{sides + 1}", f"f {above}//{sides + 2} {d}//{sides + 2} {c}//{sides + 2}"]
+        lines += [
+            f"f {below}//{sides + 1} {b}//{sides + 1} {a}//{sides + 1}",
+            f"f {above}//{sides + 2} {d}//{sides + 2} {c}//{sides + 2}",
+        ]
     return "\n".join([*lines, ""])
 
 

@@ -9,7 +9,13 @@ from operator import add
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
-from deepbots_cli.engines.pybullet import BASE_LINK, DEFAULT_GAINS, NEGLIGIBLE_FORCE, UNLIMITED_FORCE, UNREACHABLE_SPEED
+from deepbots_cli.engines.pybullet import (
+    BASE_LINK,
+    DEFAULT_GAINS,
+    NEGLIGIBLE_FORCE,
+    UNLIMITED_FORCE,
+    UNREACHABLE_SPEED,
+)
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
@@ -19,12 +25,16 @@ if TYPE_CHECKING:
     from deepbots_cli.port import JointReader, MotorWriter, Pusher, TorqueReader
 
 
-def velocity_motor(client: int, body: int, indices: Sequence[int], max_torque: Sequence[float]) -> MotorWriter:
+def velocity_motor(
+    client: int, body: int, indices: Sequence[int], max_torque: Sequence[float]
+) -> MotorWriter:
     limits, mode = _limits(max_torque), p.VELOCITY_CONTROL
     if len(indices) == 1:
         (index,), (limit,), set_one = indices, limits, p.setJointMotorControl2
         return lambda targets: set_one(body, index, mode, 0.0, targets[0], limit, *DEFAULT_GAINS, client)
-    zeros, gains, set_all = [0.0] * len(indices), [[gain] * len(indices) for gain in DEFAULT_GAINS[:2]], p.setJointMotorControlArray
+    zeros = [0.0] * len(indices)
+    gains = [[gain] * len(indices) for gain in DEFAULT_GAINS[:2]]
+    set_all = p.setJointMotorControlArray
     return lambda targets: set_all(body, indices, mode, zeros, targets, limits, *gains, client)
 
 
@@ -60,18 +70,22 @@ def torque_motor(client: int, body: int, indices: Sequence[int], max_torque: Seq
     return exert_all
 
 
-def position_motor(client: int, body: int, indices: Sequence[int], max_torque: Sequence[float], timestep: float) -> MotorWriter:
+def position_motor(
+    client: int, body: int, indices: Sequence[int], max_torque: Sequence[float], timestep: float
+) -> MotorWriter:
     """PyBullet's own servo; `timestep` (s) is that of an engine step."""
     limits, mode, set_all = _limits(max_torque), p.POSITION_CONTROL, p.setJointMotorControlArray
-    zeros, gains = [0.0] * len(indices), [[min(1.0, timestep / SERVO_TIME)] * len(indices), [1.0] * len(indices)]
+    zeros = [0.0] * len(indices)
+    gains = [[min(1.0, timestep / SERVO_TIME)] * len(indices), [1.0] * len(indices)]
     return lambda targets: set_all(body, indices, mode, targets, zeros, limits, *gains, client)
 
 
 class Springs:
-    """Exerts `stiffness * (target - position) - damping * velocity`, limited, once joints have targets; `apply` renews it.
+    """Exerts `stiffness * (target - position) - damping * velocity`, limited, once joints have targets;
+    `apply` renews it.
 
-    `torques` is what the joints got in the last engine step. 12 joints take 5 us of an engine step of 45 us (a walking
-    robot); PyBullet's own plug-in for the same purpose takes 20, and cannot be stopped.
+    `torques` is what the joints got in the last engine step. 12 joints take 5 us of an engine step of 45 us
+    (a walking robot); PyBullet's own plug-in for the same purpose takes 20, and cannot be stopped.
     """
 
     def __init__(
@@ -86,7 +100,12 @@ class Springs:
     ) -> None:
         self.indices = tuple(indices)
         limits = _limits(max_torque)
-        self._columns = tuple(stiffness), tuple(damping or (0.0,) * len(stiffness)), tuple(-limit for limit in limits), tuple(limits)
+        self._columns = (
+            tuple(stiffness),
+            tuple(damping or (0.0,) * len(stiffness)),
+            tuple(-limit for limit in limits),
+            tuple(limits),
+        )
         self._read = read
         self._exert = _plain_torques(client, body, indices)
         self.torques = self._nothing = [0.0] * len(indices)
@@ -102,7 +121,11 @@ class Springs:
         targets = self._targets
         if targets is not None:
             self.torques = torques = [
-                high if (torque := k * (target - state[0]) - d * state[1]) > high else low if torque < low else torque
+                high
+                if (torque := k * (target - state[0]) - d * state[1]) > high
+                else low
+                if torque < low
+                else torque
                 for k, d, low, high, target, state in zip(*self._columns, targets, self._read(), strict=True)
             ]
             self._exert(torques)
@@ -114,7 +137,9 @@ def _plain_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[
     if len(joints) == 1:
         index, set_one = joints[0], p.setJointMotorControl2
         return lambda torques: set_one(body, index, mode, 0.0, 0.0, torques[0], *DEFAULT_GAINS, client)
-    set_all = p.setJointMotorControlArray  # positional arguments, those that mean nothing here included, cost a quarter less
+    set_all = (
+        p.setJointMotorControlArray
+    )  # positional arguments, those that mean nothing here included, cost a quarter less
     return lambda torques: set_all(body, joints, mode, zeros, zeros, torques, zeros, zeros, client)
 
 
@@ -122,8 +147,14 @@ def _limits(max_torque: Sequence[float]) -> list[float]:
     return [min(max(limit, NEGLIGIBLE_FORCE), UNLIMITED_FORCE) for limit in max_torque]
 
 
-def torques(read: JointReader, body: int, indices: Sequence[int], springs: Mapping[tuple[int, tuple[int, ...]], Springs]) -> TorqueReader:
-    """What the motors of joints exerted; PyBullet does not tell of `springs`, which are known when read rather than when bound."""
+def torques(
+    read: JointReader,
+    body: int,
+    indices: Sequence[int],
+    springs: Mapping[tuple[int, tuple[int, ...]], Springs],
+) -> TorqueReader:
+    """What the motors of joints exerted; PyBullet does not tell of `springs`, which are known when read
+    rather than when bound."""
 
     def read_torques() -> list[float]:
         exerted = [state[3] for state in read()]
@@ -143,7 +174,8 @@ def torques(read: JointReader, body: int, indices: Sequence[int], springs: Mappi
 
 
 def pusher(client: int, owner: Body, index: int, frame: Literal["world", "link"]) -> Pusher:
-    """PyBullet's own frame of a link is that of its inertia, and of links that it last moved: both are settled here."""
+    """PyBullet's own frame of a link is that of its inertia, and of links that it last moved: both are
+    settled here."""
     return _in_link(client, owner, index) if frame == "link" else _in_world(client, owner, index)
 
 
@@ -169,7 +201,8 @@ def _in_link(client: int, owner: Body, index: int) -> Pusher:
 def _in_world(client: int, owner: Body, index: int) -> Pusher:
     number = owner.number
     force_it, turn_it, mode = p.applyExternalForce, p.applyExternalTorque, p.WORLD_FRAME
-    read_base, read_link = partial(p.getBasePositionAndOrientation, number, client), partial(p.getLinkState, number, index, 0, 1, client)
+    read_base = partial(p.getBasePositionAndOrientation, number, client)
+    read_link = partial(p.getLinkState, number, index, 0, 1, client)
 
     def push(force: Triple, torque: Triple) -> None:
         if force != ZERO_VECTOR:

@@ -1,6 +1,8 @@
-"""The state of a PyBullet world: bodies by name, what is read of them, and the parameters that an episode varies.
+"""The state of a PyBullet world: bodies by name, what is read of them, and the parameters that an episode
+varies.
 
-A reading is kept while the world stands still. A change of a parameter notes its way back, for the next reset.
+A reading is kept while the world stands still. A change of a parameter notes its way back, for the next
+reset.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """What the world model says of a link: mass (kg), principal moments (kg m^2), and its frame of inertia in its own frame."""
+    """What the world model says of a link: mass (kg), principal moments (kg m^2), and its frame of inertia in
+    its own frame."""
 
     mass: float
     moments: Triple
@@ -40,8 +43,9 @@ class Dynamics:
 class Body:
     """One PyBullet body.
 
-    `brakes` is the friction (N m or N) of each joint by index, `offsets` the position (rad or m) at a reset of each joint that follows
-    another one, `anchor` a link that moves and touches, `static_links` the links that never move.
+    `brakes` is the friction (N m or N) of each joint by index, `offsets` the position (rad or m) at a reset
+    of each joint that follows another one, `anchor` a link that moves and touches, `static_links` the links
+    that never move.
     """
 
     def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
@@ -59,7 +63,11 @@ class Body:
         self.brakes = {self.joints[joint.name]: joint.friction for joint in model.moving_joints}
         self.offsets = {self.joints[name]: mimic.offset for name, mimic in model.followers.items()}
         self.static_links = frozenset(rigid_group(model, model.root) if fixed else ())
-        touching = [self.links[link.name] for link in model.links if link.collisions and link.name not in self.static_links]
+        touching = [
+            self.links[link.name]
+            for link in model.links
+            if link.collisions and link.name not in self.static_links
+        ]
         self.anchor = touching[0] if touching else None
         self._client = client
         self._dynamics: dict[int, Dynamics] = {}
@@ -89,10 +97,13 @@ class Body:
     def _apply_weight(self, index: int) -> None:
         """One call for both: a mass alone would get the inertia of the link's shape."""
         mass, moments = self._weights[index]
-        p.changeDynamics(self.number, index, mass=mass, localInertiaDiagonal=moments, physicsClientId=self._client)
+        p.changeDynamics(
+            self.number, index, mass=mass, localInertiaDiagonal=moments, physicsClientId=self._client
+        )
 
     def deactivate(self) -> None:
-        """Stay where it is put, at no cost: PyBullet takes a body without mass for a fixed one. Nothing for a fixed body."""
+        """Stay where it is put, at no cost: PyBullet takes a body without mass for a fixed one. Nothing for a
+        fixed body."""
         if not self.fixed and not self.suspended:
             self.suspended = True
             p.changeDynamics(self.number, BASE_LINK, mass=0.0, physicsClientId=self._client)
@@ -107,14 +118,17 @@ class Body:
 
     @property
     def is_centered(self) -> bool:
-        """Whether the root link's frame is that of its inertia, so that the poses of PyBullet need no conversion."""
+        """Whether the root link's frame is that of its inertia, so that the poses of PyBullet need no
+        conversion."""
         return self.center == ZERO_VECTOR and self._parallel
 
     def center_pose(self, position: Triple, orientation: Quaternion) -> Frame:
         """The pose of the inertia, from that of the root link."""
         if self.is_centered:
             return position, orientation
-        return frames.add(position, frames.rotate(orientation, self.center)), frames.multiply(orientation, self.principal)
+        return frames.add(position, frames.rotate(orientation, self.center)), frames.multiply(
+            orientation, self.principal
+        )
 
     def origin_pose(self, position: Triple, orientation: Quaternion) -> Frame:
         """The pose of the root link, from that of the inertia."""
@@ -129,9 +143,11 @@ MAX_UNCACHED_JOINTS = 3  # joints, which are read for less than it takes to ask 
 
 
 class ReadCache:
-    """Counts the states of a world. Several sensors, a signal and a reward may ask for the same pose in one of them.
+    """Counts the states of a world. Several sensors, a signal and a reward may ask for the same pose in one
+    of them.
 
-    `generation` holds the number of the present one as its only item; whatever changes what may be read goes on to the next.
+    `generation` holds the number of the present one as its only item; whatever changes what may be read goes
+    on to the next.
     """
 
     def __init__(self) -> None:
@@ -160,7 +176,9 @@ class ReadCache:
 
 def joints(client: int, number: int, indices: tuple[int, ...], read_cache: ReadCache) -> JointReader:
     read: JointReader = partial(p.getJointStates, number, indices, client)
-    return read if len(indices) <= MAX_UNCACHED_JOINTS else read_cache.cached(("joints", number, indices), read)
+    return (
+        read if len(indices) <= MAX_UNCACHED_JOINTS else read_cache.cached(("joints", number, indices), read)
+    )
 
 
 def pose(client: int, owner: Body, index: int, read_cache: ReadCache) -> PoseReader:
@@ -189,7 +207,10 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
 
         def of_link() -> Motion:
             center, _, _, _, origin, turned, linear, angular = read_link()
-            return (origin, turned), (frames.add(linear, frames.cross(angular, frames.subtract(origin, center))), angular)
+            return (origin, turned), (
+                frames.add(linear, frames.cross(angular, frames.subtract(origin, center))),
+                angular,
+            )
 
         return read_cache.cached(("motion", number, index), of_link)
     read_velocity = partial(p.getBaseVelocity, number, client)
@@ -231,10 +252,13 @@ _CONTACT_PARAMETERS = {
 class Parameters:
     """Sets a parameter by the method of its name, with whose it is and the values.
 
-    `light`, the brightness of pictures, and `gravity` (m/s^2) are as they are now; at first those of the world model.
+    `light`, the brightness of pictures, and `gravity` (m/s^2) are as they are now; at first those of the
+    world model.
     """
 
-    def __init__(self, client: int, world: WorldModel, pools: dict[str, Pool[Body]], floor: Floor | None) -> None:
+    def __init__(
+        self, client: int, world: WorldModel, pools: dict[str, Pool[Body]], floor: Floor | None
+    ) -> None:
         self.light, self.gravity = world.light, world.gravity
         self._client, self._pools, self._floor = client, pools, floor
         self._undo: dict[object, Callable[[], object]] = {}
@@ -270,7 +294,9 @@ class Parameters:
             return
         usual = owner.dynamics(index).mass
         if not (usual > 0.0 and mass > 0.0):
-            raise EngineError(f"the mass of a link of '{owner.name}' cannot go from {usual:g} kg to {mass:g} kg")
+            raise EngineError(
+                f"the mass of a link of '{owner.name}' cannot go from {usual:g} kg to {mass:g} kg"
+            )
         owner.scale_mass(index, mass / usual)
         self._undo["mass", owner.number, index] = partial(owner.scale_mass, index, 1.0)
 
@@ -286,12 +312,16 @@ class Parameters:
         owner, index = self._joint(robot, joint)
         change = partial(p.changeDynamics, owner.number, index, physicsClientId=self._client)
         change(jointDamping=damping)
-        self._undo["damping", owner.number, index] = partial(change, jointDamping=owner.model.joint(joint).damping)
+        self._undo["damping", owner.number, index] = partial(
+            change, jointDamping=owner.model.joint(joint).damping
+        )
 
     def _set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
         """A reset brakes every joint anew, so there is no way back to note."""
         owner, index = self._joint(robot, joint)
-        p.setJointMotorControl2(owner.number, index, p.VELOCITY_CONTROL, 0.0, 0.0, friction, *DEFAULT_GAINS, self._client)
+        p.setJointMotorControl2(
+            owner.number, index, p.VELOCITY_CONTROL, 0.0, 0.0, friction, *DEFAULT_GAINS, self._client
+        )
 
     def _set_gravity(self, x: float, y: float, z: float) -> None:
         self._undo.setdefault("gravity", partial(self._apply_gravity, self.gravity))
@@ -316,7 +346,9 @@ class Parameters:
 
     def _paint(self, number: int, index: int, colors: list[Color]) -> None:
         for place, color in enumerate(colors):
-            p.changeVisualShape(number, index, shapeIndex=place, rgbaColor=color, physicsClientId=self._client)
+            p.changeVisualShape(
+                number, index, shapeIndex=place, rgbaColor=color, physicsClientId=self._client
+            )
 
     def _set_light(self, brightness: float) -> None:
         self._undo.setdefault("light", partial(setattr, self, "light", self.light))
@@ -324,7 +356,8 @@ class Parameters:
 
 
 def contact_parameters(friction: Friction) -> dict[str, float]:
-    """By PyBullet's names. The friction of a pair is a product, so silence means 1 for `lateral`, and 0 for the others."""
+    """By PyBullet's names. The friction of a pair is a product, so silence means 1 for `lateral`, and 0 for
+    the others."""
     lateral = 1.0 if friction.lateral is None else friction.lateral
     others = (friction.spinning or 0.0, friction.rolling or 0.0, friction.restitution or 0.0)
     return dict(zip(_CONTACT_PARAMETERS.values(), (lateral, *others), strict=True))

@@ -31,7 +31,8 @@ LinkKey = tuple[int, int]
 
 @dataclass(eq=False, slots=True)
 class ContactFlag:
-    """Whether a link (or `ANY_LINK`) touched something that `is_other` names by body and link, since the last `forget`."""
+    """Whether a link (or `ANY_LINK`) touched something that `is_other` names by body and link, since the last
+    `forget`."""
 
     link: int
     is_other: Callable[[int, int], bool]
@@ -42,10 +43,12 @@ class ContactFlag:
 
 
 class ContactMonitor:
-    """Looks after every engine step at what the links of one body touch, until nothing is left to learn before the next `reset`.
+    """Looks after every engine step at what the links of one body touch, until nothing is left to learn
+    before the next `reset`.
 
-    One query for the whole body, or for the links whose marks are still open where these are few: a robot that stands
-    on four feet, and must not touch the ground otherwise, costs 2.2 us in the first engine step and 0.7 in each further one.
+    One query for the whole body, or for the links whose marks are still open where these are few: a robot
+    that stands on four feet, and must not touch the ground otherwise, costs 2.2 us in the first engine step
+    and 0.7 in each further one.
     """
 
     def __init__(self, client: int, body: int) -> None:
@@ -62,7 +65,8 @@ class ContactMonitor:
         self._open_flags, self._queries = self._flags, self._first_queries
 
     def update(self) -> None:
-        """A pair is listed while it is near; it touches if its surfaces overlap, or if it took a force to keep them from it."""
+        """A pair is listed while it is near; it touches if its surfaces overlap, or if it took a force to
+        keep them from it."""
         learned = False
         for query in self._queries:
             for point in query():
@@ -79,7 +83,10 @@ class ContactMonitor:
         links = {mark.link for mark in marks}
         if ANY_LINK in links or len(links) > MAX_LINK_QUERIES:
             links = {ANY_LINK}
-        return [partial(p.getContactPoints, self._body, -1, link, ANY_LINK, self._client) for link in sorted(links)]
+        return [
+            partial(p.getContactPoints, self._body, -1, link, ANY_LINK, self._client)
+            for link in sorted(links)
+        ]
 
     def _flag(self, link: int, accepts: Callable[[int, int], bool]) -> ContactReader:
         mark = ContactFlag(link, accepts)
@@ -91,7 +98,9 @@ class ContactMonitor:
     def touches_any_of(self, link: int, others: Collection[LinkKey]) -> ContactReader:
         """Whether the link touched one of `others`."""
         known = frozenset(others)
-        return self._flag(link, lambda other, other_link: (other, other_link) in known or (other, ANY_LINK) in known)
+        return self._flag(
+            link, lambda other, other_link: (other, other_link) in known or (other, ANY_LINK) in known
+        )
 
     def touches_any_but(self, link: int, without: Collection[int]) -> ContactReader:
         """Whether the link touched anything but the bodies `without`."""
@@ -117,7 +126,9 @@ def force(client: int, body: int, link: int) -> ForceReader:
 
 
 def clearance(client: int, one: LinkKey, other: LinkKey) -> ClearanceReader:
-    read = partial(p.getClosestPoints, one[0], other[0], MAX_CLEARANCE_M, one[1], other[1], physicsClientId=client)
+    read = partial(
+        p.getClosestPoints, one[0], other[0], MAX_CLEARANCE_M, one[1], other[1], physicsClientId=client
+    )
 
     def distance() -> float:
         return max(0.0, min((point[8] for point in read()), default=inf))
@@ -134,7 +145,8 @@ RoundShape = Sphere | Cylinder | Capsule
 
 
 class Rays:
-    """Casts rays in one client. The body that casts is in a collision group of its own, which its rays pass through."""
+    """Casts rays in one client. The body that casts is in a collision group of its own, which its rays pass
+    through."""
 
     def __init__(self, client: int, bodies: Sequence[Body], read_cache: ReadCache) -> None:
         self._client = client
@@ -152,7 +164,9 @@ class Rays:
         back = frames.inverse(principal)
         ends = [frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0))) for origin, turned in rays]
         points = ([origin for origin, _ in rays], ends)
-        starts, ends = ([frames.rotate(back, frames.subtract(point, center)) for point in each] for each in points)
+        starts, ends = (
+            [frames.rotate(back, frames.subtract(point, center)) for point in each] for each in points
+        )
         cast = partial(
             p.rayTestBatch,
             starts,
@@ -163,7 +177,9 @@ class Rays:
             collisionFilterMask=~self._collision_group_bit(body),
             physicsClientId=self._client,
         )
-        refresh = None if index == BASE_LINK else partial(p.getLinkState, body.number, index, 0, 1, self._client)
+        refresh = (
+            None if index == BASE_LINK else partial(p.getLinkState, body.number, index, 0, 1, self._client)
+        )
         pose, rounded = state.pose(self._client, body, index, self._cache), self._round_surfaces
 
         def read() -> list[float]:
@@ -175,7 +191,9 @@ class Rays:
                 for place, hit in enumerate(hits):
                     if (surface := rounded.get(hit[:2])) is not None:
                         ray = frames.compose(pose(), rays[place])
-                        free[place] = surface.hit_distance(ray[0], frames.rotate(ray[1], (1.0, 0.0, 0.0)), free[place])
+                        free[place] = surface.hit_distance(
+                            ray[0], frames.rotate(ray[1], (1.0, 0.0, 0.0)), free[place]
+                        )
             return free
 
         return read
@@ -185,7 +203,10 @@ class Rays:
         if body.number not in self._groups:
             place = FIRST_GROUP + len(self._groups)
             if place > LAST_GROUP:
-                raise EngineError(f"PyBullet supports {LAST_GROUP - FIRST_GROUP + 1} robots with rays, and '{body.name}' is one more")
+                raise EngineError(
+                    f"PyBullet supports {LAST_GROUP - FIRST_GROUP + 1} robots with rays, and '{body.name}'"
+                    " is one more"
+                )
             self._groups[body.number] = 1 << place
             for name, index in body.links.items():
                 mask = ALL_BUT_STATIC if name in body.static_links else ALL_GROUPS
@@ -195,7 +216,8 @@ class Rays:
 
 @dataclass(frozen=True)
 class RoundSurface:
-    """A round surface, where PyBullet's answer is off by 1 mm, and by 7 mm where a ray grazes it: met in closed form."""
+    """A round surface, where PyBullet's answer is off by 1 mm, and by 7 mm where a ray grazes it: met in
+    closed form."""
 
     shape: RoundShape
     pose: PoseReader
@@ -211,7 +233,9 @@ class RoundSurface:
             met = _ball(s, d, 0.0, r)
         else:
             half = self.shape.length / 2
-            met = _first(d[0] * d[0] + d[1] * d[1], s[0] * d[0] + s[1] * d[1], s[0] * s[0] + s[1] * s[1] - r * r)
+            met = _first(
+                d[0] * d[0] + d[1] * d[1], s[0] * d[0] + s[1] * d[1], s[0] * s[0] + s[1] * s[1] - r * r
+            )
             if abs(s[2] + met * d[2]) > half:
                 if isinstance(self.shape, Cylinder):
                     return near  # its ends are flat
@@ -221,7 +245,9 @@ class RoundSurface:
 
 def _ball(s: Triple, d: Triple, height: float, radius: float) -> float:
     z = s[2] - height
-    return _first(1.0, s[0] * d[0] + s[1] * d[1] + z * d[2], s[0] * s[0] + s[1] * s[1] + z * z - radius * radius)
+    return _first(
+        1.0, s[0] * d[0] + s[1] * d[1] + z * d[2], s[0] * s[0] + s[1] * s[1] + z * z - radius * radius
+    )
 
 
 def _first(a: float, b: float, c: float) -> float:
@@ -238,4 +264,6 @@ def _rounded(client: int, body: Body, index: int, read_cache: ReadCache) -> Roun
     geometry = link.collisions[0]
     if not isinstance(geometry.shape, RoundShape):
         return None
-    return RoundSurface(geometry.shape, state.pose(client, body, index, read_cache), frames.frame(geometry.origin))
+    return RoundSurface(
+        geometry.shape, state.pose(client, body, index, read_cache), frames.frame(geometry.origin)
+    )

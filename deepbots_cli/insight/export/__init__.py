@@ -1,4 +1,5 @@
-"""A policy for a robot: what sensors measure in, the commands of actuators out, as a graph of ONNX with all that must be known of it.
+"""A policy for a robot: what sensors measure in, the commands of actuators out, as a graph of ONNX with all
+that must be known of it.
 
 graph.py      a graph under construction
 trees.py      expressions of a scenario, and the memories of stateful functions, as nodes
@@ -8,7 +9,8 @@ actuators.py  the outputs: the command of each actuator, its limits, its safe po
 control.py    a whole control step as one graph
 recording.py  steps of a simulation as an exported policy sees them
 parity.py     whether an exported policy acts as the scenario does, and the recorded steps of a bundle
-isaac.py      a policy in the form that runners of Isaac Lab read; deploy.py its settings, from the scenario alone
+isaac.py      a policy in the form that runners of Isaac Lab read; deploy.py its settings, from the scenario
+              alone
 lerobot.py    the scaling of a policy as processors of LeRobot
 leapp.py      the graph of a bundle with a pipeline file of LEAPP
 bundle.py     the folder that `deepbots export` writes, and whether it fits a scenario

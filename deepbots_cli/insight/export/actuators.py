@@ -30,7 +30,9 @@ def output(program: Program, robot: Robot, command: Command) -> Output:
     """The command of an actuator."""
     actuator = command.actuator
     model = next(body.model for body in program.world.robots if body.name == robot.name)
-    joints = [joint for name in getattr(actuator, "joints", ()) for joint in model.joints if joint.name == name]
+    joints = [
+        joint for name in getattr(actuator, "joints", ()) for joint in model.joints if joint.name == name
+    ]
     kind = _KINDS[actuator.kind] if isinstance(actuator, Motor) else _kind(actuator)
     count = len(command.components)
     limits = _limits(actuator, kind, joints, count)
@@ -41,7 +43,7 @@ def output(program: Program, robot: Robot, command: Command) -> Output:
         actuator=command.name,
         kind=kind,
         joints=tuple(joint.name for joint in joints),
-        links=actuator.links if isinstance(actuator, Thrust) else (actuator.link,) if isinstance(actuator, Cartesian) else (),
+        links=_links(actuator),
         shape=(count,),
         dtype="float64",
         components=tuple(command.components),
@@ -57,8 +59,18 @@ def output(program: Program, robot: Robot, command: Command) -> Output:
     )
 
 
+def _links(actuator: Actuator) -> tuple[str, ...]:
+    if isinstance(actuator, Thrust):
+        return actuator.links
+    return (actuator.link,) if isinstance(actuator, Cartesian) else ()
+
+
 def _kind(actuator: Actuator) -> str:
-    return "thrust" if isinstance(actuator, Thrust) else "cartesian" if isinstance(actuator, Cartesian) else getattr(actuator, "kind", "")
+    if isinstance(actuator, Thrust):
+        return "thrust"
+    if isinstance(actuator, Cartesian):
+        return "cartesian"
+    return getattr(actuator, "kind", "")
 
 
 def _unit(command: Command, kind: str, joints: Sequence[Joint]) -> str:
@@ -92,15 +104,21 @@ def _or(number: float | None, other: float) -> float:
 
 
 def _within(command: Command, limits: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The limits of each component, and for a component without a limit the largest command of the scenario."""
-    known = command.target.typed.type
-    components = known.components or (None,) * len(limits)
-    found = []
+    """The limits of each component, and for a component without a limit the largest command of the
+    scenario."""
+    target_type = command.target.typed.type
+    components = target_type.components or (None,) * len(limits)
+    intervals = []
     for (low, high), component in zip(limits, components, strict=False):
-        reach = known.interval_of(component)
+        reach = target_type.interval_of(component)
         ends = sorted(command.opening) if command.opening else (reach.low, reach.high)
-        found.append((low if math.isfinite(low) else min(ends[0], high), high if math.isfinite(high) else max(ends[1], low)))
-    return found
+        intervals.append(
+            (
+                low if math.isfinite(low) else min(ends[0], high),
+                high if math.isfinite(high) else max(ends[1], low),
+            )
+        )
+    return intervals
 
 
 def _rates(actuator: Actuator, count: int) -> tuple[float | None, ...]:
@@ -120,7 +138,8 @@ def _safe(kind: str, low: float | None, high: float | None) -> float | None:
 
 
 def linear(program: Program, targets: Sequence[Scalar]) -> tuple[Array, Array] | None:
-    """A matrix (targets, numbers of the action) and an offset if each target is matrix @ action + offset, action in [-1, 1]; else None."""
+    """A matrix (targets, numbers of the action) and an offset if each target is matrix @ action + offset,
+    action in [-1, 1]; else None."""
     parts = [(part, component) for part in program.agent.ranges for component in part.components or (None,)]
     count = len(parts)
     dice = np.random.default_rng(0).uniform(-1.0, 1.0, (20, count))
@@ -140,7 +159,8 @@ def linear(program: Program, targets: Sequence[Scalar]) -> tuple[Array, Array] |
 
 
 def tabulated(program: Program, targets: Sequence[Scalar]) -> Array | None:
-    """The targets of each combination of options, the last choice changing first: (combinations, targets); None if they need more."""
+    """The targets of each combination of options, the last choice changing first: (combinations, targets);
+    None if they need more."""
     chosen = [*product(*(part.options for part in program.agent.choices))]
     variables = [name for part in program.agent.choices for name in part.variables]
     rows = np.array([[value for option in options for value in option.values] for options in chosen], float)

@@ -1,7 +1,8 @@
 """The bundle of an exported policy, and whether it fits a scenario.
 
 policy.onnx     what sensors measure in, the commands of actuators out, in SI units
-bundle.json     its inputs and outputs, in order: units, frames, ranges, rates, ages, limits; the result with its interval, versions
+bundle.json     its inputs and outputs, in order: units, frames, ranges, rates, ages, limits; the result with
+                its interval, versions
 parity.npz      recorded steps, which `deepbots_robot.load` repeats
 README.md       the same for people
 scenario.yaml   the scenario, which defines the names; its robot files are in the folder inputs
@@ -36,7 +37,8 @@ _LICENSE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
 
 
 def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[PurePosixPath, bytes]:
-    """The files of the bundle of a run. A simulation of some hundred steps checks that it commands what the scenario does.
+    """The files of the bundle of a run. A simulation of some hundred steps checks that it commands what the
+    scenario does.
 
     Args:
         run: The run.
@@ -61,16 +63,25 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
     learner = policy.loaded(run, name)
-    policy_graph(learner, run.program)  # compares the networks with those of the learner on random observations
+    policy_graph(
+        learner, run.program
+    )  # compares the networks with those of the learner on random observations
     step = control_step(run.program, learner)
     info = _info(run, name, step)
     graph = step.model({bundle.METADATA_KEY: bundle.description_digest(info)})
     with torch_settings():
-        parity = recorded_parity(bundle.Bundle(info, graph), step, learner, engine=run.engine_for(run.program))
+        parity = recorded_parity(
+            bundle.Bundle(info, graph), step, learner, engine=run.engine_for(run.program)
+        )
     readme = render_template(
-        "export/bundle.md.j2", info=info, used=numbers_read(graph), numbers=run.program.agent.numbers, places=_places(info)
+        "export/bundle.md.j2",
+        info=info,
+        used=numbers_read(graph),
+        numbers=run.program.agent.numbers,
+        places=_places(info),
     )
-    # The scenario names the copies of its robot files; the YAML files that it was put together from are in it.
+    # The scenario names the copies of its robot files; the YAML files that it was put together from are in
+    # it.
     robots = [name for name in run.record.inputs if not name.endswith((".yaml", ".yml"))]
     files = {
         bundle.GRAPH_NAME: graph,
@@ -79,7 +90,9 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
         bundle.SCENARIO_NAME: (run.path / RESOLVED_NAME).read_bytes(),
         **{f"{INPUTS_FOLDER}/{name}": (run.path / INPUTS_FOLDER / name).read_bytes() for name in robots},
     }
-    info = msgspec.structs.replace(info, files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()})
+    info = msgspec.structs.replace(
+        info, files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    )
     description = model.encode(info)
     files = {bundle.BUNDLE_NAME: description, **files}
     if key is not None:
@@ -101,7 +114,9 @@ def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, byt
     if reader == "isaac-lab":
         from deepbots_cli.insight.export.deploy import deploy_settings
 
-        deploy_settings(run.program)  # refuses in a second what takes seven with the imports and the model below
+        deploy_settings(
+            run.program
+        )  # refuses in a second what takes seven with the imports and the model below
     try:
         from deepbots_cli.insight.export import isaac, leapp, lerobot
         from deepbots_cli.learning import policy
@@ -123,8 +138,12 @@ def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
     result = verdict.evaluation
     evaluation = None
     if result is not None:
-        known = {key: getattr(result, key) for key in model.Evaluation.__struct_fields__ if key not in ("text", "solved")}
-        evaluation = model.Evaluation(text=verdict.text, solved=verdict.solved, **known)
+        fields = {
+            key: getattr(result, key)
+            for key in model.Evaluation.__struct_fields__
+            if key not in ("text", "solved")
+        }
+        evaluation = model.Evaluation(text=verdict.text, solved=verdict.solved, **fields)
     return model.BundleInfo(
         format=model.FORMAT,
         deepbots=deepbots_cli.__version__,
@@ -162,7 +181,11 @@ def _topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
     from deepbots_cli.program.topics import mapping
     from deepbots_robot.model import RosTopic
 
-    return {name: RosTopic(topic=topic.name, type=topic.type, part=topic.part) for name, topic in mapping(program).items() if name in names}
+    return {
+        name: RosTopic(topic=topic.name, type=topic.type, part=topic.part)
+        for name, topic in mapping(program).items()
+        if name in names
+    }
 
 
 def _places(info: BundleInfo) -> dict[str, str]:
@@ -170,28 +193,41 @@ def _places(info: BundleInfo) -> dict[str, str]:
     from deepbots_robot.serving import field_of
     from deepbots_robot.topics import Topic, part_of, parts
 
-    found = {}
+    places = {}
     entries: list[Input | Output] = [*info.inputs, *info.outputs]
     for entry in entries:
-        if (known := info.ros.get(entry.name)) is not None:
+        if (ros_place := info.ros.get(entry.name)) is not None:
             field = field_of(entry)
-            part = parts(known.type)[part_of(field, Topic(known.topic, known.type, known.part))]
-            of = f"of {', '.join(field.joints)}, by `name`" if part.by_joint else "in the order of the table" if part.count is None else ""
-            found[entry.name] = f"`{part.path}` {of}".strip()
-    return found
+            part = parts(ros_place.type)[
+                part_of(field, Topic(ros_place.topic, ros_place.type, ros_place.part))
+            ]
+            if part.by_joint:
+                of = f"of {', '.join(field.joints)}, by `name`"
+            elif part.count is None:
+                of = "in the order of the table"
+            else:
+                of = ""
+            places[entry.name] = f"`{part.path}` {of}".strip()
+    return places
 
 
 def _action_parts(program: Program) -> list[ActionPart]:
     from deepbots_robot.model import ActionPart
 
-    found = []
+    parts = []
     for part in program.agent.action:
         if isinstance(part, ActionRange):
-            found += [ActionPart(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high) for name in part.names]
+            parts += [
+                ActionPart(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high)
+                for name in part.names
+            ]
         else:
-            options = {option.name: dict(zip(part.variables, map(float, option.values), strict=True)) for option in part.options}
-            found.append(ActionPart(name=part.name, options=options))
-    return found
+            options = {
+                option.name: dict(zip(part.variables, map(float, option.values), strict=True))
+                for option in part.options
+            }
+            parts.append(ActionPart(name=part.name, options=options))
+    return parts
 
 
 def _robot_files(run: Run) -> dict[str, RobotFile]:
@@ -199,20 +235,24 @@ def _robot_files(run: Run) -> dict[str, RobotFile]:
     from deepbots_robot.model import RobotFile
 
     spec = api.load(Source.open(run.path, Permissions(), SourceKind.RUN)).spec
-    found = {}
+    robot_files = {}
     for name, robot in (spec.robots if spec is not None else {}).items():
         file = PurePath(str(robot.urdf)).relative_to(INPUTS_FOLDER).as_posix()
-        found[name] = RobotFile(file=file, digest=hashlib.sha256((run.path / INPUTS_FOLDER / file).read_bytes()).hexdigest())
-    return found
+        robot_files[name] = RobotFile(
+            file=file, digest=hashlib.sha256((run.path / INPUTS_FOLDER / file).read_bytes()).hexdigest()
+        )
+    return robot_files
 
 
 def _licenses(inputs: Path) -> dict[str, str]:
     """The SPDX identifiers in the scenario and robot files of a run, by file."""
-    found = {}
+    licenses = {}
     for path in sorted(inputs.rglob("*")):
-        if path.suffix in (".yaml", ".urdf", ".xacro") and (match := _LICENSE.search(path.read_text("utf-8", errors="replace"))):
-            found[path.relative_to(inputs).as_posix()] = match[1].strip(" -")
-    return found
+        if path.suffix in (".yaml", ".urdf", ".xacro") and (
+            match := _LICENSE.search(path.read_text("utf-8", errors="replace"))
+        ):
+            licenses[path.relative_to(inputs).as_posix()] = match[1].strip(" -")
+    return licenses
 
 
 # Whether it fits
@@ -223,7 +263,8 @@ def read_bundle(folder: Path) -> BundleInfo:
 
     Raises:
         MissingExtraError: onnxruntime is not installed.
-        RunError: The folder is no bundle, or one of its files is damaged, of another format or not the one that was exported.
+        RunError: The folder is no bundle, or one of its files is damaged, of another format or not the one
+            that was exported.
     """
     try:
         import deepbots_robot
@@ -236,12 +277,17 @@ def read_bundle(folder: Path) -> BundleInfo:
 
 
 def remarks(info: BundleInfo, program: Program, diff: str) -> list[str]:
-    """Differences of a scenario that the policy fits, one sentence each; `diff` is the command that shows all differences."""
-    found = []
+    """Differences of a scenario that the policy fits, one sentence each; `diff` is the command that shows all
+    differences."""
+    texts = []
     if not math.isclose(info.timestep_s, program.period):
-        found.append(
-            f"the policy was trained with an action every {info.timestep_s:g} s, but the scenario has one every {program.period:g} s"
+        texts.append(
+            f"the policy was trained with an action every {info.timestep_s:g} s, but the scenario has one"
+            f" every {program.period:g} s"
         )
     if info.scenario.task_digest != identity.task_digest(program):
-        found.append(f"rewards, endings, starts or the world differ from the training; to see the differences, run: {diff}")
-    return found
+        texts.append(
+            "rewards, endings, starts or the world differ from the training; to see the differences, run:"
+            f" {diff}"
+        )
+    return texts

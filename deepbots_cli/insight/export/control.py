@@ -1,13 +1,15 @@
-"""One control step of a scenario as a graph: from what sensors measure to the commands of actuators, in SI units.
+"""One control step of a scenario as a graph: from what sensors measure to the commands of actuators, in SI
+units.
 
     sensors ─▶ emit ─▶ augment, signals ─▶ observation ─▶ networks ─▶ action ─▶ receive ─▶ apply ─▶ commands
 
-The parts are those of the generated code, in its order: what `_observe` computes for the policy, then `_advance` up to the actuators. Noise
-is left out, since a robot has its own. A memory is a tensor in and one out; `memory.started` is false in the first step of an episode,
-in which each memory begins as after a reset.
+The parts are those of the generated code, in its order: what `_observe` computes for the policy, then
+`_advance` up to the actuators. Noise is left out, since a robot has its own. A memory is a tensor in and one
+out; `memory.started` is false in the first step of an episode, in which each memory begins as after a reset.
 
-With `action_repeat`, a function with a memory advances between two actions too. The graph is then called in every timestep: it observes in
-all of them, and acts in every n-th; in the others it returns the commands of the last action.
+With `action_repeat`, a function with a memory advances between two actions too. The graph is then called in
+every timestep: it observes in all of them, and acts in every n-th; in the others it returns the commands of
+the last action.
 """
 
 from __future__ import annotations
@@ -81,7 +83,10 @@ class ControlStep:
         self._formulas = MemoryFormulas(self.math, program.world.timestep)
         self._whole: dict[str, Value] = {}
         self._definitions = self._describe.deployment.definitions
-        self._on_board = {robot.name: TreePrinter(self.math, _OnBoard(self, robot), self._observed_states) for robot in program.robots}
+        self._on_board = {
+            robot.name: TreePrinter(self.math, _OnBoard(self, robot), self._observed_states)
+            for robot in program.robots
+        }
         self._refuse_what_robots_compute_late()
         self._observed = TreePrinter(self.math, self._observed_leaf, self._observed_states)
         action = self._decide(learner)
@@ -98,15 +103,19 @@ class ControlStep:
     @cached_property
     def started(self) -> Value:
         """Whether there was a step before in this episode."""
-        found = self.memory("started", 1, truth=True)
+        started = self.memory("started", 1, truth=True)
         self.keep("started", self.math.constant([True]))
-        return found
+        return started
 
     @cached_property
     def _acts(self) -> Value:
         """Whether the policy acts in this call."""
         calls = self._calls
-        return self.math.binary("Equal", self.math.remainder(calls, self.math.constant([float(self.repeat)])), self.math.constant([0.0]))
+        return self.math.binary(
+            "Equal",
+            self.math.remainder(calls, self.math.constant([float(self.repeat)])),
+            self.math.constant([0.0]),
+        )
 
     @cached_property
     def _calls(self) -> Value:
@@ -120,7 +129,9 @@ class ControlStep:
         return value if self.repeat == 1 else self.math.where(self._acts, value, otherwise)
 
     def _tensor_if_acting(self, tensor: str, otherwise: str) -> str:
-        return tensor if self.repeat == 1 else str(self.graph.add("Where", self._acts.name, tensor, otherwise))
+        return (
+            tensor if self.repeat == 1 else str(self.graph.add("Where", self._acts.name, tensor, otherwise))
+        )
 
     def input(self, reading: Reading) -> Value:
         """The tensor of an input, which is made when it is first read."""
@@ -139,18 +150,22 @@ class ControlStep:
         """Pass a value to the next step."""
         memory = next(entry for entry in self.memories if entry.name == f"memory.{name}")
         (size,) = memory.shape
-        self._kept[memory.name] = self.math.spread(value if memory.dtype == "bool" else self.math.number(value), size).name
+        self._kept[memory.name] = self.math.spread(
+            value if memory.dtype == "bool" else self.math.number(value), size
+        ).name
 
     def _memory_tensor(self, name: str, dtype: Any, *shape: int) -> str:
         tensor = f"memory.{name}"
-        known: Any = np.dtype(dtype).name
-        self.memories.append(Memory(name=tensor, shape=shape, dtype=known, initial=(0.0,)))
+        dtype_name: Any = np.dtype(dtype).name
+        self.memories.append(Memory(name=tensor, shape=shape, dtype=dtype_name, initial=(0.0,)))
         return self.graph.input(tensor, dtype, *shape)
 
     def _finish(self) -> None:
         """Declare inputs in their order, and the memories as outputs after the commands."""
         declared = {entry.name: entry for entry in self.graph.inputs}
-        self.graph.inputs = [declared[name] for name in (*self.readings, *(memory.name for memory in self.memories))]
+        self.graph.inputs = [
+            declared[name] for name in (*self.readings, *(memory.name for memory in self.memories))
+        ]
         for memory in self.memories:
             self.graph.output(f"{memory.name}_next", self._kept[memory.name], memory.dtype, *memory.shape)
         shape = [len(self.agent.choices)] if len(self.agent.choices) > 1 else []
@@ -176,7 +191,11 @@ class ControlStep:
 
     def _observed_leaf(self, leaf: Name | EngineRead) -> Item:
         if isinstance(leaf, EngineRead):
-            return self._channel_value(leaf) if leaf.function in ("age", "message_received") else self.of_world(leaf)
+            return (
+                self._channel_value(leaf)
+                if leaf.function in ("age", "message_received")
+                else self.of_world(leaf)
+            )
         return self._named(leaf, self._clock(leaf.name, 0))
 
     def _named(self, leaf: Name, clock: Value | None) -> Item:
@@ -185,19 +204,27 @@ class ControlStep:
         if clock is not None:
             return Item(clock)
         if name in _LATER or any(ending.name == name for ending in self.program.endings):
-            raise UsageError(f"the policy sees '{name}', and {_LATER.get(name, 'an ending')} is known in a training alone")
+            raise UsageError(
+                f"the policy sees '{name}', and {_LATER.get(name, 'an ending')} is known in a training alone"
+            )
         if name in self._definitions.parameters:
             value = self._definitions.parameters[name]
             return _item(self.input(self._describe.parameter(value)), value.components, part)
         if name in self._definitions.signals:
             signal = self._definitions.signals[name]
-            return _item(self._once(f"signal {name}", self._observed, signal.scalars), signal.components, part)
+            return _item(
+                self._once(f"signal {name}", self._observed, signal.scalars), signal.components, part
+            )
         if name in self._definitions.fields:
             robot, entry = self._definitions.fields[name]
             if not self.program.is_direct(robot, "from_robot") and not _sends_a_sensor(robot, entry.scalars):
                 late = f"messages from {robot.name} arrive late or not at all"
-                raise UsageError(f"{robot.name} computes '{name}' itself, and {late}; this cannot be exported")
-            return _item(self._once(f"field {name}", self._on_board[robot.name], entry.scalars), entry.components, part)
+                raise UsageError(
+                    f"{robot.name} computes '{name}' itself, and {late}; this cannot be exported"
+                )
+            return _item(
+                self._once(f"field {name}", self._on_board[robot.name], entry.scalars), entry.components, part
+            )
         return _item(self._last_action(name), self._acted[name], part)
 
     def _once(self, key: str, printer: TreePrinter, trees: Sequence[Scalar]) -> Value:
@@ -251,7 +278,9 @@ class ControlStep:
         args = _columns(printer, states)
         begun, first = self._formulas.begin(function, args)
         name = self._slot(states[0])
-        kept, value = self._formulas.proceed(function, self.memory(name, len(states), truth=begun.truth), args)
+        kept, value = self._formulas.proceed(
+            function, self.memory(name, len(states), truth=begun.truth), args
+        )
         self.keep(name, self.math.where(self.started, kept, begun))
         return self.math.where(self.started, value, first)
 
@@ -262,7 +291,10 @@ class ControlStep:
         """A name for the memory of a stateful call, which no other memory has."""
         item, occurrence = state.call
         names = {memory.name for memory in self.memories}
-        wanted = [item if occurrence == "0" else f"{item}.{occurrence}", *(f"{item}.{occurrence}.{number}" for number in range(1, 10_000))]
+        wanted = [
+            item if occurrence == "0" else f"{item}.{occurrence}",
+            *(f"{item}.{occurrence}.{number}" for number in range(1, 10_000)),
+        ]
         return next(name for name in wanted if f"memory.{name}" not in names)
 
     # The observation and the networks
@@ -275,7 +307,10 @@ class ControlStep:
             seen["observation"] = self._seen()
         seen |= {image.key: self._seen_image(image) for image in agent.images}
         if agent.goal is not None:
-            for key, trees in (("achieved_goal", agent.goal.achieved.scalars), ("desired_goal", agent.goal.targets)):
+            for key, trees in (
+                ("achieved_goal", agent.goal.achieved.scalars),
+                ("desired_goal", agent.goal.targets),
+            ):
                 middle, half = _mapping(agent.goal.low, agent.goal.high)
                 value = self.math.binary("Sub", self._observed.vector(trees), self.math.constant(middle))
                 value = self._clipped(self.math.binary("Div", value, self.math.constant(half)))
@@ -292,10 +327,14 @@ class ControlStep:
         self._decision = network.decide(graph, policy, self.program, seen, states, self._mask(learner))
         for name, after in zip(network.LSTM_STATES, self._decision.after, strict=False):
             memory = f"memory.{name}"
-            self._kept[memory] = self._tensor_if_acting(graph.add("Squeeze", after, graph.constant([1], np.int64)), memory)
+            self._kept[memory] = self._tensor_if_acting(
+                graph.add("Squeeze", after, graph.constant([1], np.int64)), memory
+            )
         self._action = graph.reshape(self._decision.action, -1)
         if self.repeat > 1:
-            dtype, size = (np.int64, len(agent.choices)) if agent.choices else (np.float32, len(agent.range_names))
+            dtype, size = (
+                (np.int64, len(agent.choices)) if agent.choices else (np.float32, len(agent.range_names))
+            )
             self._action = self._tensor_if_acting(self._action, self._memory_tensor("action", dtype, size))
             self._kept["memory.action"] = self._action
         return self._decoded()
@@ -304,7 +343,9 @@ class ControlStep:
         if not network.takes_masks(learner, self.program):
             return None
         allowed = [
-            self.math.constant([True]) if option.forbidden is None else self.math.negated(self._observed.value(option.forbidden.scalar))
+            self.math.constant([True])
+            if option.forbidden is None
+            else self.math.negated(self._observed.value(option.forbidden.scalar))
             for part in self.agent.choices
             for option in part.options
         ]
@@ -313,7 +354,7 @@ class ControlStep:
     def _decoded(self) -> dict[str, Value]:
         """What the action of the policy sets."""
         agent, graph, decision = self.agent, self.graph, self._decision
-        found: dict[str, Value] = {}
+        decoded: dict[str, Value] = {}
         if decision.scores is None:
             whole = Value(graph.cast(graph.reshape(decision.action, -1), np.float64), len(agent.range_names))
             place = 0
@@ -322,18 +363,24 @@ class ControlStep:
                 value = self.math.picked([Item(whole, place + index) for index in range(size)])
                 half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
                 value = self.math.binary("Mul", value, self.math.constant([half])) if half != 1.0 else value
-                found[part.name] = self.math.binary("Add", value, self.math.constant([middle])) if middle else value
+                decoded[part.name] = (
+                    self.math.binary("Add", value, self.math.constant([middle])) if middle else value
+                )
                 place += size
-            return found | {"previous_action": whole}
+            return decoded | {"previous_action": whole}
         taken = []
         for choice, option in zip(agent.choices, decision.options, strict=True):
             table = graph.constant([each.values for each in choice.options], np.float64)
             row = Value(graph.reshape(graph.add("Gather", table, option, axis=0), -1), len(choice.variables))
-            found |= {name: self.math.picked([Item(row, place)]) for place, name in enumerate(choice.variables)}
+            decoded |= {
+                name: self.math.picked([Item(row, place)]) for place, name in enumerate(choice.variables)
+            }
             size = len(choice.options)
-            hot = graph.reshape(graph.add("Gather", graph.constant(np.eye(size), np.float64), option, axis=0), -1)
+            hot = graph.reshape(
+                graph.add("Gather", graph.constant(np.eye(size), np.float64), option, axis=0), -1
+            )
             taken.append(self.math.binary("Greater", Value(hot, size), self.math.constant([0.5])))
-        return found | {"previous_action": self.math.joined(taken)}
+        return decoded | {"previous_action": self.math.joined(taken)}
 
     def _seen(self) -> str:
         """The vector of numbers, in [-1, 1]: the newest frame and older ones."""
@@ -360,9 +407,15 @@ class ControlStep:
         """The numbers of one entry as the policy sees them, float32."""
         first, size = entry.numbers[0], len(entry.numbers)
         if entry.value.foreign is not None:
-            raise UsageError(f"the observation '{entry.name}' is computed by Python, which cannot be exported")
+            raise UsageError(
+                f"the observation '{entry.name}' is computed by Python, which cannot be exported"
+            )
         value = self._observed.vector(entry.value.scalars)
-        as_given = entry.name == "previous_action" and entry.noise is None and {*entry.low, *entry.high} == {-1.0, 1.0}
+        as_given = (
+            entry.name == "previous_action"
+            and entry.noise is None
+            and {*entry.low, *entry.high} == {-1.0, 1.0}
+        )
         if not (first.is_truth or as_given):
             middle, half = _mapping(entry.low, entry.high)
             value = self.math.binary("Sub", value, self.math.constant(middle))
@@ -371,13 +424,18 @@ class ControlStep:
         return self.graph.cast(self.math.spread(value, size).name, np.float32)
 
     def _clipped(self, value: Value) -> Value:
-        return self.math.call("min", [self.math.call("max", [value, self.math.constant([-1.0])]), self.math.constant([1.0])])
+        return self.math.call(
+            "min", [self.math.call("max", [value, self.math.constant([-1.0])]), self.math.constant([1.0])]
+        )
 
     @property
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         """Rows, columns and channels of the images that the policy sees."""
         stack = self.agent.frame_stack
-        return {image.key: (*image.shape[:2], image.shape[2] * len(image.ages(stack))) for image in self.agent.images}
+        return {
+            image.key: (*image.shape[:2], image.shape[2] * len(image.ages(stack)))
+            for image in self.agent.images
+        }
 
     def _seen_image(self, image: ImageObservation) -> str:
         """An image, uint8 [rows, columns, channels], with its history side by side, oldest first."""
@@ -386,7 +444,9 @@ class ControlStep:
         if robot is not None and entry is not None:
             sensor = next((each for each in robot.sensors if entry.scalars == (Name(each.name),)), None)
         if robot is None or sensor is None:
-            raise UsageError(f"the image '{image.name}' is not that of a camera as it is, which cannot be exported")
+            raise UsageError(
+                f"the image '{image.name}' is not that of a camera as it is, which cannot be exported"
+            )
         reading = self._describe.sensor(robot, sensor)
         self.input(reading)
         graph, ages = self.graph, image.ages(self.agent.frame_stack)
@@ -395,10 +455,14 @@ class ControlStep:
             return reading.info.name
         newest = graph.add("Unsqueeze", reading.info.name, graph.constant([0], np.int64))
         before = self._memory_tensor(image.key, np.uint8, depth - 1, *image.shape)
-        older = graph.add("Where", self.started.name, before, graph.add("Concat", *[newest] * (depth - 1), axis=0))
+        older = graph.add(
+            "Where", self.started.name, before, graph.add("Concat", *[newest] * (depth - 1), axis=0)
+        )
         frames = graph.add("Concat", older, newest, axis=0)
         self._kept[f"memory.{image.key}"] = self._tensor_if_acting(self._without_oldest(frames, depth), older)
-        taken = graph.add("Gather", frames, graph.constant([depth - 1 - ago for ago in ages], np.int64), axis=0)
+        taken = graph.add(
+            "Gather", frames, graph.constant([depth - 1 - ago for ago in ages], np.int64), axis=0
+        )
         return graph.reshape(graph.add("Transpose", taken, perm=[1, 2, 0, 3]), *self._shapes[image.key])
 
     # Messages and commands
@@ -410,9 +474,15 @@ class ControlStep:
             received = {entry.name for entry in robot.received}
             reads = any(leaf.name not in received for tree in trees for leaf in names_in(tree))
             keeps = any(isinstance(node, State) for tree in trees for node in walk(tree))
-            if robot.name in self.agent.robots and (reads or keeps) and not self.program.is_direct(robot, "to_robot"):
+            if (
+                robot.name in self.agent.robots
+                and (reads or keeps)
+                and not self.program.is_direct(robot, "to_robot")
+            ):
                 late = "and messages to it arrive late or not at all"
-                raise UsageError(f"`apply` of {robot.name} reads sensors or keeps values, {late}; this cannot be exported")
+                raise UsageError(
+                    f"`apply` of {robot.name} reads sensors or keeps values, {late}; this cannot be exported"
+                )
 
     def _command(self, action: dict[str, Value]) -> None:
         """The commands of the robots that the action commands."""
@@ -423,7 +493,9 @@ class ControlStep:
             if robot.name not in self.agent.robots:
                 continue
             first = TreePrinter(self.math, _Applied(self, robot, None), self._states_at_reset)
-            applied = TreePrinter(self.math, _Applied(self, robot, sent), _Acting(self, first, robot.begun_by_message))
+            applied = TreePrinter(
+                self.math, _Applied(self, robot, sent), _Acting(self, first, robot.begun_by_message)
+            )
             for command in robot.commands:
                 info = actuators.output(self.program, robot, command)
                 value = self.math.spread(self.math.number(applied.vector(command.scalars)), info.shape[0])
@@ -439,12 +511,19 @@ class ControlStep:
         return self.math.constant([sign * np.inf if end is None else float(end) for end in ends])
 
     def states_of_acting(
-        self, states: Sequence[State], printer: TreePrinter, at_reset: TreePrinter, begun: frozenset[tuple[str, str]]
+        self,
+        states: Sequence[State],
+        printer: TreePrinter,
+        at_reset: TreePrinter,
+        begun: frozenset[tuple[str, str]],
     ) -> Value:
-        """What advances with each message, from its value at the reset on; `begun` are the calls that begin with the first message."""
+        """What advances with each message, from its value at the reset on; `begun` are the calls that begin
+        with the first message."""
         function = states[0].function
         args = _columns(printer, states)
-        start, _ = self._formulas.begin(function, args if states[0].call in begun else _columns(at_reset, states))
+        start, _ = self._formulas.begin(
+            function, args if states[0].call in begun else _columns(at_reset, states)
+        )
         name = self._slot(states[0])
         before = self.math.where(self.started, self.memory(name, len(states), truth=start.truth), start)
         kept, value = self._formulas.proceed(function, before, args)
@@ -488,7 +567,8 @@ class _Sent:
 
 
 class _Applied:
-    """What names mean in the commands of a robot: its sensors, and what it received; zeros at a reset (`sent` None)."""
+    """What names mean in the commands of a robot: its sensors, and what it received; zeros at a reset (`sent`
+    None)."""
 
     def __init__(self, step: ControlStep, robot: Robot, sent: TreePrinter | None) -> None:
         self._step, self._sent = step, sent
@@ -516,7 +596,10 @@ class _Acting:
 
 def _sends_a_sensor(robot: Robot, trees: Sequence[Scalar]) -> bool:
     """Whether a value that a robot sends is a sensor as it is."""
-    return any(trees == tuple(Name(sensor.name, part) for part in sensor.components or (None,)) for sensor in robot.sensors)
+    return any(
+        trees == tuple(Name(sensor.name, part) for part in sensor.components or (None,))
+        for sensor in robot.sensors
+    )
 
 
 def _item(whole: Value, components: Sequence[str], part: str | None) -> Item:

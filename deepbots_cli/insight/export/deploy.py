@@ -1,9 +1,11 @@
-"""The settings of a runner of Isaac Lab, which follow from a scenario alone: the content of `params/deploy.yaml`.
+"""The settings of a runner of Isaac Lab, which follow from a scenario alone: the content of
+`params/deploy.yaml`.
 
-The file has the keys of unitree_rl_lab (`joint_ids_map`, `step_dt`, `stiffness`, `damping`, `default_joint_pos`, `commands`, `actions`,
-`observations`), with all digits of each number. A runner computes `scale * clip(value)` of each observation, and
-`clip(scale * action + offset)` of the action; other scenarios cannot be written so. Neither torch nor onnx is imported here, so a scenario
-that does not fit is refused at once.
+The file has the keys of unitree_rl_lab (`joint_ids_map`, `step_dt`, `stiffness`, `damping`,
+`default_joint_pos`, `commands`, `actions`, `observations`), with all digits of each number. A runner computes
+`scale * clip(value)` of each observation, and `clip(scale * action + offset)` of the action; other scenarios
+cannot be written so. Neither torch nor onnx is imported here, so a scenario that does not fit is refused at
+once.
 """
 
 from __future__ import annotations
@@ -32,28 +34,51 @@ _ROUNDING = 1e-9
 
 
 def deploy_settings(program: Program) -> dict[str, Any]:
-    """The content of `deploy.yaml`; joints are in the order of the action, but for gains, which are in the order of the robot file.
+    """The content of `deploy.yaml`; joints are in the order of the action, but for gains, which are in the
+    order of the robot file.
 
     Raises:
-        UsageError: A runner cannot compute the observation or the commands of the scenario, or keep the memory of its policy.
+        UsageError: A runner cannot compute the observation or the commands of the scenario, or keep the
+            memory of its policy.
     """
     agent = program.agent
     algorithm = ALGORITHMS.get(agent.training.algorithm) if agent.training is not None else None
     if algorithm is not None and algorithm.base() == "RecurrentPPO":
-        raise UsageError("a recurrent policy does not fit the runners of Isaac Lab, which pass on no memory; export a bundle instead")
-    if agent.choices or agent.goal is not None or agent.images or agent.frame_stack > 1 or agent.copies is not None:
         raise UsageError(
-            "the runners of Isaac Lab take a vector of numbers and return targets of joints: choices, goals, images, copies and"
+            "a recurrent policy does not fit the runners of Isaac Lab, which pass on no memory; export a"
+            " bundle instead"
+        )
+    if (
+        agent.choices
+        or agent.goal is not None
+        or agent.images
+        or agent.frame_stack > 1
+        or agent.copies is not None
+    ):
+        raise UsageError(
+            "the runners of Isaac Lab take a vector of numbers and return targets of joints: choices, goals,"
+            " images, copies and"
             " `agent.frame_stack` do not fit (use `history` of an observation); export a bundle instead"
         )
     robot, command = _only_command(program)
     motor = command.actuator
-    if not isinstance(motor, Motor) or motor.kind != "position_motor" or motor.stiffness is None or motor.damping is None:
-        raise UsageError(f"the runners of Isaac Lab drive position motors with stiffness and damping, and '{command.name}' is none")
-    found = linear(program, command.scalars)
-    if found is None or not np.array_equal(found[0], np.diag(np.diag(found[0]))):
-        raise UsageError(f"`apply.{command.name}` is not a scale and an offset for each number of the action; export a bundle instead")
-    scale, offset = np.diag(found[0]).tolist(), found[1].tolist()
+    if (
+        not isinstance(motor, Motor)
+        or motor.kind != "position_motor"
+        or motor.stiffness is None
+        or motor.damping is None
+    ):
+        raise UsageError(
+            "the runners of Isaac Lab drive position motors with stiffness and damping, and"
+            f" '{command.name}' is none"
+        )
+    coefficients = linear(program, command.scalars)
+    if coefficients is None or not np.array_equal(coefficients[0], np.diag(np.diag(coefficients[0]))):
+        raise UsageError(
+            f"`apply.{command.name}` is not a scale and an offset for each number of the action; export a"
+            " bundle instead"
+        )
+    scale, offset = np.diag(coefficients[0]).tolist(), coefficients[1].tolist()
     model = next(body.model for body in program.world.robots if body.name == robot.name)
     in_file = [joint.name for joint in model.joints if joint.name in motor.joints]
     ends = output(program, robot, command).range
@@ -76,7 +101,9 @@ def deploy_settings(program: Program) -> dict[str, Any]:
         "commands": commands,
         "actions": {
             "JointPositionAction": {
-                "clip": [[low, high] for low, high in zip(*ends, strict=True)] if None not in (*ends[0], *ends[1]) else None,
+                "clip": [[low, high] for low, high in zip(*ends, strict=True)]
+                if None not in (*ends[0], *ends[1])
+                else None,
                 "joint_names": [*motor.joints],
                 "scale": scale,
                 "offset": offset,
@@ -92,19 +119,31 @@ def _only_command(program: Program) -> tuple[Robot, Command]:
     commands = [(robot, command) for robot in robots for command in robot.commands]
     if len(commands) != 1:
         names = ", ".join(f"{robot.name}.{command.name}" for robot, command in commands)
-        raise UsageError(f"the runners of Isaac Lab drive one group of joints, and the scenario commands {names}; export a bundle instead")
+        raise UsageError(
+            f"the runners of Isaac Lab drive one group of joints, and the scenario commands {names}; export"
+            " a bundle instead"
+        )
     return commands[0]
 
 
-def _term(entry: Observation, robot: Robot, motor: Motor, offset: Sequence[float]) -> tuple[str, dict[str, Any]]:
-    """The name that runners have for an entry of the observation, or its own, and the settings of the term."""
+def _term(
+    entry: Observation, robot: Robot, motor: Motor, offset: Sequence[float]
+) -> tuple[str, dict[str, Any]]:
+    """The name that runners have for an entry of the observation, or its own, and the settings of the
+    term."""
     size = len(entry.numbers)
-    term: dict[str, Any] = {"params": {}, "clip": None, "scale": [1.0] * size, "history_length": entry.history}
+    term: dict[str, Any] = {
+        "params": {},
+        "clip": None,
+        "scale": [1.0] * size,
+        "history_length": entry.history,
+    }
     if not entry.numbers[0].is_truth and entry.name != "previous_action":
         ends = {*zip(entry.low, entry.high, strict=True)}
         if len(ends) > 1 or any(abs(low + high) > _ROUNDING * (high - low) for low, high in ends):
             raise UsageError(
-                f"the range of the observation '{entry.name}' must be the same for all components and symmetric about 0, as"
+                f"the range of the observation '{entry.name}' must be the same for all components and"
+                " symmetric about 0, as"
                 " the runners of Isaac Lab only multiply; export a bundle instead"
             )
         ((low, high),) = ends
@@ -118,23 +157,37 @@ def _term_name(entry: Observation, robot: Robot, motor: Motor, offset: Sequence[
     sent = next((value.scalars for value in robot.emitted if f"{robot.name}.{value.name}" == entry.name), ())
     sensors = {sensor.name: sensor for sensor in robot.sensors}
     pairs = [_sensed(tree) for tree in sent]
-    found = {sensors[leaf.name].name: sensors[leaf.name] for leaf, _ in pairs if leaf is not None and leaf.name in sensors}
+    sensors_read = {
+        sensors[leaf.name].name: sensors[leaf.name]
+        for leaf, _ in pairs
+        if leaf is not None and leaf.name in sensors
+    }
     own = entry.name.replace(".", "_")
-    if len(found) != 1 or any(leaf is None for leaf, _ in pairs):
+    if len(sensors_read) != 1 or any(leaf is None for leaf, _ in pairs):
         return own
-    ((_, sensor),) = found.items()
+    ((_, sensor),) = sensors_read.items()
     shifts = [shift for _, shift in pairs]
-    if [leaf.component for leaf, _ in pairs if leaf is not None] != [*sensor.components] or sensor.kind not in _TERMS:
+    if [leaf.component for leaf, _ in pairs if leaf is not None] != [
+        *sensor.components
+    ] or sensor.kind not in _TERMS:
         return own
-    return (
-        _of_joints(sensor, shifts, motor, offset, own) if sensor.kind.startswith("joint") else own if any(shifts) else _TERMS[sensor.kind]
-    )
+    if sensor.kind.startswith("joint"):
+        return _of_joints(sensor, shifts, motor, offset, own)
+    if any(shifts):
+        return own
+    return _TERMS[sensor.kind]
 
 
-def _of_joints(sensor: Sensor, shifts: Sequence[float], motor: Motor, offset: Sequence[float], own: str) -> str:
+def _of_joints(
+    sensor: Sensor, shifts: Sequence[float], motor: Motor, offset: Sequence[float], own: str
+) -> str:
     if sensor.subjects != motor.joints:
         return own
-    if sensor.kind == "joint_position" and np.allclose(shifts, offset, rtol=0.0, atol=_ROUNDING) and any(shifts):
+    if (
+        sensor.kind == "joint_position"
+        and np.allclose(shifts, offset, rtol=0.0, atol=_ROUNDING)
+        and any(shifts)
+    ):
         return "joint_pos_rel"
     return own if any(shifts) else _TERMS[sensor.kind]
 

@@ -16,11 +16,49 @@ OPSET = 17
 IR_VERSION = 8
 """Of onnx 1.13 and onnxruntime 1.14, from 2023, and later."""
 
-_NUMBER_BY_NUMBER = frozenset((
-    "Abs", "Acos", "Add", "And", "Asin", "Atan", "Cast", "Ceil", "Clip", "Cos", "Div", "Equal", "Erf", "Exp", "Floor", "Greater",
-    "GreaterOrEqual", "Identity", "Less", "LessOrEqual", "Log", "Max", "Min", "Mod", "Mul", "Neg", "Not", "Or", "Pow", "Reshape", "Round",
-    "Sigmoid", "Sign", "Sin", "Sqrt", "Sub", "Tan", "Tanh", "Where",
-))  # fmt: skip
+_NUMBER_BY_NUMBER = frozenset(
+    (
+        "Abs",
+        "Acos",
+        "Add",
+        "And",
+        "Asin",
+        "Atan",
+        "Cast",
+        "Ceil",
+        "Clip",
+        "Cos",
+        "Div",
+        "Equal",
+        "Erf",
+        "Exp",
+        "Floor",
+        "Greater",
+        "GreaterOrEqual",
+        "Identity",
+        "Less",
+        "LessOrEqual",
+        "Log",
+        "Max",
+        "Min",
+        "Mod",
+        "Mul",
+        "Neg",
+        "Not",
+        "Or",
+        "Pow",
+        "Reshape",
+        "Round",
+        "Sigmoid",
+        "Sign",
+        "Sin",
+        "Sqrt",
+        "Sub",
+        "Tan",
+        "Tanh",
+        "Where",
+    )
+)
 """Operators whose result has a number at a place from the numbers at this place, in C order."""
 
 
@@ -35,15 +73,20 @@ class Graph:
         self._constants: dict[tuple[Any, ...], str] = {}
 
     def input(self, name: str, dtype: Any, *shape: int | str) -> str:
-        self.inputs.append(helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), shape))
+        self.inputs.append(
+            helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), shape)
+        )
         return name
 
     def output(self, name: str, value: str, dtype: Any, *shape: int | str) -> None:
         self.nodes.append(helper.make_node("Identity", [value], [name]))
-        self.outputs.append(helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), shape))
+        self.outputs.append(
+            helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), shape)
+        )
 
     def constant(self, value: Any, dtype: Any = np.float32) -> str:
-        """The name of a weight; equal ones are kept once. `value` is an array, a tensor of torch, a number or a list."""
+        """The name of a weight; equal ones are kept once. `value` is an array, a tensor of torch, a number or
+        a list."""
         array = value.detach().cpu().numpy() if hasattr(value, "detach") else np.asarray(value)
         array = np.ascontiguousarray(array, dtype).reshape(array.shape)
         key = (array.dtype.str, array.shape, array.tobytes())
@@ -67,21 +110,23 @@ class Graph:
     def model(self, name: str, metadata: Mapping[str, str] | None = None) -> bytes:
         """The finished model, checked."""
         names = [entry.name for entry in self.inputs]
-        found = helper.make_model(
+        model = helper.make_model(
             helper.make_graph(self.nodes, name, self.inputs, self.outputs, self.weights),
             producer_name="deepbots", producer_version=deepbots_cli.__version__, ir_version=IR_VERSION,
             opset_imports=[helper.make_opsetid("", OPSET)], doc_string=f"{name}: {', '.join(names)} in",
         )  # fmt: skip
         if metadata:
-            helper.set_model_props(found, dict(metadata))
-        onnx.checker.check_model(found, full_check=True)
-        # The shape of every tensor limits what a step of the graph can cost; `deepbots_robot.onnx_file` requires it.
-        shaped = onnx.shape_inference.infer_shapes(found, check_type=True, strict_mode=True, data_prop=True)
+            helper.set_model_props(model, dict(metadata))
+        onnx.checker.check_model(model, full_check=True)
+        # The shape of every tensor limits what a step of the graph can cost; `deepbots_robot.onnx_file`
+        # requires it.
+        shaped = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True)
         return bytes(shaped.SerializeToString())
 
 
 def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
-    """The numbers of each input that can change an output of a model, as places in C order; those of other inputs are without effect."""
+    """The numbers of each input that can change an output of a model, as places in C order; those of other
+    inputs are without effect."""
     graph = onnx.shape_inference.infer_shapes(onnx.load_from_string(content)).graph
     shapes = {weight.name: [*weight.dims] for weight in graph.initializer}
     for value in (*graph.input, *graph.output, *graph.value_info):
@@ -97,11 +142,11 @@ def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
         for name, places in _read_for(node, wanted[0] if len(node.output) == 1 else None, shapes, constants):
             before = needed.get(name, set())
             needed[name] = None if before is None or places is None else before | places
-    found = {}
+    numbers = {}
     for entry in graph.input:
         places = needed.get(entry.name, set())
-        found[entry.name] = frozenset(range(prod(shapes[entry.name])) if places is None else places)
-    return found
+        numbers[entry.name] = frozenset(range(prod(shapes[entry.name])) if places is None else places)
+    return numbers
 
 
 def _read_for(
@@ -111,7 +156,10 @@ def _read_for(
     of_vectors = all(len(shapes.get(name, ())) == 1 for name in (*node.input, *node.output))
     if node.op_type == "Gather" and of_vectors and node.input[1] in constants:
         places = constants[node.input[1]]
-        yield node.input[0], {int(places[place]) for place in (range(len(places)) if wanted is None else wanted)}
+        yield (
+            node.input[0],
+            {int(places[place]) for place in (range(len(places)) if wanted is None else wanted)},
+        )
     elif node.op_type == "Concat" and of_vectors and wanted is not None:
         first = 0
         for name in node.input:
@@ -120,6 +168,6 @@ def _read_for(
             first += size
     else:
         for name in filter(None, node.input):
-            known = all(each in shapes for each in (name, node.output[0]))
-            alike = known and prod(shapes[name]) == prod(shapes[node.output[0]])
+            has_shapes = all(each in shapes for each in (name, node.output[0]))
+            alike = has_shapes and prod(shapes[name]) == prod(shapes[node.output[0]])
             yield name, wanted if alike and node.op_type in _NUMBER_BY_NUMBER else None

@@ -1,4 +1,5 @@
-"""A policy in the form that runners of Isaac Lab read: `exported/policy.onnx` over observations, and `params/deploy.yaml` around it."""
+"""A policy in the form that runners of Isaac Lab read: `exported/policy.onnx` over observations, and
+`params/deploy.yaml` around it."""
 
 from __future__ import annotations
 
@@ -22,7 +23,9 @@ def isaac_files(program: Program, learner: Learner) -> dict[PurePosixPath, bytes
     Raises:
         UsageError: As `deploy_settings`.
     """
-    text = yaml.safe_dump(deploy_settings(program), default_flow_style=None, sort_keys=False, allow_unicode=True)
+    text = yaml.safe_dump(
+        deploy_settings(program), default_flow_style=None, sort_keys=False, allow_unicode=True
+    )
     policy_graph(learner, program)  # compares the networks with those of the learner
     graph = Graph()
     seen = graph.input("obs", np.float32, 1, len(program.agent.inputs))

@@ -1,7 +1,9 @@
-"""The graph of a bundle with a pipeline file of LEAPP (config version 1.3), which says what its tensors mean and how they are wired.
+"""The graph of a bundle with a pipeline file of LEAPP (config version 1.3), which says what its tensors mean
+and how they are wired.
 
-The pipeline has one model, `policy`. Its memories are `feedback_flow`, their first values a file of safetensors. LEAPP has no key for
-units, frames, ranges and ages; they are further keys of a tensor, which its runners ignore.
+The pipeline has one model, `policy`. Its memories are `feedback_flow`, their first values a file of
+safetensors. LEAPP has no key for units, frames, ranges and ages; they are further keys of a tensor, which its
+runners ignore.
 """
 
 from __future__ import annotations
@@ -52,20 +54,27 @@ def leapp_files(bundle: Mapping[PurePosixPath, bytes]) -> dict[PurePosixPath, by
             "data_flow": {},
             "feedback_flow": {f"{NODE}/{entry.name}_next": [f"{NODE}/{entry.name}"] for entry in info.memory},
             "inputs": {NODE: [entry.name for entry in info.inputs]},
-            "outputs": {NODE: [entry.name for entry in info.outputs] + ["action"] + ["scores"] * bool(info.choices)},
+            "outputs": {
+                NODE: [entry.name for entry in info.outputs] + ["action"] + ["scores"] * bool(info.choices)
+            },
             "configs": {"frequency": info.rate_hz},
             **({"initial_values": values} if first else {}),
         },
-        "system information": {"exporter": f"deepbots {info.deepbots}", "leapp config version": CONFIG_VERSION},
+        "system information": {
+            "exporter": f"deepbots {info.deepbots}",
+            "leapp config version": CONFIG_VERSION,
+        },
     }
     text = yaml.safe_dump(content, default_flow_style=None, sort_keys=False, allow_unicode=True)
-    found = {GRAPH_NAME: graph, f"{name}.yaml": text.encode(), **({values: save(first)} if first else {})}
-    return {PurePosixPath(name): content for name, content in found.items()}
+    contents = {GRAPH_NAME: graph, f"{name}.yaml": text.encode(), **({values: save(first)} if first else {})}
+    return {PurePosixPath(name): content for name, content in contents.items()}
 
 
 def _tensors(info: model.BundleInfo) -> dict[str, list[dict[str, Any]]]:
     """The inputs and outputs of the graph, in its order."""
-    after = [{"name": f"{entry.name}_next", "shape": [*entry.shape], "dtype": entry.dtype} for entry in info.memory]
+    after = [
+        {"name": f"{entry.name}_next", "shape": [*entry.shape], "dtype": entry.dtype} for entry in info.memory
+    ]
     choices = info.choices
     action = {
         "name": "action",
@@ -78,13 +87,18 @@ def _tensors(info: model.BundleInfo) -> dict[str, list[dict[str, Any]]]:
             *(_tensor(entry, _INPUT_KINDS.get(entry.sensor or "")) for entry in info.inputs),
             *({"name": entry.name, "shape": [*entry.shape], "dtype": entry.dtype} for entry in info.memory),
         ],
-        "outputs": [*(_tensor(entry, _OUTPUT_KINDS.get(entry.kind)) for entry in info.outputs), *after, action, *scores],
+        "outputs": [
+            *(_tensor(entry, _OUTPUT_KINDS.get(entry.kind)) for entry in info.outputs),
+            *after,
+            action,
+            *scores,
+        ],
     }
 
 
 def _tensor(entry: model.Input | model.Output, kind: str | None) -> dict[str, Any]:
     names = entry.joints if len(entry.joints) == entry.shape[0] else entry.components
-    known: dict[str, Any] = {
+    described: dict[str, Any] = {
         "name": entry.name,
         "shape": [*entry.shape],
         "dtype": entry.dtype,
@@ -95,10 +109,15 @@ def _tensor(entry: model.Input | model.Output, kind: str | None) -> dict[str, An
         "range": None if entry.range is None else [[*ends] for ends in entry.range],
     }
     if isinstance(entry, model.Output):
-        known |= {"max_rate": [*entry.max_rate], "safe": [*entry.safe], "stiffness": entry.stiffness, "damping": entry.damping}
+        described |= {
+            "max_rate": [*entry.max_rate],
+            "safe": [*entry.safe],
+            "stiffness": entry.stiffness,
+            "damping": entry.damping,
+        }
     else:
-        known |= {"source": entry.source, "latency_s": entry.latency_s, "max_age_s": entry.max_age_s}
-    return {key: value for key, value in known.items() if value is not None}
+        described |= {"source": entry.source, "latency_s": entry.latency_s, "max_age_s": entry.max_age_s}
+    return {key: value for key, value in described.items() if value is not None}
 
 
 def _parameters(graph: bytes) -> dict[str, str]:

@@ -1,9 +1,11 @@
-"""A policy with the processors of LeRobot: `policy.onnx` over scaled observations, and around it two pipelines that scale.
+"""A policy with the processors of LeRobot: `policy.onnx` over scaled observations, and around it two
+pipelines that scale.
 
-A pipeline is a JSON file of steps as `PolicyProcessorPipeline.save_pretrained` writes it, with the ranges of each step in a file of
-safetensors: `policy_preprocessor.json` maps the observation in SI units to [-1, 1], `policy_postprocessor.json` the commands of actuators
-from [-1, 1] to SI units. `features.json` names the numbers of both, as `meta/info.json` of a data set does. The normalizers of LeRobot do
-not clip and remember nothing: the graph clips, and computes `apply`; a scenario with a memory does not fit.
+A pipeline is a JSON file of steps as `PolicyProcessorPipeline.save_pretrained` writes it, with the ranges of
+each step in a file of safetensors: `policy_preprocessor.json` maps the observation in SI units to [-1, 1],
+`policy_postprocessor.json` the commands of actuators from [-1, 1] to SI units. `features.json` names the
+numbers of both, as `meta/info.json` of a data set does. The normalizers of LeRobot do not clip and remember
+nothing: the graph clips, and computes `apply`; a scenario with a memory does not fit.
 """
 
 from __future__ import annotations
@@ -36,30 +38,48 @@ def lerobot_files(program: Program, learner: Learner) -> dict[PurePosixPath, byt
     """The graph, the two pipelines with their ranges, and the names of the numbers.
 
     Raises:
-        UsageError: Processors of LeRobot cannot represent the observation or the commands of the scenario; names the part.
+        UsageError: Processors of LeRobot cannot represent the observation or the commands of the scenario;
+            names the part.
     """
     agent, numbers = program.agent, program.agent.numbers
     _check(program, learner)
     policy_graph(learner, program)  # compares the networks with those of the learner
-    commands = [(robot, command) for robot in program.robots if robot.name in agent.robots for command in robot.commands]
+    commands = [
+        (robot, command)
+        for robot in program.robots
+        if robot.name in agent.robots
+        for command in robot.commands
+    ]
     outputs = [output(program, robot, command) for robot, command in commands]
     low, high = (np.array([end for entry in outputs for end in entry.range[side]], float) for side in (0, 1))
     if not np.isfinite([low, high]).all():
-        raise UsageError(f"a processor of LeRobot scales ranges, and a command of {program.name} has no limit{_INSTEAD}")
+        raise UsageError(
+            f"a processor of LeRobot scales ranges, and a command of {program.name} has no limit{_INSTEAD}"
+        )
     graph = Graph()
     seen = graph.input(STATE, np.float32, 1, len(agent.inputs))
     clips = [number.clip and not number.is_truth for number in numbers]
     decision = decide(graph, learner.network(), program, {"observation": _clipped(graph, seen, clips)})
-    targets = _targets(graph, program, decision, [tree for _, command in commands for tree in command.scalars], low, high)
+    targets = _targets(
+        graph, program, decision, [tree for _, command in commands for tree in command.scalars], low, high
+    )
     graph.output(ACTION, _clipped(graph, targets, [True] * len(low)), np.float32, 1, len(low))
     names = [f"{entry.name}.{part}" for entry in outputs for part in entry.components or (entry.actuator,)]
     features = {
-        STATE: _feature([number.full_name for number in numbers], [number.unit.removeprefix("1") for number in numbers]),
+        STATE: _feature(
+            [number.full_name for number in numbers], [number.unit.removeprefix("1") for number in numbers]
+        ),
         ACTION: _feature(names, [entry.unit for entry in outputs for _ in range(entry.shape[0])]),
     }
-    seen_ends = [(-1.0, 1.0) if number.is_truth else (number.low, number.high) for number in numbers]  # a truth value stays 0 or 1
+    seen_ends = [
+        (-1.0, 1.0) if number.is_truth else (number.low, number.high) for number in numbers
+    ]  # a truth value stays 0 or 1
     to_device: Step = ("device_processor", {"device": "cpu", "float_dtype": None})
-    before: list[Step] = [("to_batch_processor", {}), to_device, ("normalizer_processor", _settings(STATE, "STATE", len(numbers)))]
+    before: list[Step] = [
+        ("to_batch_processor", {}),
+        to_device,
+        ("normalizer_processor", _settings(STATE, "STATE", len(numbers))),
+    ]
     after: list[Step] = [("unnormalizer_processor", _settings(ACTION, "ACTION", len(low))), to_device]
     about = {"fps": 1.0 / program.period, "features": features}
     files = {
@@ -71,7 +91,9 @@ def lerobot_files(program: Program, learner: Learner) -> dict[PurePosixPath, byt
     return {PurePosixPath(name): content for name, content in files.items()}
 
 
-def _targets(graph: Graph, program: Program, decision: Decision, trees: Sequence[Scalar], low: Array, high: Array) -> str:
+def _targets(
+    graph: Graph, program: Program, decision: Decision, trees: Sequence[Scalar], low: Array, high: Array
+) -> str:
     """The commands of an action, scaled from their ranges to [-1, 1]: float32 [1, n].
 
     Raises:
@@ -86,20 +108,28 @@ def _targets(graph: Graph, program: Program, decision: Decision, trees: Sequence
                 size = len(part.options)
                 place = graph.add("Add", graph.add("Mul", place, graph.constant([size], np.int64)), option)
             return str(graph.add("Gather", graph.constant((rows - low) / width - 1.0), place, axis=0))
-    elif (found := linear(program, trees)) is not None:
-        matrix, offset = found[0] / width[:, None], (found[1] - low) / width - 1.0
-        return str(graph.add("Gemm", decision.action, graph.constant(matrix), graph.constant(offset), transB=1))
-    raise UsageError(f"`apply` of {program.name} reads sensors, has a memory or is not linear in the action{_INSTEAD}")
+    elif (coefficients := linear(program, trees)) is not None:
+        matrix, offset = coefficients[0] / width[:, None], (coefficients[1] - low) / width - 1.0
+        return str(
+            graph.add("Gemm", decision.action, graph.constant(matrix), graph.constant(offset), transB=1)
+        )
+    raise UsageError(
+        f"`apply` of {program.name} reads sensors, has a memory or is not linear in the action{_INSTEAD}"
+    )
 
 
 def _check(program: Program, learner: Learner) -> None:
     """Refuse what no processor represents."""
     agent = program.agent
-    remembering = [entry.name for entry in agent.observation if entry.history > 1 or entry.name == "previous_action"]
+    remembering = [
+        entry.name for entry in agent.observation if entry.history > 1 or entry.name == "previous_action"
+    ]
     if agent.goal is not None or agent.images or agent.copies is not None:
         raise UsageError(f"goals, images and copies of a robot do not fit one vector of numbers{_INSTEAD}")
     if takes_masks(learner, program):
-        raise UsageError(f"{program.name} forbids options, which processors of LeRobot do not compute{_INSTEAD}")
+        raise UsageError(
+            f"{program.name} forbids options, which processors of LeRobot do not compute{_INSTEAD}"
+        )
     if learner.network().memory is not None:
         raise UsageError(f"processors of LeRobot pass on no memory of a recurrent policy{_INSTEAD}")
     if remembering or agent.frame_stack > 1:

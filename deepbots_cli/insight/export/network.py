@@ -1,7 +1,8 @@
 """The networks of a policy as nodes of ONNX, built from their layers.
 
-`torch.onnx.export` needs onnxscript for its present form and warns about its older one, so the few kinds of layers that policies have
-are written here. The first axis of values is the batch, but for the memory of a recurrent policy, whose axes are layers, batch and units.
+`torch.onnx.export` needs onnxscript for its present form and warns about its older one, so the few kinds of
+layers that policies have are written here. The first axis of values is the batch, but for the memory of a
+recurrent policy, whose axes are layers, batch and units.
 """
 
 from __future__ import annotations
@@ -51,19 +52,35 @@ def layers(graph: Graph, module: nn.Module, value: str) -> str:
                 value = layers(graph, inner, value)
             return value
         case nn.Linear():
-            return str(graph.add("Gemm", value, graph.constant(module.weight), graph.constant(module.bias), transB=1))
+            return str(
+                graph.add("Gemm", value, graph.constant(module.weight), graph.constant(module.bias), transB=1)
+            )
         case nn.Conv2d() if module.groups == 1 and module.padding_mode == "zeros" and module.bias is not None:
-            sides: dict[str, Any] = {"strides": module.stride, "pads": [*module.padding, *module.padding], "dilations": module.dilation}
-            return str(graph.add("Conv", value, graph.constant(module.weight), graph.constant(module.bias), **sides))
+            sides: dict[str, Any] = {
+                "strides": module.stride,
+                "pads": [*module.padding, *module.padding],
+                "dilations": module.dilation,
+            }
+            return str(
+                graph.add("Conv", value, graph.constant(module.weight), graph.constant(module.bias), **sides)
+            )
         case nn.Flatten():
             return str(graph.add("Flatten", value, axis=1))
         case nn.SiLU():
             return str(graph.add("Mul", value, graph.add("Sigmoid", value)))
         case nn.GELU() if module.approximate == "none":
             erf = graph.add("Erf", graph.add("Mul", value, graph.constant(0.5**0.5)))
-            return str(graph.add("Mul", graph.add("Mul", value, graph.constant(0.5)), graph.add("Add", erf, graph.constant(1.0))))
+            return str(
+                graph.add(
+                    "Mul",
+                    graph.add("Mul", value, graph.constant(0.5)),
+                    graph.add("Add", erf, graph.constant(1.0)),
+                )
+            )
         case nn.Hardtanh():
-            return str(graph.add("Clip", value, graph.constant(module.min_val), graph.constant(module.max_val)))
+            return str(
+                graph.add("Clip", value, graph.constant(module.min_val), graph.constant(module.max_val))
+            )
         case _ if type(module) in _ACTIVATIONS:
             operator, slope = _ACTIVATIONS[type(module)]
             return str(graph.add(operator, value, **({"alpha": getattr(module, slope)} if slope else {})))
@@ -71,7 +88,8 @@ def layers(graph: Graph, module: nn.Module, value: str) -> str:
 
 
 class Decision(NamedTuple):
-    """The outputs of a policy: the action as the environment takes it, and of choices the option of each and the scores of all.
+    """The outputs of a policy: the action as the environment takes it, and of choices the option of each and
+    the scores of all.
 
     Attributes:
         action: float32 [batch, n] in [-1, 1]; int64 [batch] for one choice, [batch, n] for several.
@@ -87,12 +105,14 @@ class Decision(NamedTuple):
 
 
 def policy_graph(learner: Learner, program: Program) -> bytes:
-    """A graph that takes observations of the environment, with the batch as first axis, and returns its actions.
+    """A graph that takes observations of the environment, with the batch as first axis, and returns its
+    actions.
 
     It is compared with the policy on 1000 random observations.
 
     Raises:
-        UsageError: The policy has a part that cannot be exported, or the graph acts otherwise than the policy.
+        UsageError: The policy has a part that cannot be exported, or the graph acts otherwise than the
+            policy.
     """
     graph, network, agent = Graph(), learner.network(), program.agent
     space = observation_space(agent)
@@ -101,30 +121,52 @@ def policy_graph(learner: Learner, program: Program) -> bytes:
     states: list[str] = []
     lstm = network.memory
     if lstm is not None:
-        states = [graph.input(name, np.float32, lstm.num_layers, "batch", lstm.hidden_size) for name in LSTM_STATES]
-    mask = graph.input("action_mask", np.bool_, "batch", _options(program)) if takes_masks(learner, program) else None
+        states = [
+            graph.input(name, np.float32, lstm.num_layers, "batch", lstm.hidden_size) for name in LSTM_STATES
+        ]
+    mask = (
+        graph.input("action_mask", np.bool_, "batch", _options(program))
+        if takes_masks(learner, program)
+        else None
+    )
     decision = decide(graph, network, program, seen, states, mask)
     if lstm is not None:
         for name, after in zip(LSTM_STATES, decision.after, strict=True):
             graph.output(f"next_{name}", after, np.float32, lstm.num_layers, "batch", lstm.hidden_size)
     if agent.choices:
-        graph.output("action", decision.action, np.int64, "batch", *([len(agent.choices)] if len(agent.choices) > 1 else []))
+        graph.output(
+            "action",
+            decision.action,
+            np.int64,
+            "batch",
+            *([len(agent.choices)] if len(agent.choices) > 1 else []),
+        )
     else:
         graph.output("action", decision.action, np.float32, "batch", len(agent.range_names))
-    found = graph.model(program.name)
-    difference = largest_difference(learner, program, found, _CHECKED)
+    model_bytes = graph.model(program.name)
+    difference = largest_difference(learner, program, model_bytes, _CHECKED)
     if not difference <= TOLERANCE:  # also where it is no number
-        raise UsageError(f"the exported policy differs from that of the learner by {difference:.2g}; please report this")
-    return found
+        raise UsageError(
+            f"the exported policy differs from that of the learner by {difference:.2g}; please report this"
+        )
+    return model_bytes
 
 
 def takes_masks(learner: Learner, program: Program) -> bool:
-    """Whether the policy needs to know which options are allowed: the algorithm uses action masks, and the scenario forbids options."""
-    return learner.takes_masks and any(option.forbidden is not None for part in program.agent.choices for option in part.options)
+    """Whether the policy needs to know which options are allowed: the algorithm uses action masks, and the
+    scenario forbids options."""
+    return learner.takes_masks and any(
+        option.forbidden is not None for part in program.agent.choices for option in part.options
+    )
 
 
 def decide(
-    graph: Graph, network: PolicyNetwork, program: Program, seen: Mapping[str, str], states: Sequence[str] = (), mask: str | None = None
+    graph: Graph,
+    network: PolicyNetwork,
+    program: Program,
+    seen: Mapping[str, str],
+    states: Sequence[str] = (),
+    mask: str | None = None,
 ) -> Decision:
     """The networks of a policy: from an observation, by the parts of its space, to an action.
 
@@ -138,7 +180,9 @@ def decide(
     if program.agent.choices and program.agent.ranges:
         raise UsageError("a policy whose action has both choices and ranges cannot be exported")
     pictured = {entry.key for entry in program.agent.images}
-    values = [_features(graph, network, name, value, is_picture=name in pictured) for name, value in seen.items()]
+    values = [
+        _features(graph, network, name, value, is_picture=name in pictured) for name, value in seen.items()
+    ]
     value = values[0] if len(values) == 1 else graph.add("Concat", *values, axis=1)
     after: list[str] = []
     if network.memory is not None:
@@ -149,7 +193,11 @@ def decide(
         return Decision(graph.add("Clip", value, graph.constant(-1.0), graph.constant(1.0)), after=after)
     if mask is not None:
         value = graph.add("Where", mask, value, graph.constant(_FORBIDDEN_LOGIT))
-    rows = graph.add("Split", value, graph.constant(sizes, np.int64), outputs=len(sizes), axis=1) if len(sizes) > 1 else [value]
+    rows = (
+        graph.add("Split", value, graph.constant(sizes, np.int64), outputs=len(sizes), axis=1)
+        if len(sizes) > 1
+        else [value]
+    )
     options = [graph.add("ArgMax", row, axis=1, keepdims=0) for row in rows]
     columns = [graph.add("ArgMax", row, axis=1, keepdims=1) for row in rows] if len(sizes) > 1 else []
     return Decision(graph.add("Concat", *columns, axis=1) if columns else options[0], options, value, after)
@@ -175,14 +223,19 @@ def _memory(graph: Graph, lstm: nn.LSTM, value: str, states: Sequence[str]) -> t
     units, kept = lstm.hidden_size, []
     value = graph.add("Unsqueeze", value, graph.constant([0], np.int64))
     for layer in range(lstm.num_layers):
-        before = [graph.add("Slice", state, *(graph.constant([at], np.int64) for at in (layer, layer + 1, 0))) for state in states]
+        before = [
+            graph.add("Slice", state, *(graph.constant([at], np.int64) for at in (layer, layer + 1, 0)))
+            for state in states
+        ]
         weights = [_gates(getattr(lstm, f"{name}_l{layer}"))[None] for name in ("weight_ih", "weight_hh")]
         bias = torch.cat([_gates(getattr(lstm, f"bias_{name}_l{layer}")) for name in ("ih", "hh")])[None]
-        given = [value, *map(graph.constant, weights), graph.constant(bias), "", *before]
-        out, *after = graph.add("LSTM", *given, outputs=3, hidden_size=units)
+        inputs = [value, *map(graph.constant, weights), graph.constant(bias), "", *before]
+        out, *after = graph.add("LSTM", *inputs, outputs=3, hidden_size=units)
         value = graph.add("Squeeze", out, graph.constant([1], np.int64))
         kept.append(after)
-    states_after = [graph.add("Concat", *(after[number] for after in kept), axis=0) for number in range(len(states))]
+    states_after = [
+        graph.add("Concat", *(after[number] for after in kept), axis=0) for number in range(len(states))
+    ]
     return str(graph.add("Squeeze", value, graph.constant([0], np.int64))), states_after
 
 
@@ -196,9 +249,14 @@ def _gates(weight: torch.Tensor) -> torch.Tensor:
 
 
 def largest_difference(
-    learner: Learner, program: Program, graph: bytes, count: int, run: Callable[[Mapping[str, Any]], Sequence[Any]] | None = None
+    learner: Learner,
+    program: Program,
+    graph: bytes,
+    count: int,
+    run: Callable[[Mapping[str, Any]], Sequence[Any]] | None = None,
 ) -> float:
-    """Between the actions of a graph and those of the policy on random observations; 1 for another option of a choice.
+    """Between the actions of a graph and those of the policy on random observations; 1 for another option of
+    a choice.
 
     Args:
         run: Runs the graph; by default the slow reference of onnx does.
@@ -220,14 +278,19 @@ def largest_difference(
             feeds["action_mask"] = allowed
     lstm = learner.network().memory
     if lstm is not None:
-        state = tuple(random.normal(0.0, 0.5, (lstm.num_layers, count, lstm.hidden_size)).astype(np.float32) for _ in range(2))
+        state = tuple(
+            random.normal(0.0, 0.5, (lstm.num_layers, count, lstm.hidden_size)).astype(np.float32)
+            for _ in range(2)
+        )
         feeds |= {"hidden": state[0], "cell": state[1]}
         options |= {"state": state, "episode_start": np.zeros(count, bool)}
     actions, after = learner.predict(observations, deterministic=True, **options)
-    found = run(feeds) if run else ReferenceEvaluator(onnx.load_from_string(graph)).run(None, feeds)
+    outputs = run(feeds) if run else ReferenceEvaluator(onnx.load_from_string(graph)).run(None, feeds)
     names = [entry.name for entry in onnx.load_from_string(graph).graph.output]
-    results = dict(zip(names, found, strict=True))
+    results = dict(zip(names, outputs, strict=True))
     differences = [np.abs(results["action"].astype(np.float64) - actions).max()]
     if lstm is not None and after is not None:
-        differences += [np.abs(results[f"next_{name}"] - one).max() for name, one in zip(LSTM_STATES, after, strict=True)]
+        differences += [
+            np.abs(results[f"next_{name}"] - one).max() for name, one in zip(LSTM_STATES, after, strict=True)
+        ]
     return float(max(differences))

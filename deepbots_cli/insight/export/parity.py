@@ -1,7 +1,8 @@
 """Whether an exported policy acts as the scenario does, and the steps by which every robot checks this again.
 
-The first steps are those of a simulation: what the graph commands is compared with what the robots of the simulation applied. Further steps
-have random inputs around the first ones, so that parts of the networks count that no episode uses.
+The first steps are those of a simulation: what the graph commands is compared with what the robots of the
+simulation applied. Further steps have random inputs around the first ones, so that parts of the networks
+count that no episode uses.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ _TRIES = 10
 """At most so many times as many steps are looked at."""
 _RANDOM_EPISODE = 10
 _WIDTHS = (1.0, 3.0, 30.0)
-"""How wide random values are drawn, in widths of the recorded ones: within the range that the policy sees, and where it is clipped."""
+"""How wide random values are drawn, in widths of the recorded ones: within the range that the policy sees,
+and where it is clipped."""
 _CLEAR = 10 * TOLERANCE
-"""The least distance of the two best scores of a recorded step; closer ones might change places on another processor."""
+"""The least distance of the two best scores of a recorded step; closer ones might change places on another
+processor."""
 
 Array = NDArray[Any]
 
@@ -53,42 +56,58 @@ class Comparison:
         """What the bundle returns for the inputs of a step.
 
         Raises:
-            UsageError: It commands something else than the robots of the simulation applied, although no two options were equally good.
+            UsageError: It commands something else than the robots of the simulation applied, although no two
+                options were equally good.
         """
         if step.first:
             self._policy.reset()
             self._parted = False
         try:
-            found = self._policy.step(values=step.inputs)
+            commands = self._policy.step(values=step.inputs)
         except BundleError as error:
-            raise UsageError(f"the exported policy cannot act in the scenario: {error}; please report this") from error
+            raise UsageError(
+                f"the exported policy cannot act in the scenario: {error}; please report this"
+            ) from error
         choices = self._info.choices
-        if choices and not np.array_equal(found["action"], step.action) and least_gap(choices, found) <= TOLERANCE:
+        if (
+            choices
+            and not np.array_equal(commands["action"], step.action)
+            and least_gap(choices, commands) <= TOLERANCE
+        ):
             self._parted = True
         if self._parted:  # the memory of one of the two holds another action
-            return found
+            return commands
         for output in self._info.outputs:
             wanted = clipped(step.commands[output.name], output)
-            apart = float(np.max(np.abs(found[output.name] - wanted) / self._spans[output.name]))
+            apart = float(np.max(np.abs(commands[output.name] - wanted) / self._spans[output.name]))
             self.worst = max(self.worst, apart)
             if not apart <= TOLERANCE:  # also where it is no number
-                numbers = f"{found[output.name].tolist()} instead of {wanted.tolist()}"
-                raise UsageError(f"the exported policy commands '{output.name}' otherwise than the scenario: {numbers}; please report this")
+                numbers = f"{commands[output.name].tolist()} instead of {wanted.tolist()}"
+                raise UsageError(
+                    f"the exported policy commands '{output.name}' otherwise than the scenario: {numbers};"
+                    " please report this"
+                )
         self.steps += 1
-        return found
+        return commands
 
 
 def clipped(command: Array, output: Output) -> Array:
     """A command within the limits of its actuator."""
     low, high = output.range
-    return np.clip(command, [-np.inf if x is None else x for x in low], [np.inf if x is None else x for x in high])
+    return np.clip(
+        command, [-np.inf if x is None else x for x in low], [np.inf if x is None else x for x in high]
+    )
 
 
 def least_gap(choices: tuple[int, ...], found: Mapping[str, Array]) -> float:
     """The smallest distance between the two best scores of a choice; infinite without choices."""
     if not choices:
         return np.inf
-    best = [np.sort(scores)[-2:] for scores in np.split(found["scores"], np.cumsum(choices)[:-1]) if len(scores) > 1]
+    best = [
+        np.sort(scores)[-2:]
+        for scores in np.split(found["scores"], np.cumsum(choices)[:-1])
+        if len(scores) > 1
+    ]
     return min((float(pair[1] - pair[0]) for pair in best), default=np.inf)
 
 
@@ -106,7 +125,10 @@ def recorded_parity(bundle: Bundle, step: ControlStep, learner: Learner, *, engi
             break
     recorded.close()
     if rows.count == 0:
-        raise UsageError("the scores of the options are equal in every step, so that no step can be recorded; train the policy first")
+        raise UsageError(
+            "the scores of the options are equal in every step, so that no step can be recorded; train the"
+            " policy first"
+        )
     _add_random_steps(bundle, rows)
     return rows.content()
 
@@ -158,16 +180,20 @@ def _stacked(rows: list[Mapping[str, Array]]) -> dict[str, Array]:
 
 def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
     """Steps with inputs in and around the range of the recorded ones, and far beyond."""
-    random, policy, known = np.random.default_rng(0), bundle.start(), rows.inputs
+    random, policy, input_rows = np.random.default_rng(0), bundle.start(), rows.inputs
     wanted = rows.count + min(RANDOM, most_steps(bundle) // 2)
     for number in range(_TRIES * RANDOM):
         first = number % _RANDOM_EPISODE == 0
         if first:
             policy.reset()
-        inputs = {entry.name: _random_value(entry, known[entry.name], random) for entry in bundle.info.inputs}
+        inputs = {
+            entry.name: _random_value(entry, input_rows[entry.name], random) for entry in bundle.info.inputs
+        }
         try:
             rows.add(first, inputs, policy.step(values=inputs))
-        except BundleError:  # a command that is not finite: `apply` need not be defined far beyond the values of an episode
+        except (
+            BundleError
+        ):  # a command that is not finite: `apply` need not be defined far beyond the values of an episode
             rows.cut()
         if rows.count == wanted:
             break

@@ -1,4 +1,5 @@
-"""The inputs of an exported policy: sensors of robots, readings of the world, and goals, each with all that a robot must know of it."""
+"""The inputs of an exported policy: sensors of robots, readings of the world, and goals, each with all that a
+robot must know of it."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ _VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "or
 class Reading:
     """An input, and where a simulation has its value.
 
-    `trees` are what the supervisor computes for it, one per component; of a sensor that is sampled, `device` names robot and sensor.
+    `trees` are what the supervisor computes for it, one per component; of a sensor that is sampled, `device`
+    names robot and sensor.
     """
 
     info: Input
@@ -40,7 +42,8 @@ class Readings:
     """Describes the inputs of a program."""
 
     def __init__(self, program: Program, timestep: float | None = None) -> None:
-        """`timestep` is the time between two calls of the policy in s, by default that between two actions."""
+        """`timestep` is the time between two calls of the policy in s, by default that between two
+        actions."""
         self._program = program
         self._timestep = timestep or program.period
         self.deployment = Deployment(program)
@@ -54,6 +57,8 @@ class Readings:
         of_joints = issubclass(kind, JointSensor)
         name = f"{robot.name}.{sensor.name}"
         world = kind.world_function in _VECTORS
+        number_type = "bool" if kind.boolean else "float64"
+        own_frame = sensor.subjects[0] if sensor.components == SPACE and not of_joints else None
         info = self._input(
             name,
             robot=robot.name,
@@ -63,18 +68,26 @@ class Readings:
             link=None if of_joints else sensor.subjects[0],
             mount=Mount(xyz=sensor.mount.xyz, rpy=sensor.mount.rpy) if sensor.mount != Pose() else None,
             shape=sensor.optics.shape if sensor.optics else (len(sensor.components) or 1,),
-            dtype="uint8" if sensor.optics else "bool" if kind.boolean else "float64",
+            dtype="uint8" if sensor.optics else number_type,
             components=sensor.components,
             unit=unit_text(sensor.unit),
-            frame="world" if world else sensor.subjects[0] if sensor.components == SPACE and not of_joints else None,
+            frame="world" if world else own_frame,
             range=_sensor_range(sensor, faults, kind.interval),
             period=faults.period * self._program.world.timestep,
             latency=faults.latency,
         )
         if not self._program.is_direct(robot, "from_robot"):
-            return Reading(info, tuple(Name(f"{robot.name}.{_field(robot, sensor)}", part) for part in sensor.components or (None,)))
+            return Reading(
+                info,
+                tuple(
+                    Name(f"{robot.name}.{_field(robot, sensor)}", part)
+                    for part in sensor.components or (None,)
+                ),
+            )
         if sensor.is_direct:
-            return Reading(info, tuple(sensor.world_value(robot.name, part) for part in sensor.components or (None,)))
+            return Reading(
+                info, tuple(sensor.world_value(robot.name, part) for part in sensor.components or (None,))
+            )
         return Reading(info, device=(robot.name, sensor.name))
 
     def of_world(self, read: EngineRead) -> tuple[Reading, int]:
@@ -82,12 +95,17 @@ class Readings:
         components = _VECTORS.get(read.function, ())
         function = FUNCTIONS.get(read.function)
         joint = self.deployment.joints.get(read.subjects[0])
-        shared = NUMBER if joint is None else LENGTH if joint.type == "prismatic" else ANGLE
+        if joint is None:
+            shared = NUMBER
+        elif joint.type == "prismatic":
+            shared = LENGTH
+        else:
+            shared = ANGLE
         truth = function is None or function.boolean
         name = self.deployment.name(read)
         interval = function.interval() if function is not None and read.function == "orientation" else None
         robot = read.subjects[0].partition(".")[0]
-        robots = {known.name for known in self._program.robots}
+        robots = {each.name for each in self._program.robots}
         info = self._input(
             name,
             robot=robot if robot in robots else None,
@@ -100,37 +118,52 @@ class Readings:
             components=components,
             unit="" if truth or function is None else unit_text(function.result(shared)),
             frame="world" if components else None,
-            range=None if truth else _ends([interval or Interval(-math.inf, math.inf)] * (len(components) or 1)),
+            range=None
+            if truth
+            else _ends([interval or Interval(-math.inf, math.inf)] * (len(components) or 1)),
         )
         whole = [EngineRead(read.function, read.subjects, part) for part in components] or [read]
         return Reading(info, tuple(whole)), components.index(read.component) if read.component else 0
 
     def parameter(self, value: Expression) -> Reading:
         """A parameter that an episode draws: on a robot, somebody sets it."""
-        known = value.typed.type
+        value_type = value.typed.type
         parts = value.components or (None,)
         info = self._input(
             value.name,
             source="goal",
             supplied_by=self._supplied_by.get(value.name),
             shape=(len(parts),),
-            dtype="bool" if known.boolean else "float64",
+            dtype="bool" if value_type.boolean else "float64",
             components=value.components,
-            unit="" if known.boolean else unit_text(known.dimension),
-            range=None if known.boolean else _ends([known.interval_of(part) for part in parts]),
+            unit="" if value_type.boolean else unit_text(value_type.dimension),
+            range=None if value_type.boolean else _ends([value_type.interval_of(part) for part in parts]),
             max_age_s=None,
         )
         return Reading(info, tuple(Name(value.name, part) for part in parts))
 
     def _input(
-        self, name: str, *, period: float | None = None, latency: float = 0.0, components: Sequence[str] = (), **known: object
+        self,
+        name: str,
+        *,
+        period: float | None = None,
+        latency: float = 0.0,
+        components: Sequence[str] = (),
+        **known: object,
     ) -> Input:
         step = self._timestep
         values: dict[str, object] = {
-            "robot": None, "supplied_by": None, "sensor": None, "joints": (), "link": None, "mount": None, "frame": None,
-            "rate_hz": round(1.0 / (period or step), 9), "latency_s": latency,
+            "robot": None,
+            "supplied_by": None,
+            "sensor": None,
+            "joints": (),
+            "link": None,
+            "mount": None,
+            "frame": None,
+            "rate_hz": round(1.0 / (period or step), 9),
+            "latency_s": latency,
             "max_age_s": round(latency + _AGES_WITHIN * max(period or step, step), 9),
-        }  # fmt: skip
+        }
         return Input(name=name, components=tuple(components), **{**values, **known})  # type: ignore[arg-type]
 
 
@@ -140,8 +173,11 @@ def _field(robot: Robot, sensor: Sensor) -> str:
     return next((entry.name for entry in robot.emit if entry.scalars == parts), sensor.name)
 
 
-def _sensor_range(sensor: Sensor, faults: NoiseModel, interval: Interval) -> tuple[tuple[float | None, ...], ...] | None:
-    """The range of the readings: the one that the sensor clips to, or that of its kind where nothing is added to the value."""
+def _sensor_range(
+    sensor: Sensor, faults: NoiseModel, interval: Interval
+) -> tuple[tuple[float | None, ...], ...] | None:
+    """The range of the readings: the one that the sensor clips to, or that of its kind where nothing is added
+    to the value."""
     count = len(sensor.components) or 1
     if sensor.optics is not None or SENSORS[sensor.kind].boolean:
         return None

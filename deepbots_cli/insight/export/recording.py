@@ -1,4 +1,5 @@
-"""Steps of a simulation as an exported policy sees them: the raw values of its inputs, and the commands that robots really applied."""
+"""Steps of a simulation as an exported policy sees them: the raw values of its inputs, and the commands that
+robots really applied."""
 
 from __future__ import annotations
 
@@ -22,7 +23,9 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_robot.model import Output
 
 if TYPE_CHECKING:
-    from deepbots_cli.insight.export.control import ControlStep  # which imports torch: a simulated robot has no policy
+    from deepbots_cli.insight.export.control import (
+        ControlStep,
+    )  # which imports torch: a simulated robot has no policy
 
 _PREFIX = "export_"
 _SEED = 20_000
@@ -31,7 +34,8 @@ Array = NDArray[Any]
 
 
 class RecordedStep(NamedTuple):
-    """One call of a policy: the value of each input before it, the commands during it, and the action; `first` begins an episode."""
+    """One call of a policy: the value of each input before it, the commands during it, and the action;
+    `first` begins an episode."""
 
     first: bool
     inputs: Mapping[str, Array]
@@ -56,14 +60,16 @@ def recorded_steps(
         number = 0
         while True:
             inputs: Mapping[str, Array] = {}
-            for made in steps(world, driver, Start(_SEED + number)):
+            for recorded in steps(world, driver, Start(_SEED + number)):
                 observed = [*noted]
                 noted.clear()
-                if made.number:
-                    action = made.action if agent is world else made.action[0]
+                if recorded.number:
+                    action = recorded.action if agent is world else recorded.action[0]
                     between = observed[:-1] if step.repeat > 1 else []
                     for place, each in enumerate([inputs, *between]):
-                        yield RecordedStep(made.number == 1 and place == 0, each, watch.commands(), action)
+                        yield RecordedStep(
+                            recorded.number == 1 and place == 0, each, watch.commands(), action
+                        )
                 inputs = observed[-1]
             number += 1
 
@@ -76,8 +82,12 @@ def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
             place = program.agent.observation[0].value
             count = len(reading.trees)
             components = tuple(f"c{index}" for index in range(count)) if count > 1 else None
-            typed = Constant(Type(components=components, boolean=reading.info.dtype == "bool"), 0, 0, (0.0,) * count)
-            probe = Expression(f"{_PREFIX}{number}", place.span, reading.info.name, typed, f"signals.{_PREFIX}{number}")
+            typed = Constant(
+                Type(components=components, boolean=reading.info.dtype == "bool"), 0, 0, (0.0,) * count
+            )
+            probe = Expression(
+                f"{_PREFIX}{number}", place.span, reading.info.name, typed, f"signals.{_PREFIX}{number}"
+            )
             vars(probe)["scalars"] = reading.trees  # what a lowered expression keeps there
             probes.append(probe)
     stored = program.stored_signals | {probe.name for probe in probes}
@@ -85,7 +95,8 @@ def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
 
 
 def _as_exported(program: Program) -> Program:
-    """The program without what a bundle leaves out: noise that the supervisor adds. Rewards and endings of Python are not needed."""
+    """The program without what a bundle leaves out: noise that the supervisor adds. Rewards and endings of
+    Python are not needed."""
     agent = program.agent
     program = program.with_agents(
         observation=tuple(replace(entry, noise=None) for entry in agent.observation),
@@ -93,7 +104,11 @@ def _as_exported(program: Program) -> Program:
         reward=tuple(term for term in agent.reward if term.foreign is None),
     )
     signals = tuple(replace(signal, noise=None) for signal in program.signals)
-    return replace(program, endings=tuple(ending for ending in program.endings if ending.foreign is None), signals=signals)
+    return replace(
+        program,
+        endings=tuple(ending for ending in program.endings if ending.foreign is None),
+        signals=signals,
+    )
 
 
 def _noted_observations(agent: Supervisor, watch: Watch) -> list[dict[str, Array]]:
@@ -113,14 +128,22 @@ class Watch:
     """Reads inputs from a supervisor, and notes what its robots apply."""
 
     def __init__(self, agent: Supervisor, readings: Sequence[Reading], outputs: Sequence[Output]) -> None:
-        self._readers = {reading.info.name: self._reader(agent, number, reading) for number, reading in enumerate(readings)}
+        self._readers = {
+            reading.info.name: self._reader(agent, number, reading) for number, reading in enumerate(readings)
+        }
         self._infos = {reading.info.name: reading.info for reading in readings}
         self._commands: dict[str, Array] = {}
         for output in outputs:
             controller, attribute = agent.controllers[output.robot], f"drive_{output.actuator}"
-            setattr(controller, attribute, _Drive(getattr(controller, attribute), partial(self._note, output.name)))
+            setattr(
+                controller,
+                attribute,
+                _Drive(getattr(controller, attribute), partial(self._note, output.name)),
+            )
         for robot in {output.robot for output in outputs}:
-            if not agent.scenario.is_direct(next(each for each in agent.scenario.robots if each.name == robot), "to_robot"):
+            if not agent.scenario.is_direct(
+                next(each for each in agent.scenario.robots if each.name == robot), "to_robot"
+            ):
                 self._apply_when_sent(agent, robot)
 
     def _apply_when_sent(self, agent: Supervisor, robot: str) -> None:
@@ -154,13 +177,13 @@ class Watch:
 
     def inputs(self) -> dict[str, Array]:
         """The value of each input now."""
-        found: dict[str, Array] = {}
+        inputs: dict[str, Array] = {}
         for name, read in self._readers.items():
             info, value = self._infos[name], read()
             if info.dtype == "uint8":
                 value = value[0] if isinstance(value, tuple | list) else value
-            found[name] = np.array(value, _NUMPY_TYPES[info.dtype]).reshape(info.shape)
-        return found
+            inputs[name] = np.array(value, _NUMPY_TYPES[info.dtype]).reshape(info.shape)
+        return inputs
 
     def commands(self) -> dict[str, Array]:
         """The commands of this step."""
@@ -170,7 +193,9 @@ class Watch:
 class _Drive:
     """An actuator that notes its commands; for everything else the actuator itself."""
 
-    def __init__(self, drive: Callable[[Sequence[float]], object], note: Callable[[Sequence[float]], None]) -> None:
+    def __init__(
+        self, drive: Callable[[Sequence[float]], object], note: Callable[[Sequence[float]], None]
+    ) -> None:
         vars(self).update(drive=drive, note=note, notes=True, acts=True)
 
     def __call__(self, targets: Sequence[float]) -> None:

@@ -1,7 +1,8 @@
 """Expressions as nodes of ONNX: the scalar trees of a program, printed for a graph instead of as Python.
 
-Numbers are float64, as in the environment, and values one-dimensional tensors: a vector whose trees have the same form is one node per
-operation. The meaning of a function is its `python` in `expressions.functions`, so that a function of another package needs nothing here.
+Numbers are float64, as in the environment, and values one-dimensional tensors: a vector whose trees have the
+same form is one node per operation. The meaning of a function is its `python` in `expressions.functions`, so
+that a function of another package needs nothing here.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from deepbots_cli.insight.export.graph import Graph
 
 
 class Value(NamedTuple):
-    """A tensor of the graph of the shape [size]; a truth value is a bool. A size of 1 stands for any number of equal values."""
+    """A tensor of the graph of the shape [size]; a truth value is a bool. A size of 1 stands for any number
+    of equal values."""
 
     name: str
     size: int = 1
@@ -79,7 +81,11 @@ class Arithmetic:
             return parts[0]
         truth = all(part.truth for part in parts)
         same = [part if truth else self.number(part) for part in parts]
-        return Value(self.graph.add("Concat", *(part.name for part in same), axis=0), sum(part.size for part in same), truth)
+        return Value(
+            self.graph.add("Concat", *(part.name for part in same), axis=0),
+            sum(part.size for part in same),
+            truth,
+        )
 
     def spread(self, value: Value, size: int) -> Value:
         """A vector of `size` values, from one value or from as many."""
@@ -93,7 +99,11 @@ class Arithmetic:
         return Value(self.graph.cast(value.name, np.float64), value.size) if value.truth else value
 
     def _node(self, operator: str, *values: Value, truth: bool = False, **attributes: Any) -> Value:
-        return Value(self.graph.add(operator, *(value.name for value in values), **attributes), max(v.size for v in values), truth)
+        return Value(
+            self.graph.add(operator, *(value.name for value in values), **attributes),
+            max(v.size for v in values),
+            truth,
+        )
 
     # Operations
 
@@ -131,7 +141,11 @@ class Arithmetic:
         return self._node("Or", self._as_truth(a), self._as_truth(b), truth=True)
 
     def _as_truth(self, a: Value) -> Value:
-        return a if a.truth else self._node("Not", self._node("Equal", a, self.constant([0.0]), truth=True), truth=True)
+        return (
+            a
+            if a.truth
+            else self._node("Not", self._node("Equal", a, self.constant([0.0]), truth=True), truth=True)
+        )
 
     def where(self, condition: Value, a: Value, b: Value) -> Value:
         condition = self._as_truth(condition)
@@ -148,15 +162,17 @@ class Arithmetic:
         values = [self.number(arg) for arg in args]
         if name in _OPERATORS and len(values) == 1:
             return self._node(_OPERATORS[name], *values)
-        found = _COMPOSED.get(name)
-        if found is None:
+        composed = _COMPOSED.get(name)
+        if composed is None:
             raise UsageError(f"a function of the scenario calls '{name}', which ONNX cannot compute")
-        return found(self, *values)
+        return composed(self, *values)
 
     def remainder(self, a: Value, b: Value) -> Value:
         """`a % b` as Python has it: of the sign of b."""
         rest = self._node("Mod", a, b, fmod=1)
-        other = self.both(self._unequal(rest, self.constant([0.0])), self._unequal(self._negative(rest), self._negative(b)))
+        other = self.both(
+            self._unequal(rest, self.constant([0.0])), self._unequal(self._negative(rest), self._negative(b))
+        )
         return self.where(other, self.binary("Add", rest, b), rest)
 
     def _unequal(self, a: Value, b: Value) -> Value:
@@ -181,7 +197,9 @@ class Arithmetic:
     def cosine(self, a: Value) -> Value:
         """From the sine of the half angle: older versions of onnxruntime have no cosine of float64."""
         half = self._node("Sin", self.binary("Mul", a, self.constant([0.5])))
-        return self.binary("Sub", self.constant([1.0]), self.binary("Mul", self.constant([2.0]), self.square(half)))
+        return self.binary(
+            "Sub", self.constant([1.0]), self.binary("Mul", self.constant([2.0]), self.square(half))
+        )
 
     def tangent(self, a: Value) -> Value:
         return self._node("Div", self._node("Sin", a), self.cosine(a))
@@ -189,17 +207,22 @@ class Arithmetic:
     def atan2(self, y: Value, x: Value) -> Value:
         """The angle of a point.
 
-        onnxruntime has an arctangent of float32 alone. One step of Newton's method from there, as an angle between two directions, makes
-        it exact: what remains is the third power of 1e-7.
+        onnxruntime has an arctangent of float32 alone. One step of Newton's method from there, as an angle
+        between two directions, makes it exact: what remains is the third power of 1e-7.
         """
         zero, one, pi = self.constant([0.0]), self.constant([1.0]), self.constant([math.pi])
-        below, left = (self._negative(self._node("Div", one, side)) for side in (y, x))  # -0.0 is negative, too
+        below, left = (
+            self._negative(self._node("Div", one, side)) for side in (y, x)
+        )  # -0.0 is negative, too
         at_origin = self.both(self.binary("Equal", y, zero), self.binary("Equal", x, zero))
         # Products of a tiny number would vanish: 5e-324 and 0 had an angle that is wrong by 4e-8.
         size = self.where(at_origin, one, self._node("Max", self._node("Abs", y), self._node("Abs", x)))
         y, x = self._node("Div", y, size), self._node("Div", x, size)
         slope = self._node("Div", y, self.where(at_origin, one, x))
-        coarse = Value(self.graph.cast(self.graph.add("Atan", self.graph.cast(slope.name, np.float32)), np.float64), slope.size)
+        coarse = Value(
+            self.graph.cast(self.graph.add("Atan", self.graph.cast(slope.name, np.float32)), np.float64),
+            slope.size,
+        )
         turned = self._node("Add", coarse, self.where(below, self.constant([-math.pi]), pi))
         angle = self.where(left, turned, coarse)
         sine, cosine = self._node("Sin", angle), self.cosine(angle)
@@ -217,15 +240,24 @@ class Arithmetic:
             case "hypot":
                 return self._node("Sqrt", self.reduced("add", self.square(value)))
             case "and" | "or":
-                counted = self.reduced("min" if operator == "and" else "max", self.number(self._as_truth(value)))
+                counted = self.reduced(
+                    "min" if operator == "and" else "max", self.number(self._as_truth(value))
+                )
                 return self.binary("Greater", counted, self.constant([0.5]))
         reducing = {"min": "ReduceMin", "max": "ReduceMax"}[operator]
         return Value(self.graph.add(reducing, self.number(value).name, axes=[0], keepdims=1))
 
 
 _OPERATORS = {
-    "abs": "Abs", "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "sin": "Sin", "floor": "Floor", "ceil": "Ceil", "tanh": "Tanh",
-}  # fmt: skip
+    "abs": "Abs",
+    "sqrt": "Sqrt",
+    "exp": "Exp",
+    "log": "Log",
+    "sin": "Sin",
+    "floor": "Floor",
+    "ceil": "Ceil",
+    "tanh": "Tanh",
+}
 """Functions of one argument, each with its operator."""
 
 
@@ -250,9 +282,16 @@ _COMPOSED: dict[str, Callable[..., Value]] = {
     "degrees": lambda arithmetic, x: arithmetic.binary("Mul", x, arithmetic.constant([180 / math.pi])),
 }
 _INFIX: dict[type[ast.AST], str] = {
-    ast.Add: "Add", ast.Sub: "Sub", ast.Mult: "Mul", ast.Div: "Div", ast.Lt: "Less", ast.LtE: "LessOrEqual", ast.Gt: "Greater",
-    ast.GtE: "GreaterOrEqual", ast.Eq: "Equal",
-}  # fmt: skip
+    ast.Add: "Add",
+    ast.Sub: "Sub",
+    ast.Mult: "Mul",
+    ast.Div: "Div",
+    ast.Lt: "Less",
+    ast.LtE: "LessOrEqual",
+    ast.Gt: "Greater",
+    ast.GtE: "GreaterOrEqual",
+    ast.Eq: "Equal",
+}
 _REDUCED = frozenset({"add", "min", "max", "hypot", "and", "or"})
 _MIN_REDUCED = 4
 
@@ -303,15 +342,24 @@ class TreePrinter:
         if all(isinstance(tree, Const) for tree in trees):
             return self.math.constant([tree.value for tree in trees if isinstance(tree, Const)])
         if all(isinstance(tree, (Name, EngineRead)) for tree in trees):
-            return self.math.picked([self._leaf(tree) for tree in trees if isinstance(tree, (Name, EngineRead))])
+            return self.math.picked(
+                [self._leaf(tree) for tree in trees if isinstance(tree, (Name, EngineRead))]
+            )
         if isinstance(first, State):
             same = [
-                tree for tree in trees if isinstance(tree, State) and (tree.function, len(tree.args)) == (first.function, len(first.args))
+                tree
+                for tree in trees
+                if isinstance(tree, State)
+                and (tree.function, len(tree.args)) == (first.function, len(first.args))
             ]
             if len(same) == len(trees):
                 return self._states(same, self)
         if isinstance(first, Op):
-            alike = [tree for tree in trees if isinstance(tree, Op) and (tree.op, len(tree.args)) == (first.op, len(first.args))]
+            alike = [
+                tree
+                for tree in trees
+                if isinstance(tree, Op) and (tree.op, len(tree.args)) == (first.op, len(first.args))
+            ]
             if len(alike) == len(trees):
                 return self._operation(alike)
         if len(trees) == 1:
@@ -338,10 +386,10 @@ class TreePrinter:
     def _applied(self, function: Function, args: Sequence[Value]) -> Value:
         if not function.python:
             raise UsageError(f"the function '{function.name}' cannot be exported")
-        names, given = function.arguments, dict[str, Sequence[Value]]()
+        names, arguments = function.arguments, dict[str, Sequence[Value]]()
         for place, name in enumerate(names):
-            given[name] = args[place:] if name.startswith("*") else args[place : place + 1]
-        return self._code(_template(function.python), given)
+            arguments[name] = args[place:] if name.startswith("*") else args[place : place + 1]
+        return self._code(_template(function.python), arguments)
 
     def _code(self, node: ast.expr, args: dict[str, Sequence[Value]]) -> Value:
         """What the Python of a function computes from its arguments."""
@@ -352,15 +400,24 @@ class TreePrinter:
             case ast.Constant(value=bool() | int() | float() as value):
                 return arithmetic.constant([value if isinstance(value, bool) else float(value)])
             case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
-                return arithmetic.call(name, [value for part in parts for value in self._arguments(part, args)])
-            case ast.BinOp(op=sign, left=left, right=right) | ast.Compare(ops=[sign], left=left, comparators=[right]):
+                return arithmetic.call(
+                    name, [value for part in parts for value in self._arguments(part, args)]
+                )
+            case (
+                ast.BinOp(op=sign, left=left, right=right)
+                | ast.Compare(ops=[sign], left=left, comparators=[right])
+            ):
                 return arithmetic.infix(sign, self._code(left, args), self._code(right, args))
             case ast.BoolOp(op=sign, values=parts):
-                found = self._code(parts[0], args)
+                joined = self._code(parts[0], args)
                 for part in parts[1:]:
                     other = self._code(part, args)
-                    found = arithmetic.both(found, other) if isinstance(sign, ast.And) else arithmetic.either(found, other)
-                return found
+                    joined = (
+                        arithmetic.both(joined, other)
+                        if isinstance(sign, ast.And)
+                        else arithmetic.either(joined, other)
+                    )
+                return joined
             case ast.UnaryOp(op=ast.USub(), operand=inner):
                 return arithmetic._node("Neg", arithmetic.number(self._code(inner, args)))
             case ast.UnaryOp(op=ast.Not(), operand=inner):
@@ -390,7 +447,8 @@ def _key(tree: Scalar) -> Any:
 
 
 class MemoryFormulas:
-    """What stateful functions keep and give: the classes of `runtime.formulas` as nodes. Each returns what is kept, and the value."""
+    """What stateful functions keep and give: the classes of `runtime.formulas` as nodes. Each returns what is
+    kept, and the value."""
 
     def __init__(self, arithmetic: Arithmetic, timestep: float) -> None:
         self._math = arithmetic
@@ -437,7 +495,9 @@ class MemoryFormulas:
             case "integral":
                 after = binary("Add", kept, binary("Mul", first, arithmetic.constant([self._timestep])))
             case "accumulate":
-                after = arithmetic.call("min", [arithmetic.call("max", [binary("Add", kept, first), args[1]]), args[2]])
+                after = arithmetic.call(
+                    "min", [arithmetic.call("max", [binary("Add", kept, first), args[1]]), args[2]]
+                )
             case "duration":
                 grown = binary("Add", kept, arithmetic.constant([self._timestep]))
                 after = arithmetic.where(first, grown, arithmetic.constant([0.0]))

@@ -1,4 +1,5 @@
-"""The learner of the built-in algorithms, on Stable-Baselines3 and sb3-contrib. Only this package imports them.
+"""The learner of the built-in algorithms, on Stable-Baselines3 and sb3-contrib. Only this package imports
+them.
 
 learner.py       `OnPolicyLearner`, `OffPolicyLearner`: algorithms behind the interface of `learning.learner`
 internals.py     the private members of the library that deepbots uses

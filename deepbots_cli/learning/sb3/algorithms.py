@@ -1,4 +1,5 @@
-"""Algorithms of Stable-Baselines3, made for a scenario, and noise on their actions; their table is `scenario.training.ALGORITHMS`."""
+"""Algorithms of Stable-Baselines3, made for a scenario, and noise on their actions; their table is
+`scenario.training.ALGORITHMS`."""
 
 from __future__ import annotations
 
@@ -58,11 +59,12 @@ def create(
 ) -> BaseAlgorithm:
     """A fresh model for the environment. One that is not to learn gets no room for experience.
 
-    `longest_episode` is in steps; hindsight begins to learn when one has ended for sure. `mixin` is a class whose methods go before those
-    of the algorithm.
+    `longest_episode` is in steps; hindsight begins to learn when one has ended for sure. `mixin` is a class
+    whose methods go before those of the algorithm.
 
     Raises:
-        UsageError: The algorithm is unknown, or refuses the settings or the spaces; or there is no such device.
+        UsageError: The algorithm is unknown, or refuses the settings or the spaces; or there is no such
+            device.
         MissingExtraError: The algorithm is one of sb3-contrib, which is not installed.
     """
     algorithm = _entry(training.algorithm)
@@ -71,15 +73,22 @@ def create(
     kind = training.action_noise or settings.pop("action_noise", None)
     settings.pop("action_noise", None)
     if settings.pop("replay", None) is not None and training.replay is not None:
-        chosen = {"n_sampled_goal": training.replay.goals, "goal_selection_strategy": training.replay.strategy}
+        chosen = {
+            "n_sampled_goal": training.replay.goals,
+            "goal_selection_strategy": training.replay.strategy,
+        }
         settings |= {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": chosen}
     settings |= {h.name: _value(h) for h in training.hyperparameters}
     models: list[BaseAlgorithm] = []
     if kind is not None and isinstance(env.action_space, gym.spaces.Box):
-        settings["action_noise"] = DecayingNoise(kind, env.action_space.shape, lambda: internals.progress_remaining(models[0]))
+        settings["action_noise"] = DecayingNoise(
+            kind, env.action_space.shape, lambda: internals.progress_remaining(models[0])
+        )
     if not to_learn:
         settings |= (
-            {"n_steps": 2, **({} if algorithm.base() == "A2C" else {"batch_size": 2})} if algorithm.on_policy else {"buffer_size": 1}
+            {"n_steps": 2, **({} if algorithm.base() == "A2C" else {"batch_size": 2})}
+            if algorithm.on_policy
+            else {"buffer_size": 1}
         )
         for name in ("replay_buffer_class", "replay_buffer_kwargs"):
             settings.pop(name, None)
@@ -94,23 +103,39 @@ def create(
     if memory is not None:
         networks["lstm_hidden_size"] = memory
     if algorithm.base() == training.algorithm != "A2C":  # whose optimizer is one of Stable-Baselines3
-        networks |= {"optimizer_class": Adam, "optimizer_kwargs": {"eps": 1e-5 if algorithm.on_policy else 1e-8}}  # as by default
+        networks |= {
+            "optimizer_class": Adam,
+            "optimizer_kwargs": {"eps": 1e-5 if algorithm.on_policy else 1e-8},
+        }  # as by default
     inputs = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Mlp"
     policy = f"{inputs}{'' if memory is None else 'Lstm'}Policy"
-    found = _imported(algorithm)
-    kind_of_model: Any = found if mixin is None else type(found.__name__, (mixin, found), {})
-    settings |= {"seed": seed, "device": _device(training.device, to_learn=to_learn), "verbose": 0, "policy_kwargs": networks}
+    algorithm_class = _imported(algorithm)
+    kind_of_model: Any = (
+        algorithm_class if mixin is None else type(algorithm_class.__name__, (mixin, algorithm_class), {})
+    )
+    settings |= {
+        "seed": seed,
+        "device": _device(training.device, to_learn=to_learn),
+        "verbose": 0,
+        "policy_kwargs": networks,
+    }
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of batches that do not divide a rollout, which does no harm
             models.append(kind_of_model(policy, env, **settings))
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
-        raise UsageError(f"{training.algorithm} does not accept the settings under 'train': {reason}") from error
+        raise UsageError(
+            f"{training.algorithm} does not accept the settings under 'train': {reason}"
+        ) from error
     except Exception as error:
         if training.algorithm == algorithm.base():
             raise
-        raise UsageError(_no_torch(algorithm, f"it fails with {type(error).__name__}: {' '.join(str(error).split())[:200]}")) from error
+        raise UsageError(
+            _no_torch(
+                algorithm, f"it fails with {type(error).__name__}: {' '.join(str(error).split())[:200]}"
+            )
+        ) from error
     for name in ("optimizer_class", "optimizer_kwargs"):  # so that model files name no class of deepbots
         models[0].policy_kwargs.pop(name, None)
     if not internals.saved_members(models[0])[0] or not models[0].policy.state_dict():
@@ -121,7 +146,8 @@ def create(
 class Adam(torch.optim.Adam):
     """Adam of torch without its decorators for `torch.compile`.
 
-    They import `torch._dynamo` when an optimizer is first made, which takes 1.4 s of CPU. The numbers are the same to the bit.
+    They import `torch._dynamo` when an optimizer is first made, which takes 1.4 s of CPU. The numbers are the
+    same to the bit.
     """
 
     add_param_group = unwrap(torch.optim.Adam.add_param_group)
@@ -133,7 +159,8 @@ class Adam(torch.optim.Adam):
 
 def _no_torch(algorithm: type[Model], reason: str) -> str:
     return (
-        f"{algorithm.__name__} ({algorithm.import_path}) does not keep its networks as {algorithm.base()} of Stable-Baselines3 does, in"
+        f"{algorithm.__name__} ({algorithm.import_path}) does not keep its networks as {algorithm.base()} of"
+        " Stable-Baselines3 does, in"
         f" modules of torch: {reason}; docs/extending.md shows an adapter for algorithms in JAX"
     )
 
@@ -141,21 +168,26 @@ def _no_torch(algorithm: type[Model], reason: str) -> str:
 def _device(wanted: str, *, to_learn: bool) -> str:
     """`cpu` or `cuda`. A policy that was trained on a GPU acts on the CPU where there is none."""
     if wanted == "cuda" and to_learn and not torch.cuda.is_available():
-        raise UsageError("`train.device` is cuda, but torch finds no CUDA device; write `device: auto` to use the CPU")
+        raise UsageError(
+            "`train.device` is cuda, but torch finds no CUDA device; write `device: auto` to use the CPU"
+        )
     return "cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu"
 
 
 def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
     try:
-        found: type[BaseAlgorithm] = import_attribute(algorithm.import_path)
+        algorithm_class: type[BaseAlgorithm] = import_attribute(algorithm.import_path)
     except ModuleNotFoundError as error:
-        raise MissingExtraError("contrib", f"training with {algorithm.import_path.rpartition(':')[2]}") from error
-    return found
+        raise MissingExtraError(
+            "contrib", f"training with {algorithm.import_path.rpartition(':')[2]}"
+        ) from error
+    return algorithm_class
 
 
 @contextmanager
 def torch_settings() -> Iterator[None]:
-    """Within, torch uses one thread, since networks of this size only lose by handing work around; then the caller's settings return."""
+    """Within, torch uses one thread, since networks of this size only lose by handing work around; then the
+    caller's settings return."""
     threads, cudnn = torch.get_num_threads(), torch.backends.cudnn
     before = cudnn.deterministic, cudnn.benchmark  # which SB3 changes when it sets a seed for a GPU
     torch.set_num_threads(1)
@@ -168,7 +200,11 @@ def torch_settings() -> Iterator[None]:
 
 def takes_masks(model: BaseAlgorithm) -> bool:
     """Whether the policy wants to know which choices are forbidden."""
-    return any("action_masks" in signature(vars(kind)["predict"]).parameters for kind in type(model).__mro__ if "predict" in vars(kind))
+    return any(
+        "action_masks" in signature(vars(kind)["predict"]).parameters
+        for kind in type(model).__mro__
+        if "predict" in vars(kind)
+    )
 
 
 def collects_as_usual(training: Training, model: BaseAlgorithm) -> bool:
@@ -179,20 +215,27 @@ def collects_as_usual(training: Training, model: BaseAlgorithm) -> bool:
 
 
 def check(training: Training) -> None:
-    """Raises: UsageError: The table does not hold the algorithm, it cannot be taught, or the networks would be larger than any memory."""
+    """Raises: UsageError: The table does not hold the algorithm, it cannot be taught, or the networks would
+    be larger than any memory."""
     if training.teacher is not None:
         check_teachable(training)
     hidden = training.network.hidden
     if len(hidden) > _MOST_LAYERS:
         raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers")
     if sum(one * other for one, other in pairwise(hidden)) > _MOST_WEIGHTS:
-        raise UsageError(f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than {_MOST_WEIGHTS:,} weights")
+        raise UsageError(
+            f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than"
+            f" {_MOST_WEIGHTS:,} weights"
+        )
 
 
 def check_teachable(training: Training) -> None:
     """Raises: UsageError: The algorithm cannot learn from a teacher."""
     if _entry(training.algorithm).base() == "RecurrentPPO":
-        raise UsageError(f"{training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`, and --teacher")
+        raise UsageError(
+            f"{training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`, and"
+            " --teacher"
+        )
 
 
 def check_memory(copies: int, memory: int | None = None) -> None:
@@ -212,7 +255,11 @@ def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None =
     """
     steps = settings.get("buffer_size", 0)
     parts = space.spaces.values() if isinstance(space, gym.spaces.Dict) else [space]
-    needed = 2 * steps * sum(math.prod(part.shape or ()) * (part.dtype or np.dtype(np.float32)).itemsize for part in parts)
+    needed = (
+        2
+        * steps
+        * sum(math.prod(part.shape or ()) * (part.dtype or np.dtype(np.float32)).itemsize for part in parts)
+    )
     _require_memory(f"{steps:,} remembered steps need", needed, memory, "; give 'buffer_size' under 'train'")
 
 
@@ -220,7 +267,9 @@ def _require_memory(what: str, needed: int, memory: int | None, hint: str = "") 
     if memory is None and hasattr(os, "sysconf"):  # not on Windows
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if memory is not None and needed > memory:
-        raise UsageError(f"{what} {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB{hint}")
+        raise UsageError(
+            f"{what} {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB{hint}"
+        )
 
 
 def _entry(name: str) -> type[Model]:
@@ -242,11 +291,13 @@ def _value(given: Hyperparameter) -> object:
 
 
 class DecayingNoise(ActionNoise):
-    """Noise on the actions of an off-policy algorithm, with a standard deviation that may change over the training.
+    """Noise on the actions of an off-policy algorithm, with a standard deviation that may change over the
+    training.
 
-    Draws come from numpy's global generator, which the training seeds. Drifting noise (`ornstein_uhlenbeck`) is sampled exactly:
-    n' = a n + sigma sqrt(1 - a^2) w with a = exp(-theta) and w of unit variance, so that its deviation is sigma whatever theta is
-    (D. T. Gillespie, Phys. Rev. E 54, 1996, p. 2084). An episode begins anywhere in the course of it.
+    Draws come from numpy's global generator, which the training seeds. Drifting noise (`ornstein_uhlenbeck`)
+    is sampled exactly: n' = a n + sigma sqrt(1 - a^2) w with a = exp(-theta) and w of unit variance, so that
+    its deviation is sigma whatever theta is (D. T. Gillespie, Phys. Rev. E 54, 1996, p. 2084). An episode
+    begins anywhere in the course of it.
 
     Args:
         settings: Those of the scenario.
@@ -254,7 +305,9 @@ class DecayingNoise(ActionNoise):
         remaining: Gives the share of the training that is left, from 1 to 0.
     """
 
-    def __init__(self, settings: NoiseSettings, size: tuple[int, ...], remaining: Callable[[], float]) -> None:
+    def __init__(
+        self, settings: NoiseSettings, size: tuple[int, ...], remaining: Callable[[], float]
+    ) -> None:
         super().__init__()
         self._settings = settings
         self._size = size
@@ -273,7 +326,11 @@ class DecayingNoise(ActionNoise):
         if self._factor is None:
             return np.random.normal(0.0, self.sigma, self._size).astype(np.float32)
         drawn = np.random.normal(0.0, 1.0, self._size)
-        self.drift = drawn if self.drift is None else self._factor * self.drift + math.sqrt(1.0 - self._factor**2) * drawn
+        self.drift = (
+            drawn
+            if self.drift is None
+            else self._factor * self.drift + math.sqrt(1.0 - self._factor**2) * drawn
+        )
         return (self.sigma * self.drift).astype(np.float32)
 
     def reset(self) -> None:

@@ -1,8 +1,9 @@
-"""Whether the critic of an off-policy algorithm is right: what it predicted in recent states, and what followed there.
+"""Whether the critic of an off-policy algorithm is right: what it predicted in recent states, and what
+followed there.
 
-A critic that is trained on its own predictions may overestimate: its errors are chosen by a policy that maximizes it
-(S. Fujimoto, H. van Hoof, D. Meger, ICML 2018). On FindBall, DDPG predicts 11.9 where 2.7 follow; with the smaller one of
-two critics, 9.1 are predicted and 9.2 follow.
+A critic that is trained on its own predictions may overestimate: its errors are chosen by a policy that
+maximizes it (S. Fujimoto, H. van Hoof, D. Meger, ICML 2018). On FindBall, DDPG predicts 11.9 where 2.7
+follow; with the smaller one of two critics, 9.1 are predicted and 9.2 follow.
 """
 
 from __future__ import annotations
@@ -20,16 +21,19 @@ _SAMPLES = 256
 """Steps that are compared at a time: one forward pass."""
 _MIN_SAMPLES = 32
 _WINDOW = 4_000
-"""The largest number of rows of the replay buffer that are looked at; a row has a step of each copy of the environment."""
+"""The largest number of rows of the replay buffer that are looked at; a row has a step of each copy of the
+environment."""
 _UNKNOWN = 0.05
 """The largest weight of the rewards that are not known yet, or that a time limit cut off."""
 
 
 class CriticCheck(NamedTuple):
-    """Means over the same steps: `value` as the critic predicts it now, and `followed`, the discounted return since then.
+    """Means over the same steps: `value` as the critic predicts it now, and `followed`, the discounted return
+    since then.
 
-    The rewards are those of the learner, with `normalize: reward` divided by their standard deviation. The policy that
-    acted was a few thousand steps younger, and explored. The value of SAC and TQC includes the reward for entropy.
+    The rewards are those of the learner, with `normalize: reward` divided by their standard deviation. The
+    policy that acted was a few thousand steps younger, and explored. The value of SAC and TQC includes the
+    reward for entropy.
     """
 
     value: float
@@ -37,7 +41,8 @@ class CriticCheck(NamedTuple):
 
 
 def check_critic(model: Any) -> CriticCheck | None:
-    """Compare the newest steps in the replay buffer whose return is known; None while there are too few of them.
+    """Compare the newest steps in the replay buffer whose return is known; None while there are too few of
+    them.
 
     No random number is drawn, and nothing is changed.
     """
@@ -67,7 +72,8 @@ def check_critic(model: Any) -> CriticCheck | None:
 
 
 def _discounted(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> tuple[Array, Array]:
-    """The discounted return from each step (rows, copies), and the weight of the rewards that are missing in it."""
+    """The discounted return from each step (rows, copies), and the weight of the rewards that are missing in
+    it."""
     followed, unknown = np.zeros(rewards.shape), np.ones(rewards.shape)
     later, missing = np.zeros(rewards.shape[1]), np.ones(rewards.shape[1])
     for step in range(len(rewards) - 1, -1, -1):
@@ -82,14 +88,16 @@ def _values(model: Any, buffer: Any, places: tuple[Array, Array]) -> Array:
     """The critic's values of stored steps, the smaller one of two critics."""
     seen: Any = buffer.observations
     stored = {key: part[places] for key, part in seen.items()} if isinstance(seen, dict) else seen[places]
-    actions = buffer.actions[places][:, : get_action_dim(model.action_space)]  # the rest are labels of a teacher
+    actions = buffer.actions[places][
+        :, : get_action_dim(model.action_space)
+    ]  # the rest are labels of a teacher
     with torch.no_grad():
         observations, _ = model.policy.obs_to_tensor(stored)
         if hasattr(model, "q_net"):
             taken = torch.as_tensor(actions, device=model.device).long().reshape(-1, 1)
-            found = model.q_net(observations).gather(1, taken)
+            predictions = model.q_net(observations).gather(1, taken)
         else:
             values = model.critic(observations, torch.as_tensor(actions, device=model.device).float())
             # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
-            found = values.mean(dim=2) if isinstance(values, torch.Tensor) else torch.cat(values, dim=1)
-    return np.asarray(found.min(dim=1).values.cpu().numpy(), float)
+            predictions = values.mean(dim=2) if isinstance(values, torch.Tensor) else torch.cat(values, dim=1)
+    return np.asarray(predictions.min(dim=1).values.cpu().numpy(), float)

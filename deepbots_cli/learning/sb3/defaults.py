@@ -1,7 +1,9 @@
-"""The hyperparameters that a training takes: those of the scenario, our defaults, and the defaults of the library.
+"""The hyperparameters that a training takes: those of the scenario, our defaults, and the defaults of the
+library.
 
-Our defaults suit small networks and light worlds on a CPU. Every other default is the one of Stable-Baselines3 or sb3-contrib. It is read
-from the signature in the library's source, since importing the library takes seconds.
+Our defaults suit small networks and light worlds on a CPU. Every other default is the one of
+Stable-Baselines3 or sb3-contrib. It is read from the signature in the library's source, since importing the
+library takes seconds.
 """
 
 from __future__ import annotations
@@ -19,21 +21,27 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 
-LIBRARIES: Mapping[str, str] = {"MaskablePPO": "sb3_contrib", "RecurrentPPO": "sb3_contrib", "TQC": "sb3_contrib"}
+LIBRARIES: Mapping[str, str] = {
+    "MaskablePPO": "sb3_contrib",
+    "RecurrentPPO": "sb3_contrib",
+    "TQC": "sb3_contrib",
+}
 """The package of each algorithm that Stable-Baselines3 does not have itself."""
 _LIBRARY_TITLES = {"stable_baselines3": "Stable-Baselines3", "sb3_contrib": "sb3-contrib"}
 _UNIFORM = "uniform"
 
 
 class Default(NamedTuple):
-    """A default of ours: its value, of the training, its timesteps in all and the steps of its longest episode; and in words."""
+    """A default of ours: its value, of the training, its timesteps in all and the steps of its longest
+    episode; and in words."""
 
     value: Callable[[Training, int, int], object]
     description: str
 
 
 class EffectiveHyperparameter(NamedTuple):
-    """A hyperparameter as a training takes it; `source` is the scenario, deepbots, or the library. An unknown value is None."""
+    """A hyperparameter as a training takes it; `source` is the scenario, deepbots, or the library. An unknown
+    value is None."""
 
     name: str
     value: object
@@ -41,7 +49,8 @@ class EffectiveHyperparameter(NamedTuple):
 
 
 def _roll_out(training: Training) -> int:
-    # Small updates, often: a cart-pole for 10x10 units is solved in 26 000 steps; with 1024 steps and a rate of 3e-4 in 69 000 to 97 000.
+    # Small updates, often: a cart-pole for 10x10 units is solved in 26 000 steps; with 1024 steps and a rate
+    # of 3e-4 in 69 000 to 97 000.
     return max(32, 256 // training.environments // 32 * 32)
 
 
@@ -53,18 +62,24 @@ def _batch(training: Training) -> int:
 
 
 _MANY_ENVIRONMENTS = 16
-"""Environments from which on batches grow with their number, so that an epoch has 8 of them: larger batches cost less per row."""
+"""Environments from which on batches grow with their number, so that an epoch has 8 of them: larger batches
+cost less per row."""
 
 
 _PPO = {
-    "n_steps": Default(lambda training, *_: _roll_out(training), "256 / `environments`, rounded down to a multiple of 32, at least 32"),
+    "n_steps": Default(
+        lambda training, *_: _roll_out(training),
+        "256 / `environments`, rounded down to a multiple of 32, at least 32",
+    ),
     "batch_size": Default(
         lambda training, *_: _batch(training),
-        "with up to 15 `environments`: 64, or 32 if the default `n_steps` times `environments` is not a multiple of 64; with 16 or more:"
+        "with up to 15 `environments`: 64, or 32 if the default `n_steps` times `environments` is not a"
+        " multiple of 64; with 16 or more:"
         " an eighth of this product",
     ),
     "gae_lambda": Default(lambda *_: 0.9, "0.9"),
-    # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier there.
+    # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier
+    # there.
     "learning_rate": Default(
         lambda training, *_: 3e-3 if max(training.network.hidden, default=0) <= 32 else 1e-3,
         "0.003 for layers of up to 32 units, otherwise 0.001",
@@ -73,8 +88,11 @@ _PPO = {
 _OFF_POLICY = {
     # Hindsight takes goals from episodes that have ended, so learning waits for the first.
     "learning_starts": Default(
-        lambda training, total, longest: max(1_000, longest * training.environments) if training.replay else min(1_000, total // 10),
-        "the smaller of 1_000 and a tenth of `total_timesteps`; with `replay: her`, `environments` times the steps of the"
+        lambda training, total, longest: (
+            max(1_000, longest * training.environments) if training.replay else min(1_000, total // 10)
+        ),
+        "the smaller of 1_000 and a tenth of `total_timesteps`; with `replay: her`, `environments` times the"
+        " steps of the"
         " longest episode, at least 1_000",
     ),
     "replay": Default(lambda *_: _UNIFORM, "uniform"),
@@ -86,13 +104,17 @@ _DQN = {
     **_OFF_POLICY,
 }
 _ACTOR_CRITIC = {
-    "buffer_size": Default(lambda _, total, __: min(total, 1_000_000), "`total_timesteps`, at most 1_000_000"),
+    "buffer_size": Default(
+        lambda _, total, __: min(total, 1_000_000), "`total_timesteps`, at most 1_000_000"
+    ),
     # As many updates as steps, however many copies there are.
     "gradient_steps": Default(lambda *_: -1, "-1"),
     **_OFF_POLICY,
 }
 _DETERMINISTIC = _ACTOR_CRITIC | {
-    "action_noise": Default(lambda *_: ActionNoise("normal", Schedule(0.1, 0.1)), "{type: normal, sigma: 0.1}")
+    "action_noise": Default(
+        lambda *_: ActionNoise("normal", Schedule(0.1, 0.1)), "{type: normal, sigma: 0.1}"
+    )
 }
 
 DEFAULTS: Mapping[str, Mapping[str, Default]] = {
@@ -110,7 +132,8 @@ DEFAULTS: Mapping[str, Mapping[str, Default]] = {
 
 
 def default_values(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
-    """The values of our defaults; `environments` of the training counts every copy that the policy acts for."""
+    """The values of our defaults; `environments` of the training counts every copy that the policy acts
+    for."""
     own = DEFAULTS.get(ALGORITHMS[training.algorithm].base(), {})
     return {name: default.value(training, total_timesteps, longest_episode) for name, default in own.items()}
 
@@ -122,26 +145,31 @@ def longest_episode(scenario: Program) -> int:
 
 
 def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[EffectiveHyperparameter]:
-    """Every hyperparameter of the scenario's algorithm, in the order of the table of the language; none without a known one."""
+    """Every hyperparameter of the scenario's algorithm, in the order of the table of the language; none
+    without a known one."""
     training = scenario.agent.training
     if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
         return []
-    given: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
-    given |= {name: value for name, value in (("action_noise", training.action_noise), ("replay", training.replay)) if value is not None}
+    written: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
+    written |= {
+        name: value
+        for name, value in (("action_noise", training.action_noise), ("replay", training.replay))
+        if value is not None
+    }
     rows = training.environments * (scenario.agent.copies.count if scenario.agent.copies else 1)
     own = default_values(replace(training, environments=rows), total_timesteps, longest_episode(scenario))
     base = ALGORITHMS[training.algorithm].base()
     library = library_defaults(base)
     title = "library default" if library is None else library_of(base)
-    found = []
+    effective = []
     for name in ALGORITHMS[training.algorithm].hyperparameter_names():
-        if name in given:
-            found.append(EffectiveHyperparameter(name, given[name], "scenario"))
+        if name in written:
+            effective.append(EffectiveHyperparameter(name, written[name], "scenario"))
         elif name in own:
-            found.append(EffectiveHyperparameter(name, own[name], "deepbots"))
+            effective.append(EffectiveHyperparameter(name, own[name], "deepbots"))
         else:
-            found.append(EffectiveHyperparameter(name, (library or {}).get(name), title))
-    return found
+            effective.append(EffectiveHyperparameter(name, (library or {}).get(name), title))
+    return effective
 
 
 def library_of(algorithm: str) -> str:
@@ -162,8 +190,16 @@ def library_defaults(algorithm: str) -> Mapping[str, object] | None:
     for path in sorted(Path(spec.origin).parent.glob("*/*.py")):
         text = path.read_text(encoding="utf-8")
         if defined.search(text):
-            (found,) = (node for node in ast.parse(text).body if isinstance(node, ast.ClassDef) and node.name == algorithm)
-            (start,) = (node for node in found.body if isinstance(node, ast.FunctionDef) and node.name == "__init__")
+            (definition,) = (
+                node
+                for node in ast.parse(text).body
+                if isinstance(node, ast.ClassDef) and node.name == algorithm
+            )
+            (start,) = (
+                node
+                for node in definition.body
+                if isinstance(node, ast.FunctionDef) and node.name == "__init__"
+            )
             names = [argument.arg for argument in start.args.args][-len(start.args.defaults) :]
             return {name: _literal(default) for name, default in zip(names, start.args.defaults, strict=True)}
     return None

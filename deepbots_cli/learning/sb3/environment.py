@@ -1,7 +1,7 @@
 """The worlds of a collector as a vector environment of Stable-Baselines3.
 
-The library's DummyVecEnv copies every info deeply in every step; this one passes them on, and does the work of VecMonitor on the way:
-over a cart-pole of plain Python a step costs 4.0 us instead of 7.0.
+The library's DummyVecEnv copies every info deeply in every step; this one passes them on, and does the work
+of VecMonitor on the way: over a cart-pole of plain Python a step costs 4.0 us instead of 7.0.
 """
 
 from __future__ import annotations
@@ -50,21 +50,30 @@ class CollectorEnvironment(VecEnv):
         for agent in self._agents(indices):
             agent.set_wrapper_attr(attr_name, value)
 
-    def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
         if (
             method_name == "action_masks"
             and isinstance(self.collector, LocalCollector)
             and (masks := self.collector.action_masks()) is not None
         ):  # a batch has its own
             return [masks[index] for index in self._get_indices(indices)]
-        return [agent.get_wrapper_attr(method_name)(*method_args, **method_kwargs) for agent in self._agents(indices)]
+        return [
+            agent.get_wrapper_attr(method_name)(*method_args, **method_kwargs)
+            for agent in self._agents(indices)
+        ]
 
-    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
         return [False for _ in self._agents(indices)]
 
     def _agents(self, indices: VecEnvIndices) -> list[Any]:
         agents = self.collector.agents
-        return [agents[index % len(agents)] for index in self._get_indices(indices)]  # with shards, one world stands for all
+        return [
+            agents[index % len(agents)] for index in self._get_indices(indices)
+        ]  # with shards, one world stands for all
 
 
 def as_returned(step: WorldsStep) -> VecEnvStepReturn:
@@ -83,11 +92,18 @@ class _Spaces(gym.Env[Any, Any]):
     def __init__(self, observation_space: gym.Space[Any], action_space: gym.Space[Any]) -> None:
         self.observation_space, self.action_space = observation_space, action_space
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Any observation: the library asks for one before it learns."""
         return self.observation_space.sample(), {}
 
 
-def spaces_only(observation_space: gym.Space[Any], action_space: gym.Space[Any], rows: int = 1) -> CollectorEnvironment:
-    """An environment without a world: for a policy that is not to learn, or that learns from worlds in other processes."""
-    return CollectorEnvironment(LocalCollector(Worlds([_Spaces(observation_space, action_space)] * rows, [0] * rows)))
+def spaces_only(
+    observation_space: gym.Space[Any], action_space: gym.Space[Any], rows: int = 1
+) -> CollectorEnvironment:
+    """An environment without a world: for a policy that is not to learn, or that learns from worlds in other
+    processes."""
+    return CollectorEnvironment(
+        LocalCollector(Worlds([_Spaces(observation_space, action_space)] * rows, [0] * rows))
+    )

@@ -1,16 +1,17 @@
 """How policies imitate a teacher.
 
-With an on-policy algorithm, while the policy only imitates, `Lessons` keeps the states that it met, with what the teacher would do in each,
-and fits the policy to all of them (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The update of the library then trains the critic
-alone.
+With an on-policy algorithm, while the policy only imitates, `Lessons` keeps the states that it met, with what
+the teacher would do in each, and fits the policy to all of them (DAgger; S. Ross, G. Gordon, D. Bagnell,
+AISTATS 2011). The update of the library then trains the critic alone.
 
-After this, a loss is added to that of the library, within `imitating`. Its algorithms ask their policy for values, log-probabilities and
-entropies of each batch (`evaluate_actions`), and add the entropies to the loss with a weight: these then contain the imitation loss too.
+After this, a loss is added to that of the library, within `imitating`. Its algorithms ask their policy for
+values, log-probabilities and entropies of each batch (`evaluate_actions`), and add the entropies to the loss
+with a weight: these then contain the imitation loss too.
 
-With an off-policy algorithm that has an actor, the replay buffer keeps what the teacher would do beside each action (`keep_labels`). The
-loss of the actor is the negative value of its actions; within `imitating_labels`, an imitation loss is subtracted from these values
-(TD3+BC; S. Fujimoto, S. S. Gu, NeurIPS 2021). While the policy only imitates, the actor follows this loss alone, and the critic learns
-its value.
+With an off-policy algorithm that has an actor, the replay buffer keeps what the teacher would do beside each
+action (`keep_labels`). The loss of the actor is the negative value of its actions; within `imitating_labels`,
+an imitation loss is subtracted from these values (TD3+BC; S. Fujimoto, S. S. Gu, NeurIPS 2021). While the
+policy only imitates, the actor follows this loss alone, and the critic learns its value.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ _STEPS_PER_ROW = 0.5
 """Gradient steps for each new state. On PandaPush with PPO, 0.5 gives 74 % success after 18,000 states."""
 _LEARNING_RATE = 1e-3
 _MAX_STD = 0.3
-"""Largest standard deviation of actions while a policy imitates: with 1, where algorithms begin, it would leave its teacher at once."""
+"""Largest standard deviation of actions while a policy imitates: with 1, where algorithms begin, it would
+leave its teacher at once."""
 _AGREES = 0.2
 """Largest difference of each range in [-1, 1] at which a policy agrees with its teacher."""
 _BETA = 0.2
@@ -52,7 +54,8 @@ _ONLY_SCALE = 10.0
 
 
 class Lessons:
-    """The last states, and the actions of the teacher in them. Its arrays are those of a replay buffer, of shape (steps, rows, ...).
+    """The last states, and the actions of the teacher in them. Its arrays are those of a replay buffer, of
+    shape (steps, rows, ...).
 
     Args:
         model: The algorithm, whose rollout buffer has the shapes.
@@ -63,7 +66,11 @@ class Lessons:
         self._model = model
         if demonstrations is not None:
             shown = demonstrations.observations
-            self.observations: Any = {key: part[:, None] for key, part in shown.items()} if isinstance(shown, dict) else shown[:, None]
+            self.observations: Any = (
+                {key: part[:, None] for key, part in shown.items()}
+                if isinstance(shown, dict)
+                else shown[:, None]
+            )
             self.actions = demonstrations.actions[:, None]
             self.buffer_size, self.pos, self.full = len(self.actions), 0, True
             return
@@ -75,7 +82,9 @@ class Lessons:
         def empty(like: Array) -> Array:
             return np.zeros((self.buffer_size, *like.shape[1:]), like.dtype)
 
-        self.observations = {key: empty(part) for key, part in seen.items()} if isinstance(seen, dict) else empty(seen)
+        self.observations = (
+            {key: empty(part) for key, part in seen.items()} if isinstance(seen, dict) else empty(seen)
+        )
         space = model.action_space
         self.actions = np.zeros((self.buffer_size, model.n_envs, *space.shape), space.dtype)
         self.pos = 0
@@ -126,10 +135,12 @@ class Lessons:
 
 @contextmanager
 def only_imitating(model: Any, lessons: Lessons, taught: Array | None) -> Iterator[None]:
-    """Within, the update of an on-policy algorithm trains the critic alone; afterwards, the policy is fitted to all lessons.
+    """Within, the update of an on-policy algorithm trains the critic alone; afterwards, the policy is fitted
+    to all lessons.
 
     Args:
-        taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...); None with a recording.
+        taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...);
+            None with a recording.
     """
     if taught is not None:
         lessons.add(taught)  # before the update, which reorders the rollout buffer
@@ -152,7 +163,8 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
 
     Args:
         model: The algorithm.
-        taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...), or the states of a recording.
+        taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...), or
+            the states of a recording.
         weight: Of the imitation loss.
     """
     policy, ent_coef = model.policy, model.ent_coef
@@ -160,7 +172,9 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
     labels = torch.empty(0)
     if not isinstance(taught, Lessons):
         shape = (-1, *taught.shape[2:])
-        labels = torch.as_tensor(np.ascontiguousarray(taught.swapaxes(0, 1)).reshape(shape), device=model.device)
+        labels = torch.as_tensor(
+            np.ascontiguousarray(taught.swapaxes(0, 1)).reshape(shape), device=model.device
+        )
     evaluate = policy.evaluate_actions
     batch: list[torch.Tensor] = []
     losses: list[float] = []
@@ -169,7 +183,9 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
     def note(rows: Array) -> None:
         batch[:] = [labels[rows]] if lessons is None else []
 
-    def evaluate_actions(observations: Any, actions: torch.Tensor, **options: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def evaluate_actions(
+        observations: Any, actions: torch.Tensor, **options: Any
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         values, log_prob, entropy = evaluate(observations, actions, **options)
         if entropy is None:
             entropy = -log_prob
@@ -194,9 +210,11 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
 
 
 def keep_labels(model: Any) -> None:
-    """Let the replay buffer keep what the teacher would do beside each action: its rows of actions have twice the width.
+    """Let the replay buffer keep what the teacher would do beside each action: its rows of actions have twice
+    the width.
 
-    A label is `_UNKNOWN` where no teacher was asked, and in transitions with another goal than that of the episode.
+    A label is `_UNKNOWN` where no teacher was asked, and in transitions with another goal than that of the
+    episode.
     """
     buffer = model.replay_buffer
     width = buffer.action_dim
@@ -205,9 +223,9 @@ def keep_labels(model: Any) -> None:
     draw = buffer.sample
 
     def sample(*arguments: Any, **options: Any) -> Any:
-        found = draw(*arguments, **options)
-        buffer.labels = found.actions[:, width:]
-        return found._replace(actions=found.actions[:, :width])
+        samples = draw(*arguments, **options)
+        buffer.labels = samples.actions[:, width:]
+        return samples._replace(actions=samples.actions[:, :width])
 
     buffer.sample = sample
     if isinstance(buffer, HerReplayBuffer):
@@ -220,41 +238,55 @@ def keep_labels(model: Any) -> None:
 
 
 def mix_in(model: Any, demonstrations: Demonstrations) -> None:
-    """Let the replay buffer draw a fixed share of each batch from demonstrations, whose actions are their labels."""
+    """Let the replay buffer draw a fixed share of each batch from demonstrations, whose actions are their
+    labels."""
     buffer = model.replay_buffer
     draw, device = buffer.sample, model.device
-    shown, following = (_tensors(seen, device) for seen in (demonstrations.observations, demonstrations.following))
+    shown, following = (
+        _tensors(seen, device) for seen in (demonstrations.observations, demonstrations.following)
+    )
     count = len(demonstrations.actions)
     actions = torch.as_tensor(demonstrations.actions.reshape(count, -1), device=device)
     ends = torch.as_tensor(demonstrations.terminated[:, None], dtype=torch.float32, device=device)
 
     def sample(batch_size: int, env: Any = None) -> Any:
-        found = draw(batch_size, env=env)
+        samples = draw(batch_size, env=env)
         at = torch.from_numpy(np.random.randint(count, size=round(_DEMONSTRATED_SHARE * batch_size)))
         rewards = demonstrations.rewards[at.numpy(), None]
         rewards = rewards if env is None else env.normalize_reward(rewards)
-        drawn = {"actions": actions[at], "rewards": torch.as_tensor(rewards, dtype=torch.float32, device=device), "dones": ends[at]}
+        drawn = {
+            "actions": actions[at],
+            "rewards": torch.as_tensor(rewards, dtype=torch.float32, device=device),
+            "dones": ends[at],
+        }
         for name, part in drawn.items():
-            getattr(found, name)[: len(at)] = part
-        for mixed, own in ((found.observations, shown), (found.next_observations, following)):
+            getattr(samples, name)[: len(at)] = part
+        for mixed, own in ((samples.observations, shown), (samples.next_observations, following)):
             for key, part in own.items() if isinstance(own, dict) else [(None, own)]:
                 (mixed if key is None else mixed[key])[: len(at)] = part[at]
-        if found.discounts is not None:  # of several steps, where these are single ones
-            found.discounts[: len(at)] = model.gamma
+        if samples.discounts is not None:  # of several steps, where these are single ones
+            samples.discounts[: len(at)] = model.gamma
         if hasattr(buffer, "labels"):
             buffer.labels[: len(at)] = actions[at]
-        return found
+        return samples
 
     buffer.sample = sample
 
 
 def _tensors(seen: Any, device: Any) -> Any:
-    return {key: _tensors(part, device) for key, part in seen.items()} if isinstance(seen, dict) else torch.as_tensor(seen, device=device)
+    return (
+        {key: _tensors(part, device) for key, part in seen.items()}
+        if isinstance(seen, dict)
+        else torch.as_tensor(seen, device=device)
+    )
 
 
 def labeled(stored: Array, taught: Array | None) -> Array:
-    """Actions as a replay buffer with labels keeps them; `taught` is what the teacher would do, None if it was not asked."""
-    return np.concatenate([stored, np.full_like(stored, _UNKNOWN) if taught is None else np.clip(taught, -1.0, 1.0)], axis=1)
+    """Actions as a replay buffer with labels keeps them; `taught` is what the teacher would do, None if it
+    was not asked."""
+    return np.concatenate(
+        [stored, np.full_like(stored, _UNKNOWN) if taught is None else np.clip(taught, -1.0, 1.0)], axis=1
+    )
 
 
 @contextmanager
@@ -272,16 +304,16 @@ def imitating_labels(model: Any, weight: float, *, only: bool, new: int) -> Iter
 
     def with_teacher(evaluate: Callable[..., Any]) -> Callable[..., Any]:
         def values(observations: Any, actions: torch.Tensor) -> Any:
-            found = evaluate(observations, actions)
+            evaluated = evaluate(observations, actions)
             if not actions.requires_grad:  # of the replay buffer, not of the actor
-                return found
+                return evaluated
             loss = _distance(actions, buffer.labels)
             losses.append(float(loss.detach().mean()))
-            parts = found if isinstance(found, tuple) else (found,)
+            parts = evaluated if isinstance(evaluated, tuple) else (evaluated,)
             scale = _ONLY_SCALE if only else _SCALE * parts[0].detach().abs().mean()
             penalty = (weight * scale * loss).reshape(-1, *[1] * (parts[0].ndim - 1))
             parts = tuple((0.0 if only else 1.0) * part - penalty for part in parts)
-            return parts if isinstance(found, tuple) else parts[0]
+            return parts if isinstance(evaluated, tuple) else parts[0]
 
         return values
 
@@ -314,8 +346,8 @@ def _fit_actor(model: Any, steps: int) -> None:
 
 def _distance(actions: torch.Tensor, labels: torch.Tensor) -> torch.Tensor:
     """Per row, the distance of actions from their labels; 0 where there is none."""
-    found = torch.nn.functional.smooth_l1_loss(actions, labels, beta=_BETA, reduction="none").sum(1)
-    return found * (labels[:, 0] != _UNKNOWN)
+    distances = torch.nn.functional.smooth_l1_loss(actions, labels, beta=_BETA, reduction="none").sum(1)
+    return distances * (labels[:, 0] != _UNKNOWN)
 
 
 def agreement(model: Any, observations: Any, taught: Array) -> float:
@@ -334,32 +366,33 @@ def agreement(model: Any, observations: Any, taught: Array) -> float:
     )
     model.policy.set_training_mode(False)
     with torch.no_grad():
-        given = model.policy.obs_to_tensor(flat)[0]
+        batch = model.policy.obs_to_tensor(flat)[0]
         if hasattr(model, "rollout_buffer"):
-            found = model.policy.get_distribution(given).mode().cpu().numpy()
+            chosen = model.policy.get_distribution(batch).mode().cpu().numpy()
         else:
-            found = model.policy(given, deterministic=True).cpu().numpy()
-    wanted = taught.reshape(found.shape)
+            chosen = model.policy(batch, deterministic=True).cpu().numpy()
+    wanted = taught.reshape(chosen.shape)
     if isinstance(model.action_space, spaces.Box):
-        same = np.abs(np.clip(found, -1.0, 1.0) - np.clip(wanted, -1.0, 1.0)) <= _AGREES
+        same = np.abs(np.clip(chosen, -1.0, 1.0) - np.clip(wanted, -1.0, 1.0)) <= _AGREES
     else:
-        same = found == wanted
+        same = chosen == wanted
     return float(same.reshape(len(same), -1).all(1).mean())
 
 
 def _loss(model: Any, distribution: Any, taught: torch.Tensor) -> torch.Tensor:
     """Per row: the cross-entropy of choices, and in ranges the distance of the mean from the teacher.
 
-    Where the teacher is at the end of a range, a mean beyond it is as good: the action is clipped. On PandaPush, this and a linear loss for
-    large distances give 74 % success after 18,000 states, where a quadratic loss gives 44 %.
+    Where the teacher is at the end of a range, a mean beyond it is as good: the action is clipped. On
+    PandaPush, this and a linear loss for large distances give 74 % success after 18,000 states, where a
+    quadratic loss gives 44 %.
     """
     if isinstance(model.action_space, spaces.Box):
         mean = distribution.mode()
         taught = taught.clamp(-1.0, 1.0).to(mean.dtype)
         is_beyond = (taught >= 1.0) & (mean > taught) | (taught <= -1.0) & (mean < taught)
-        found: torch.Tensor = torch.nn.functional.smooth_l1_loss(
+        loss: torch.Tensor = torch.nn.functional.smooth_l1_loss(
             torch.where(is_beyond, taught, mean), taught, beta=_BETA, reduction="none"
         ).flatten(1)
-        return found.sum(1)
+        return loss.sum(1)
     chosen: torch.Tensor = -distribution.log_prob(taught.long())
     return chosen

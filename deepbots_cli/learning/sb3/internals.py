@@ -1,7 +1,8 @@
 """The private members of Stable-Baselines3 and sb3-contrib that deepbots uses. No other module names one.
 
-deepbots calls `collect` and `update` in turn, and goes on from a checkpoint to the bit: the library has no public
-names for the parts of its loop, and for its state between two steps. A test looks for each member in the library.
+deepbots calls `collect` and `update` in turn, and goes on from a checkpoint to the bit: the library has no
+public names for the parts of its loop, and for its state between two steps. A test looks for each member in
+the library.
 """
 
 from __future__ import annotations
@@ -14,7 +15,14 @@ from typing import Any, Literal
 from deepbots_cli.rollout.worlds import Array
 
 # Counters of an algorithm, as checkpoints name them; each algorithm has some of them.
-Counter = Literal["num_timesteps", "_episode_num", "_n_updates", "_n_calls", "_current_progress_remaining", "exploration_rate"]
+Counter = Literal[
+    "num_timesteps",
+    "_episode_num",
+    "_n_updates",
+    "_n_calls",
+    "_current_progress_remaining",
+    "exploration_rate",
+]
 # The numbers that the exploration of an off-policy algorithm depends on.
 EXPLORATION = ("_current_progress_remaining", "exploration_rate", "learning_starts")
 
@@ -50,7 +58,8 @@ def continue_training(model: Any, starts: Array) -> None:
 
 
 def memory(model: Any) -> Any:
-    """The state of a recurrent policy between two steps: hidden state and cell of `pi` and of `vf`; None of others."""
+    """The state of a recurrent policy between two steps: hidden state and cell of `pi` and of `vf`; None of
+    others."""
     return getattr(model, "_last_lstm_states", None)
 
 

@@ -1,9 +1,11 @@
-"""The learners of the built-in algorithms: Stable-Baselines3 and sb3-contrib behind the interface of `learning.learner`.
+"""The learners of the built-in algorithms: Stable-Baselines3 and sb3-contrib behind the interface of
+`learning.learner`.
 
-On-policy algorithms take fragments of a collector (`rollouts.py`). Off-policy algorithms step the worlds by their own
-`collect_rollouts`, which draws noise, stores steps and counts episodes in ways of its own; a fragment is what they
-collect between two updates. So do algorithms of other packages that have a `collect_rollouts` of their own. With
-shards, the fragment is fetched first, and `collect_rollouts` then steps through it.
+On-policy algorithms take fragments of a collector (`rollouts.py`). Off-policy algorithms step the worlds by
+their own `collect_rollouts`, which draws noise, stores steps and counts episodes in ways of its own; a
+fragment is what they collect between two updates. So do algorithms of other packages that have a
+`collect_rollouts` of their own. With shards, the fragment is fetched first, and `collect_rollouts` then steps
+through it.
 """
 
 from __future__ import annotations
@@ -49,7 +51,8 @@ from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, P
 from deepbots_cli.rollout.worlds import WorldsStep
 
 AGREEMENT_STEPS = 64
-"""Steps of each copy of the environment after which an off-policy algorithm measures the agreement with a teacher."""
+"""Steps of each copy of the environment after which an off-policy algorithm measures the agreement with a
+teacher."""
 SCALAR_WINDOW_STEPS = 256
 """Steps of each copy of the environment that the scalars of an off-policy algorithm describe."""
 
@@ -58,7 +61,8 @@ class SavesPlainly:
     """Mixed in before an algorithm."""
 
     def save(self, path: str | Path, *_: Any, **__: Any) -> None:
-        """Write the model as a run keeps it, for a callback: Stable-Baselines3 would also pickle the worlds."""
+        """Write the model as a run keeps it, for a callback: Stable-Baselines3 would also pickle the
+        worlds."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         models.save(path if path.suffix else path.with_suffix(".zip"), self)  # type: ignore[arg-type]  # of the algorithm
@@ -81,7 +85,9 @@ class StableLearner(Learner):
             env = CollectorEnvironment(collector)
         if collector is not None and setup.training.normalize is not None:
             gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
-            env = VecNormalize(env, norm_obs=False, gamma=gamma)  # rewards by a running standard deviation of the return
+            env = VecNormalize(
+                env, norm_obs=False, gamma=gamma
+            )  # rewards by a running standard deviation of the return
         self.model: Any = algorithms.create(
             setup.training,
             env,
@@ -92,7 +98,9 @@ class StableLearner(Learner):
             mixin=self.mixin,
         )
         self.takes_masks = algorithms.takes_masks(self.model)
-        self._takes_fragments = not self.is_off_policy and algorithms.collects_as_usual(setup.training, self.model)
+        self._takes_fragments = not self.is_off_policy and algorithms.collects_as_usual(
+            setup.training, self.model
+        )
         self._demonstrations = self._prepared(setup.demonstrations)
         self._actor = self.actor_kind(self.model)
         if isinstance(collector, ShardedCollector):
@@ -118,15 +126,22 @@ class StableLearner(Learner):
         self.model.set_logger(self.log)
         self._followers = followers
         callbacks = [_MonitorCallback(monitor), *followers]
-        self._total, self._callback = internals.begin_learning(self.model, total, callbacks if followers else callbacks[0])
+        self._total, self._callback = internals.begin_learning(
+            self.model, total, callbacks if followers else callbacks[0]
+        )
         self._log_interval = signature(type(self.model).learn).parameters["log_interval"].default
 
     def start(self) -> None:
-        self._callback.on_training_start({"self": self.model, "total_timesteps": self._total, "callback": self._callback}, {})
+        self._callback.on_training_start(
+            {"self": self.model, "total_timesteps": self._total, "callback": self._callback}, {}
+        )
 
     def actor(self) -> PolicyActor:
         if not algorithms.collects_as_usual(self.setup.training, self.model):
-            raise UsageError(f"{self.setup.training.algorithm} collects experience in a way of its own, which shards do not support")
+            raise UsageError(
+                f"{self.setup.training.algorithm} collects experience in a way of its own, which shards do"
+                " not support"
+            )
         return self._actor
 
     def _agrees(self, observations: Any, taught: Array) -> None:
@@ -137,26 +152,39 @@ class StableLearner(Learner):
         """Demonstrations as the policy takes them: with the channels of images first."""
         if shown is None:
             return None
-        observations, following = (rollouts.prepared(self.model, seen) for seen in (shown.observations, shown.following))
+        observations, following = (
+            rollouts.prepared(self.model, seen) for seen in (shown.observations, shown.following)
+        )
         return replace(shown, observations=observations, following=following)
 
     def end(self) -> None:
         self._callback.on_training_end()
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False, action_masks: Any = None
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+        action_masks: Any = None,
     ) -> tuple[Any, Any]:
         """As of the algorithm.
 
         Raises:
             RunError: An action is not finite: weights so large that none follows are a problem of the run.
         """
-        actions = networks.likeliest_actions(self.model.policy, observation) if deterministic and action_masks is None else None
+        actions = (
+            networks.likeliest_actions(self.model.policy, observation)
+            if deterministic and action_masks is None
+            else None
+        )
         if actions is not None:
             return actions, None
         masks = {} if action_masks is None else {"action_masks": action_masks}
         with models.overflow_explained():
-            actions, state = self.model.predict(observation, state=state, episode_start=episode_start, deterministic=deterministic, **masks)
+            actions, state = self.model.predict(
+                observation, state=state, episode_start=episode_start, deterministic=deterministic, **masks
+            )
             if not np.isfinite(actions).all():
                 raise ValueError(models.OVERFLOW)
         return actions, state
@@ -164,7 +192,9 @@ class StableLearner(Learner):
     # Numbers
 
     def weights(self) -> dict[str, Array]:
-        return {name: tensor.detach().cpu().numpy() for name, tensor in self.model.policy.state_dict().items()}
+        return {
+            name: tensor.detach().cpu().numpy() for name, tensor in self.model.policy.state_dict().items()
+        }
 
     def save(self, path: Path) -> None:
         models.save(path, self.model)
@@ -185,8 +215,13 @@ class StableLearner(Learner):
         if buffer is not None:
             self._replay.append(buffer, self.steps // model.n_envs)
         return {
-            "counts": {name: getattr(model, name) for name in get_args(internals.Counter) if hasattr(model, name)},
-            "infos": [state.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"])) for info in model.ep_info_buffer or ()],
+            "counts": {
+                name: getattr(model, name) for name in get_args(internals.Counter) if hasattr(model, name)
+            },
+            "infos": [
+                state.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"]))
+                for info in model.ep_info_buffer or ()
+            ],
             "successes": [bool(success) for success in model.ep_success_buffer or ()],
             "action_space": model.action_space.np_random.bit_generator.state,
             "segments": self._replay.segments,
@@ -203,7 +238,10 @@ class StableLearner(Learner):
         arrays |= {f"lstm/{index}": tensor.cpu().numpy() for index, tensor in enumerate(self._memory)}
         if (normalizer := model.get_vec_normalize_env()) is not None:
             statistics = normalizer.ret_rms
-            arrays |= {"returns": normalizer.returns, "return_statistics": np.array([statistics.mean, statistics.var, statistics.count])}
+            arrays |= {
+                "returns": normalizer.returns,
+                "return_statistics": np.array([statistics.mean, statistics.var, statistics.count]),
+            }
         if isinstance(buffer := self._buffer, HerReplayBuffer):
             arrays["episode_starts"] = internals.episode_starts(buffer)
         return arrays
@@ -229,7 +267,11 @@ class StableLearner(Learner):
             mean, var, count = arrays["return_statistics"]
             if var < 0 or count <= 0:
                 raise ValueError("the statistics of the returns are impossible")
-            normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = mean, var, float(count)
+            normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = (
+                mean,
+                var,
+                float(count),
+            )
             normalizer.returns = arrays["returns"]
         model.action_space.np_random.bit_generator.state = kept.action_space.model_dump()
         if self._buffer is not None:
@@ -312,7 +354,9 @@ class OnPolicyLearner(StableLearner):
         model.num_timesteps += len(step.dones)
         if self._followers:
             observations, rewards, dones, infos = as_returned(step)
-            self._callback.update_locals({"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos})
+            self._callback.update_locals(
+                {"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos}
+            )
         if not self._callback.on_step():
             return False
         for ending in step.endings:
@@ -386,7 +430,9 @@ class _Explorer(internals.Explorer, SavesPlainly):
             decision = Decision(actions, {"stored": stored})
             decision = decision if self.teach is None else self.teach(decision)
         stored = decision.columns["stored"]
-        return decision.actions, labeled(stored, decision.columns.get("taught")) if self.keeps_labels else stored
+        return decision.actions, labeled(
+            stored, decision.columns.get("taught")
+        ) if self.keeps_labels else stored
 
 
 class OffPolicyLearner(StableLearner):
@@ -415,7 +461,9 @@ class OffPolicyLearner(StableLearner):
         shards = self._collector if isinstance(self._collector, ShardedCollector) else None
         with models.overflow_explained():
             if shards is not None:
-                model.recorded = shards.fetch(self._actor, model.train_freq.frequency, lesson=self._plan.lesson)
+                model.recorded = shards.fetch(
+                    self._actor, model.train_freq.frequency, lesson=self._plan.lesson
+                )
                 memory = self._actor.memory()
             self._rollout: RolloutReturn = model.collect_rollouts(
                 model.env,
@@ -426,7 +474,9 @@ class OffPolicyLearner(StableLearner):
                 replay_buffer=model.replay_buffer,
                 log_interval=self._log_interval,
             )
-            if shards is not None:  # at the end of an episode, the library has reset the noise of the next one
+            if (
+                shards is not None
+            ):  # at the end of an episode, the library has reset the noise of the next one
                 self._actor.remember(memory)
                 if self.setup.training.staleness:
                     shards.ask_ahead(self._actor, model.train_freq.frequency)
@@ -445,7 +495,11 @@ class OffPolicyLearner(StableLearner):
         if not model.keeps_labels:
             return nullcontext()
         new, period = self._rollout.episode_timesteps, AGREEMENT_STEPS * model.n_envs
-        if plan.only and self.steps // period > (self.steps - new) // period and self.setup.demonstrations is None:
+        if (
+            plan.only
+            and self.steps // period > (self.steps - new) // period
+            and self.setup.demonstrations is None
+        ):
             taught = self._recent_rows(model.replay_buffer.actions)[..., get_action_dim(model.action_space) :]
             self._agrees(self.recent()[0], taught)
         return imitating_labels(model, plan.weight, only=plan.only, new=new) if plan.weight else nullcontext()
@@ -454,13 +508,17 @@ class OffPolicyLearner(StableLearner):
         """Those of the last steps in the replay buffer."""
         seen, rows = self.model.replay_buffer.observations, self._recent_rows
         width = get_action_dim(self.model.action_space)
-        observations = {key: rows(part) for key, part in seen.items()} if isinstance(seen, dict) else rows(seen)
+        observations = (
+            {key: rows(part) for key, part in seen.items()} if isinstance(seen, dict) else rows(seen)
+        )
         return observations, rows(self.model.replay_buffer.actions)[..., :width], None
 
     def _recent_rows(self, column: Array) -> Array:
         """The last rows of a column of the replay buffer."""
         buffer = self._buffer
-        rows = np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
+        rows = (
+            np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
+        )
         recent: Array = column[rows]
         return recent
 
@@ -477,7 +535,9 @@ class _MonitorCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         if not self._monitor.defines_success:
-            self.model.ep_success_buffer = deque(maxlen=0)  # or TensorBoard would show a success rate of 0 beside any return
+            self.model.ep_success_buffer = deque(
+                maxlen=0
+            )  # or TensorBoard would show a success rate of 0 beside any return
 
     def _on_step(self) -> bool:
         return self._monitor.on_step()

@@ -1,4 +1,5 @@
-"""The log of a training: scalars for TensorBoard and for the loggers of other packages, and what of them is not yet written."""
+"""The log of a training: scalars for TensorBoard and for the loggers of other packages, and what of them is
+not yet written."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ class TrainingLog(Logger):
         self._run = run
 
     def open(self, training: Training, *, is_new: bool) -> None:
-        """Open the files. One of a new training begins with the scenario as text, and a page of hyperparameters."""
+        """Open the files. One of a new training begins with the scenario as text, and a page of
+        hyperparameters."""
         _wait_for_next_second(self._run.tensorboard)
         self._tensorboard = TensorBoardOutputFormat(str(self._run.tensorboard))
         self.output_formats.append(self._tensorboard)
@@ -38,14 +40,24 @@ class TrainingLog(Logger):
 
     def _describe(self, training: Training) -> None:
         run = self._run
-        known = effective_hyperparameters(run.program, training.total_timesteps)
-        values = {entry.name: entry.value if isinstance(entry.value, bool | int | float | str) else str(entry.value) for entry in known}
-        values |= {"algorithm": training.algorithm, "environments": training.environments, "seed": run.record.seed}
+        hyperparameters = effective_hyperparameters(run.program, training.total_timesteps)
+        values = {
+            entry.name: entry.value if isinstance(entry.value, bool | int | float | str) else str(entry.value)
+            for entry in hyperparameters
+        }
+        values |= {
+            "algorithm": training.algorithm,
+            "environments": training.environments,
+            "seed": run.record.seed,
+        }
         metrics = {"rollout/ep_rew_mean": 0.0, "eval/mean_return": 0.0}
         if run.program.defines_success:
             metrics |= {"rollout/success_rate": 0.0, "eval/success_rate": 0.0}
         scenario = (run.path / RESOLVED_NAME).read_text(encoding="utf-8")
-        content = {"hparams": HParam(values, metrics), "scenario": "".join(f"    {line}\n" for line in scenario.splitlines())}
+        content = {
+            "hparams": HParam(values, metrics),
+            "scenario": "".join(f"    {line}\n" for line in scenario.splitlines()),
+        }
         self._tensorboard.write(content, dict.fromkeys(content, ()))
 
     def flush(self) -> None:
@@ -54,7 +66,11 @@ class TrainingLog(Logger):
 
     def pending(self) -> Pending:
         """What was recorded and is not yet written, without pictures and the like."""
-        values = {name: encoded(value) for name, value in self.name_to_value.items() if isinstance(value, int | float | str | np.generic)}
+        values = {
+            name: encoded(value)
+            for name, value in self.name_to_value.items()
+            if isinstance(value, int | float | str | np.generic)
+        }
         excluded = {name: list(names) for name, names in self.name_to_excluded.items()}
         return values, dict(self.name_to_count), excluded
 
@@ -79,7 +95,8 @@ def number_of(value: Any) -> Any:
 
 
 def _wait_for_next_second(folder: Path) -> None:
-    """Wait until the name of a new file is the last one: TensorBoard reads the files in the order of their names.
+    """Wait until the name of a new file is the last one: TensorBoard reads the files in the order of their
+    names.
 
     A name has the second of its file and then a count, of which 10 is before 9.
     """

@@ -1,9 +1,10 @@
 """Models as Stable-Baselines3's `.zip` files, which plain Stable-Baselines3 loads without deepbots.
 
-The algorithm is built from the run's scenario, and only tensors of the names, shapes and types that it has are taken from the file, by
-`torch.load(weights_only=True)`. That function also calls `bytearray`, and makes sparse and quantized tensors, and some without numbers; a
-pickle that names anything but plain tensors is refused before. No member may be compressed, so a file from a stranger cannot take more
-memory than its size, which is limited by that of the model.
+The algorithm is built from the run's scenario, and only tensors of the names, shapes and types that it has
+are taken from the file, by `torch.load(weights_only=True)`. That function also calls `bytearray`, and makes
+sparse and quantized tensors, and some without numbers; a pickle that names anything but plain tensors is
+refused before. No member may be compressed, so a file from a stranger cannot take more memory than its size,
+which is limited by that of the model.
 """
 
 from __future__ import annotations
@@ -29,16 +30,22 @@ from deepbots_cli.learning.learner import Initialization
 from deepbots_cli.learning.sb3 import internals
 
 Tensors = Mapping[str, Mapping[str, Any]]
-"""What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and `pytorch_variables`."""
+"""What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and
+`pytorch_variables`."""
 
 _VARIABLES = "pytorch_variables"
 _STORAGES = ("Float", "Double", "Half", "BFloat16", "Long", "Int", "Short", "Char", "Byte", "Bool")
-_PLAIN_GLOBALS = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2", *(f"torch {name}Storage" for name in _STORAGES)}
+_PLAIN_GLOBALS = {
+    "collections OrderedDict",
+    "torch._utils _rebuild_tensor_v2",
+    *(f"torch {name}Storage" for name in _STORAGES),
+}
 _OVERHEAD_BYTES = 8_000_000
 OVERFLOW = "found invalid values"
 """Words of torch, where it refuses the parameters of a distribution."""
 _MAX_MEMBERS = 32
-# What a model cannot be loaded without, and JSON cannot hold; all of it is pickled by reference to Stable-Baselines3, Gymnasium and torch.
+# What a model cannot be loaded without, and JSON cannot hold; all of it is pickled by reference to
+# Stable-Baselines3, Gymnasium and torch.
 _PICKLED_ENTRIES = ("policy_class", "policy_kwargs", "observation_space", "action_space", "train_freq")
 # Needs an environment to be loaded.
 _HINDSIGHT_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
@@ -56,7 +63,9 @@ def overflow_explained() -> Iterator[None]:
     except ValueError as error:
         if OVERFLOW not in str(error):
             raise
-        raise RunError("the policy gives actions that are not finite: its weights are damaged, or the training diverged") from error
+        raise RunError(
+            "the policy gives actions that are not finite: its weights are damaged, or the training diverged"
+        ) from error
 
 
 def save(path: Path, model: BaseAlgorithm) -> None:
@@ -65,7 +74,11 @@ def save(path: Path, model: BaseAlgorithm) -> None:
     Raises:
         RunError: The file cannot be written.
     """
-    left_out = {*internals.unsaved_members(model), *_HINDSIGHT_ENTRIES, *(name.partition(".")[0] for name in _parts(model))}
+    left_out = {
+        *internals.unsaved_members(model),
+        *_HINDSIGHT_ENTRIES,
+        *(name.partition(".")[0] for name in _parts(model)),
+    }
     data = {
         name: value
         for name, value in vars(model).items()
@@ -76,7 +89,11 @@ def save(path: Path, model: BaseAlgorithm) -> None:
     parameters = model.get_parameters()
     for part in parameters.values():
         for group in part.get("param_groups", ()):
-            group["lr"] = rate  # the library sets it in the next update only, so a resumed training would have another one here
+            group["lr"] = (
+                # the library sets it in the next update only, so a resumed training would have another one
+                # here
+                rate
+            )
     # In memory first: where a disk is full, torch's own writer ends in an error that does not say so.
     content = io.BytesIO()
     save_to_zip_file(content, data, parameters, dict(_variables(model)))
@@ -94,9 +111,9 @@ def load(path: Path, model: BaseAlgorithm) -> None:
     """
     size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
     tensors = _read(path, 4 * size + _OVERHEAD_BYTES)
-    found, wanted = set(tensors), {*_parts(model), _VARIABLES}
-    if found != wanted:
-        _refuse(path, ", ".join(sorted(wanted - found)), ", ".join(sorted(found - wanted)))
+    names, wanted = set(tensors), {*_parts(model), _VARIABLES}
+    if names != wanted:
+        _refuse(path, ", ".join(sorted(wanted - names)), ", ".join(sorted(names - wanted)))
     for name in _parts(model):
         part = attrgetter(name)(model)
         if isinstance(part, torch.optim.Optimizer):
@@ -115,13 +132,15 @@ def load(path: Path, model: BaseAlgorithm) -> None:
 
 
 def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
-    """Take over each tensor of the policy that has the same name and shape in the file; optimizers begin afresh.
+    """Take over each tensor of the policy that has the same name and shape in the file; optimizers begin
+    afresh.
 
     Raises:
         RunError: The file is missing, damaged, or no model.
         UsageError: Nothing in it fits.
     """
-    theirs, ours = _read(path, path.stat().st_size if path.is_file() else 0)["policy"], model.policy.state_dict()
+    theirs = _read(path, path.stat().st_size if path.is_file() else 0)["policy"]
+    ours = model.policy.state_dict()
     others: dict[str, str] = {}
     for name, tensor in ours.items():
         other = theirs.get(name)
@@ -134,7 +153,9 @@ def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
     taken = tuple(name for name in ours if name not in others)
     if not taken:
         raise UsageError(f"no tensor of {path} fits the policy of this scenario")
-    model.policy.load_state_dict({name: theirs[name] if name in taken else tensor for name, tensor in ours.items()})
+    model.policy.load_state_dict(
+        {name: theirs[name] if name in taken else tensor for name, tensor in ours.items()}
+    )
     return Initialization(taken, others)
 
 
@@ -163,11 +184,15 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
                         raise ValueError("it contains objects other than plain tensors")
                     with _opened(io.BytesIO(content), len(content)) as inner:
                         _check_pickle(inner)
-                    tensors[name.removesuffix(".pth")] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+                    tensors[name.removesuffix(".pth")] = torch.load(
+                        io.BytesIO(content), map_location="cpu", weights_only=True
+                    )
     except RunError:
         raise
     except pickle.UnpicklingError as error:
-        raise RunError(f"{path} is damaged, or was not written by deepbots (it contains objects other than tensors)") from error
+        raise RunError(
+            f"{path} is damaged, or was not written by deepbots (it contains objects other than tensors)"
+        ) from error
     except Exception as error:  # the readers of damaged files raise a dozen kinds
         reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else "cut short"
         raise RunError(f"{path} is damaged, or was not written by deepbots ({reason})") from error
@@ -182,7 +207,9 @@ def _opened(source: Path | io.BytesIO, size: int) -> zipfile.ZipFile:
     members = archive.infolist()
     if len({item.filename for item in members}) < len(members):
         raise ValueError("two of its members have one name")
-    if any(item.compress_type != zipfile.ZIP_STORED or item.compress_size != item.file_size for item in members):
+    if any(
+        item.compress_type != zipfile.ZIP_STORED or item.compress_size != item.file_size for item in members
+    ):
         raise ValueError("it is compressed, but models of deepbots are not")
     if sum(item.file_size for item in members) > size:
         raise ValueError("its members overlap")
@@ -201,16 +228,22 @@ def _check_pickle(archive: zipfile.ZipFile) -> None:
             raise ValueError("it contains objects other than plain tensors")
 
 
-def _check_tensors(path: Path, where: str, ours: Mapping[str, torch.Tensor], theirs: Mapping[Any, Any]) -> None:
+def _check_tensors(
+    path: Path, where: str, ours: Mapping[str, torch.Tensor], theirs: Mapping[Any, Any]
+) -> None:
     if set(ours) != set(theirs):
-        missing, strange = sorted(set(ours) - set(theirs)), sorted(str(name) for name in set(theirs) - set(ours))
+        missing = sorted(set(ours) - set(theirs))
+        strange = sorted(str(name) for name in set(theirs) - set(ours))
         _refuse(path, f"{where}/{missing[0]}" if missing else "", f"{where}/{strange[0]}" if strange else "")
     for name, tensor in ours.items():
         _check_tensor(path, f"{where}/{name}", tensor.dtype, tuple(tensor.shape), theirs[name])
 
 
-def _check_optimizer(path: Path, where: str, optimizer: torch.optim.Optimizer, theirs: Mapping[str, Any]) -> None:
-    """Moments of the right names and shapes for parameters that exist; what `param_groups` says is not taken over."""
+def _check_optimizer(
+    path: Path, where: str, optimizer: torch.optim.Optimizer, theirs: Mapping[str, Any]
+) -> None:
+    """Moments of the right names and shapes for parameters that exist; what `param_groups` says is not taken
+    over."""
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     moments, state = _moments(optimizer), theirs.get("state")
     if not isinstance(state, dict):
@@ -220,7 +253,11 @@ def _check_optimizer(path: Path, where: str, optimizer: torch.optim.Optimizer, t
             _refuse(path, "", f"{where}/{index}")
         missing, strange = [m for m in moments if m not in memory], [m for m in memory if m not in moments]
         if missing or strange:
-            _refuse(path, f"{where}/{index}/{missing[0]}" if missing else "", f"{where}/{index}/{strange[0]}" if strange else "")
+            _refuse(
+                path,
+                f"{where}/{index}/{missing[0]}" if missing else "",
+                f"{where}/{index}/{strange[0]}" if strange else "",
+            )
         for moment, value in memory.items():
             shape = () if moment == "step" else tuple(parameters[index].shape)
             _check_tensor(path, f"{where}/{index}/{moment}", torch.float32, shape, value)
@@ -228,18 +265,25 @@ def _check_optimizer(path: Path, where: str, optimizer: torch.optim.Optimizer, t
                 raise RunError(f"{path}: '{where}/{index}/step' counts below zero")
 
 
-def _check_tensor(path: Path, name: str, dtype: torch.dtype, shape: tuple[int, ...], found: Any) -> None:
-    if not isinstance(found, torch.Tensor):
+def _check_tensor(path: Path, name: str, dtype: torch.dtype, shape: tuple[int, ...], tensor: Any) -> None:
+    if not isinstance(tensor, torch.Tensor):
         raise RunError(f"{path}: '{name}' is not a tensor")
-    if found.dtype != dtype or tuple(found.shape) != shape or found.layout != torch.strided:
-        theirs = f"{str(found.dtype).removeprefix('torch.')} of shape {tuple(found.shape)}"
-        raise RunError(f"{path}: '{name}' is {theirs}, the scenario's policy needs {str(dtype).removeprefix('torch.')} of shape {shape}")
-    if not torch.isfinite(found).all():
+    if tensor.dtype != dtype or tuple(tensor.shape) != shape or tensor.layout != torch.strided:
+        theirs = f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
+        raise RunError(
+            f"{path}: '{name}' is {theirs}, the scenario's policy needs {str(dtype).removeprefix('torch.')}"
+            f" of shape {shape}"
+        )
+    if not torch.isfinite(tensor).all():
         raise RunError(f"{path}: '{name}' contains infinite or NaN values")
 
 
 def _refuse(path: Path, missing: str, strange: str) -> None:
-    what = f"lacks '{missing}'" if missing else f"contains '{strange[:80]}', which the policy of this scenario does not have"
+    what = (
+        f"lacks '{missing}'"
+        if missing
+        else f"contains '{strange[:80]}', which the policy of this scenario does not have"
+    )
     raise RunError(f"{path} {what}")
 
 

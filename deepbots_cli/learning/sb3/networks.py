@@ -1,4 +1,5 @@
-"""The layers of a policy of Stable-Baselines3, by the algorithm that made it: for evaluations, an export, and the values of its critic."""
+"""The layers of a policy of Stable-Baselines3, by the algorithm that made it: for evaluations, an export, and
+the values of its critic."""
 
 from __future__ import annotations
 
@@ -24,44 +25,55 @@ from deepbots_cli.scenario.training import ALGORITHMS
 def likeliest_actions(policy: Any, observations: Any) -> Array | None:
     """The likeliest actions for rows of observations, equal to the bit to those of `policy.predict`.
 
-    `predict` sets the mode of every module, checks every observation and makes a distribution: 0.36 ms for 8 rows, where this takes 0.07.
-    None for a policy that is more than layers over an array, and where an output is not finite: `predict` then says so.
+    `predict` sets the mode of every module, checks every observation and makes a distribution: 0.36 ms for 8
+    rows, where this takes 0.07. None for a policy that is more than layers over an array, and where an output
+    is not finite: `predict` then says so.
     """
     space = policy.action_space
-    is_rows = isinstance(observations, np.ndarray) and observations.ndim == 2 and observations.shape[1:] == policy.observation_space.shape
+    is_rows = (
+        isinstance(observations, np.ndarray)
+        and observations.ndim == 2
+        and observations.shape[1:] == policy.observation_space.shape
+    )
     if not _is_layers(policy) or not is_rows:
         return None
     with torch.no_grad():
         seen = torch.from_numpy(observations).to(policy.action_net.weight.device, torch.float32)
-        found = policy.action_net(policy.mlp_extractor.policy_net(seen))
-        if not found.isfinite().all():
+        logits = policy.action_net(policy.mlp_extractor.policy_net(seen))
+        if not logits.isfinite().all():
             return None
         if isinstance(space, spaces.Box):
-            return np.asarray(np.clip(found.cpu().numpy(), space.low, space.high))
+            return np.asarray(np.clip(logits.cpu().numpy(), space.low, space.high))
         # As `Categorical` does: rounding may make two probabilities equal whose logits are not.
-        chances = nn.functional.softmax(found - found.logsumexp(-1, keepdim=True), -1)
+        chances = nn.functional.softmax(logits - logits.logsumexp(-1, keepdim=True), -1)
         return np.asarray(chances.argmax(1).cpu().numpy())
 
 
-def sampled_actions(policy: Any, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None:
-    """Actions drawn for rows of observations, their values and log-probabilities, equal to the bit to those of `policy(seen)`.
+def sampled_actions(
+    policy: Any, seen: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None:
+    """Actions drawn for rows of observations, their values and log-probabilities, equal to the bit to those
+    of `policy(seen)`.
 
-    The random numbers are the same, too. A call of the policy makes modules and distributions ready: 0.32 ms for 8 rows, where this takes
-    0.17. None for a policy that is more than layers over an array, and where an output is not finite: the policy then says so.
+    The random numbers are the same, too. A call of the policy makes modules and distributions ready: 0.32 ms
+    for 8 rows, where this takes 0.17. None for a policy that is more than layers over an array, and where an
+    output is not finite: the policy then says so.
     """
     if not _is_layers(policy) or seen.ndim != 2 or seen.dtype != torch.float32:
         return None
     layers = policy.mlp_extractor
-    found, values = policy.action_net(layers.policy_net(seen)), policy.value_net(layers.value_net(seen))
-    if not found.isfinite().all():
+    scores, values = policy.action_net(layers.policy_net(seen)), policy.value_net(layers.value_net(seen))
+    if not scores.isfinite().all():
         return None
     if isinstance(policy.action_space, spaces.Discrete):  # as `Categorical` does
-        logits = found - found.logsumexp(-1, keepdim=True)
+        logits = scores - scores.logsumexp(-1, keepdim=True)
         drawn = torch.multinomial(nn.functional.softmax(logits, -1), 1, True)
         return drawn.squeeze(-1), values, logits.gather(-1, drawn).squeeze(-1)
-    deviations = torch.ones_like(found) * policy.log_std.exp()  # as `Normal` does
-    actions = found + torch.normal(torch.zeros_like(found), torch.ones_like(found)) * deviations
-    log_probs = -((actions - found) ** 2) / (2 * deviations**2) - deviations.log() - math.log(math.sqrt(2 * math.pi))
+    deviations = torch.ones_like(scores) * policy.log_std.exp()  # as `Normal` does
+    actions = scores + torch.normal(torch.zeros_like(scores), torch.ones_like(scores)) * deviations
+    log_probs = (
+        -((actions - scores) ** 2) / (2 * deviations**2) - deviations.log() - math.log(math.sqrt(2 * math.pi))
+    )
     return actions, values, log_probs.sum(dim=1)
 
 
@@ -71,7 +83,9 @@ def _is_layers(policy: Any) -> bool:
         return False
     space = policy.action_space
     is_vector = isinstance(space, spaces.Box) and len(space.shape) == 1
-    return (is_vector or isinstance(space, spaces.Discrete)) and not policy.squash_output and not policy.use_sde
+    return (
+        (is_vector or isinstance(space, spaces.Discrete)) and not policy.squash_output and not policy.use_sde
+    )
 
 
 @dataclass(frozen=True)
@@ -79,7 +93,8 @@ class PolicyNetwork:
     """What a policy computes, as modules of torch.
 
     Attributes:
-        extractors: The first layers of each part of an observation, by name; None if the parts enter the layers as they are.
+        extractors: The first layers of each part of an observation, by name; None if the parts enter the
+            layers as they are.
         pictures: The parts that are divided by 255.
         transposed: The parts whose channels come first in the network.
         memory: The LSTM of a recurrent policy, after the extractors.
@@ -100,23 +115,29 @@ def policy_network(training: Training, policy: Any) -> PolicyNetwork:
         UsageError: It has no modules of torch.
     """
     if next(policy.parameters(), None) is None:
-        raise UsageError(f"the policy of {training.algorithm} has no networks in torch, and cannot be exported")
+        raise UsageError(
+            f"the policy of {training.algorithm} has no networks in torch, and cannot be exported"
+        )
     base = ALGORITHMS[training.algorithm].base()
     layers: nn.Module
     if base in ("PPO", "A2C", "MaskablePPO", "RecurrentPPO"):
-        extractor, layers = policy.pi_features_extractor, nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
+        extractor = policy.pi_features_extractor
+        layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
     elif base == "DQN":
         extractor, layers = policy.q_net.features_extractor, policy.q_net.q_net
     else:  # the last layer of `mu` of TD3 and DDPG is a Tanh
         actor = policy.actor
         squashed = base in ("SAC", "TQC")
-        extractor, layers = actor.features_extractor, nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()) if squashed else actor.mu
-    found = getattr(extractor, "extractors", None)  # of an observation with several parts
+        extractor = actor.features_extractor
+        layers = nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()) if squashed else actor.mu
+    extractors = getattr(extractor, "extractors", None)  # of an observation with several parts
     space = policy.observation_space
-    parts = space.spaces if found is not None else {"observation": space}
+    parts = space.spaces if extractors is not None else {"observation": space}
     images = frozenset(name for name, part in parts.items() if is_image_space(part))
     return PolicyNetwork(
-        extractors=None if found is None else {name: _plain(module) for name, module in found.items()},
+        extractors=None
+        if extractors is None
+        else {name: _plain(module) for name, module in extractors.items()},
         pictures=images if policy.normalize_images else frozenset(),
         transposed=images,
         memory=policy.lstm_actor if base == "RecurrentPPO" else None,
@@ -129,7 +150,8 @@ def _plain(module: nn.Module) -> nn.Module:
 
 
 def critic_values(training: Training, policy: Any, observations: Sequence[Any]) -> Array | None:
-    """The critic's value of each observation: V, or Q of the action of the policy, the smaller one of two critics.
+    """The critic's value of each observation: V, or Q of the action of the policy, the smaller one of two
+    critics.
 
     None for a policy without a network of torch, or with a memory.
     """
@@ -137,7 +159,11 @@ def critic_values(training: Training, policy: Any, observations: Sequence[Any]) 
     if not observations or base == "RecurrentPPO" or next(policy.parameters(), None) is None:
         return None
     parts = observations[0].keys() if isinstance(observations[0], dict) else None
-    stacked = {key: np.stack([each[key] for each in observations]) for key in parts} if parts else np.stack(observations)
+    stacked = (
+        {key: np.stack([each[key] for each in observations]) for key in parts}
+        if parts
+        else np.stack(observations)
+    )
     with torch.no_grad():
         seen, _ = policy.obs_to_tensor(stacked)
         if base in ("PPO", "A2C", "MaskablePPO"):
@@ -145,7 +171,11 @@ def critic_values(training: Training, policy: Any, observations: Sequence[Any]) 
         elif base == "DQN":
             values = policy.q_net(seen).max(dim=1, keepdim=True).values
         else:
-            found = policy.critic(seen, policy(seen, deterministic=True))  # the actor of SAC and TQC would sample
+            predicted = policy.critic(
+                seen, policy(seen, deterministic=True)
+            )  # the actor of SAC and TQC would sample
             # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
-            values = found.mean(dim=2) if isinstance(found, torch.Tensor) else torch.cat(found, dim=1)
+            values = (
+                predicted.mean(dim=2) if isinstance(predicted, torch.Tensor) else torch.cat(predicted, dim=1)
+            )
         return np.asarray(values.min(dim=1).values.cpu().numpy(), float)

@@ -1,7 +1,8 @@
 """Callbacks and loggers of other packages, which a training takes by name, and the logger `csv`.
 
-A callback that fails ends the training with one sentence that names it; so does a logger. Both are made anew when a training is resumed,
-and files in `logs/` of the run are cut back to the checkpoint (`checkpoints.py`), so that what they append there is written once.
+A callback that fails ends the training with one sentence that names it; so does a logger. Both are made anew
+when a training is resumed, and files in `logs/` of the run are cut back to the checkpoint (`checkpoints.py`),
+so that what they append there is written once.
 """
 
 from __future__ import annotations
@@ -37,20 +38,26 @@ class CsvLogger(KVWriter):
         if not path.stat().st_size:
             self._rows.writerow(("steps", "name", "value"))
 
-    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        scalars = (pair for pair in sorted(key_values.items()) if isinstance(pair[1], int | float | np.number))
-        self._rows.writerows((step, name, value) for name, value in scalars if "csv" not in key_excluded[name])
+    def write(
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
+    ) -> None:
+        scalars = (
+            pair for pair in sorted(key_values.items()) if isinstance(pair[1], int | float | np.number)
+        )
+        self._rows.writerows(
+            (step, name, value) for name, value in scalars if "csv" not in key_excluded[name]
+        )
         self._file.flush()
 
     def close(self) -> None:
         self._file.close()
 
 
-def _read(name: str, found: Any) -> Iterator[tuple[str, Any]]:
+def _read(name: str, plugin: Any) -> Iterator[tuple[str, Any]]:
     """Raises: TypeError: The entry point names nothing that can be called."""
-    if not callable(found):
-        raise TypeError(f"{found!r} is neither a class nor a function")
-    yield name, found
+    if not callable(plugin):
+        raise TypeError(f"{plugin!r} is neither a class nor a function")
+    yield name, plugin
 
 
 CALLBACKS: PluginTable[Callable[[], BaseCallback]] = PluginTable("deepbots.callbacks", {}, _read)
@@ -65,8 +72,15 @@ def check(callbacks: Sequence[str], loggers: Sequence[str]) -> None:
         for name in names:
             if name not in table:
                 near = nearest_word(name, table)
-                known = f"the known ones are {', '.join(table)}" if table else f"no installed package registers one under '{table.group}'"
-                raise UsageError(f"there is no {what} '{name}'; {known}" + (f" (did you mean {near}?)" if near else ""))
+                registered = (
+                    f"the known ones are {', '.join(table)}"
+                    if table
+                    else f"no installed package registers one under '{table.group}'"
+                )
+                raise UsageError(
+                    f"there is no {what} '{name}'; {registered}"
+                    + (f" (did you mean {near}?)" if near else "")
+                )
             if names.count(name) > 1:
                 raise UsageError(f"the {what} '{name}' is given twice")
 
@@ -82,7 +96,9 @@ class PluginCallback(BaseCallback):
         self._callback = _made("callback", name, CALLBACKS[name], BaseCallback)
 
     def _call(self, function: Callable[..., R], *arguments: Any) -> R:
-        with _failure_explained(f"the callback '{self.name}' failed after {self.model.num_timesteps:,} steps"):
+        with _failure_explained(
+            f"the callback '{self.name}' failed after {self.model.num_timesteps:,} steps"
+        ):
             return function(*arguments)
 
     def _init_callback(self) -> None:
@@ -116,7 +132,9 @@ class PluginLogger(KVWriter):
         self._name = name
         self._writer = _made("logger", name, partial(LOGGERS[name], run), KVWriter)
 
-    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+    def write(
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
+    ) -> None:
         with _failure_explained(f"the logger '{self._name}' failed after {step:,} steps"):
             self._writer.write(dict(key_values), dict(key_excluded), step)
 
@@ -127,10 +145,13 @@ class PluginLogger(KVWriter):
 
 def _made(what: str, name: str, make: Callable[[], T], kind: type) -> T:
     with _failure_explained(f"the {what} '{name}' cannot be made"):
-        found = make()
-    if not isinstance(found, kind):
-        raise PluginError(f"the {what} '{name}' is a {type(found).__name__}, and not a {kind.__name__} of Stable-Baselines3")
-    return found
+        instance = make()
+    if not isinstance(instance, kind):
+        raise PluginError(
+            f"the {what} '{name}' is a {type(instance).__name__}, and not a {kind.__name__} of"
+            " Stable-Baselines3"
+        )
+    return instance
 
 
 @contextmanager
@@ -141,5 +162,8 @@ def _failure_explained(sentence: str) -> Iterator[None]:
     except Exception as error:
         frame = traceback.extract_tb(error.__traceback__)[-1]
         reason = " ".join(str(error).split())[:200]
-        text = f"{sentence}: {type(error).__name__}{f': {reason}' if reason else ''} ({frame.filename}:{frame.lineno})"
+        text = (
+            f"{sentence}: {type(error).__name__}{f': {reason}' if reason else ''}"
+            f" ({frame.filename}:{frame.lineno})"
+        )
         raise PluginError(text) from error

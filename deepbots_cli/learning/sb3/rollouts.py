@@ -1,6 +1,7 @@
 """Rollouts from fragments: actors, and the rollout buffer filled with what an actor collected.
 
-They do what `collect_rollouts` of the library does, with the same random numbers in the same order, so that weights are equal to the bit.
+They do what `collect_rollouts` of the library does, with the same random numbers in the same order, so that
+weights are equal to the bit.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ _LSTM_BUFFERS = ("hidden_states_pi", "cell_states_pi", "hidden_states_vf", "cell
 class RolloutActor:
     """Acts with the policy of PPO, A2C, MaskablePPO or RecurrentPPO.
 
-    The columns of a fragment are `action` before it is clipped, `values`, `log_probs`, `masks` where options are forbidden, and the state
-    of a recurrent policy before each step.
+    The columns of a fragment are `action` before it is clipped, `values`, `log_probs`, `masks` where options
+    are forbidden, and the state of a recurrent policy before each step.
     """
 
     def __init__(self, model: Any) -> None:
@@ -55,12 +56,18 @@ class RolloutActor:
             seen = obs_as_tensor(prepared(model, observations), model.device)
             if self._is_recurrent:
                 columns |= self.memory()
-                actions, values, log_probs, states = policy(seen, internals.memory(model), _floats(model, starts))
+                actions, values, log_probs, states = policy(
+                    seen, internals.memory(model), _floats(model, starts)
+                )
                 internals.set_memory(model, states)
             else:
                 if masks is not None:
                     options["action_masks"] = columns["masks"] = masks
-                drawn = networks.sampled_actions(policy, seen) if isinstance(seen, torch.Tensor) and masks is None else None
+                drawn = (
+                    networks.sampled_actions(policy, seen)
+                    if isinstance(seen, torch.Tensor) and masks is None
+                    else None
+                )
                 actions, values, log_probs = policy(seen, **options) if drawn is None else drawn
         taken = actions = actions.cpu().numpy()
         if isinstance(model.action_space, spaces.Box):
@@ -68,7 +75,11 @@ class RolloutActor:
                 taken = policy.unscale_action(actions)
             else:
                 taken = np.clip(actions, model.action_space.low, model.action_space.high)
-        columns |= {"action": actions, "values": values.cpu().numpy().flatten(), "log_probs": log_probs.cpu().numpy()}
+        columns |= {
+            "action": actions,
+            "values": values.cpu().numpy().flatten(),
+            "log_probs": log_probs.cpu().numpy(),
+        }
         return Decision(taken, columns)
 
     def parameters(self) -> Mapping[str, Any]:
@@ -81,17 +92,23 @@ class RolloutActor:
         if not self._is_recurrent:
             return {}
         state = internals.memory(self._model)
-        return {name: part.cpu().numpy().swapaxes(0, 1) for name, part in zip(_LSTM_BUFFERS, [*state.pi, *state.vf], strict=True)}
+        return {
+            name: part.cpu().numpy().swapaxes(0, 1)
+            for name, part in zip(_LSTM_BUFFERS, [*state.pi, *state.vf], strict=True)
+        }
 
     def remember(self, memory: Mapping[str, Array]) -> None:
         if self._is_recurrent:
-            parts = [torch.tensor(memory[name].swapaxes(0, 1), device=self._model.device) for name in _LSTM_BUFFERS]
+            parts = [
+                torch.tensor(memory[name].swapaxes(0, 1), device=self._model.device) for name in _LSTM_BUFFERS
+            ]
             states = type(internals.memory(self._model))
             internals.set_memory(self._model, states((parts[0], parts[1]), (parts[2], parts[3])))
 
 
 class ExplorationActor:
-    """Acts with the policy of an off-policy algorithm, and explores: with noise, with random actions, or with an entropy.
+    """Acts with the policy of an off-policy algorithm, and explores: with noise, with random actions, or with
+    an entropy.
 
     The column of a fragment is `stored`, the action as the replay buffer keeps it.
     """
@@ -99,9 +116,15 @@ class ExplorationActor:
     def __init__(self, model: Any) -> None:
         self._model = model
         self._noise = model.action_noise
-        if self._noise is not None and model.n_envs > 1 and not isinstance(self._noise, VectorizedActionNoise):
+        if (
+            self._noise is not None
+            and model.n_envs > 1
+            and not isinstance(self._noise, VectorizedActionNoise)
+        ):
             self._noise = model.action_noise = VectorizedActionNoise(self._noise, model.n_envs)
-        self.noises: list[DecayingNoise] = [] if self._noise is None else list(getattr(self._noise, "noises", [self._noise]))
+        self.noises: list[DecayingNoise] = (
+            [] if self._noise is None else list(getattr(self._noise, "noises", [self._noise]))
+        )
         self._step, self._first_step, self._rows = 0, 0, model.n_envs
 
     def begin(self) -> None:
@@ -124,8 +147,16 @@ class ExplorationActor:
 
     def parameters(self) -> Mapping[str, Any]:
         model = self._model
-        numbers = {name: getattr(model, name) for name in (*internals.EXPLORATION, "num_timesteps", "n_envs") if hasattr(model, name)}
-        return numbers | {name: array for name, array in _weights(model).items() if name.partition(".")[0] in _ACTING_NETWORKS}
+        numbers = {
+            name: getattr(model, name)
+            for name in (*internals.EXPLORATION, "num_timesteps", "n_envs")
+            if hasattr(model, name)
+        }
+        return numbers | {
+            name: array
+            for name, array in _weights(model).items()
+            if name.partition(".")[0] in _ACTING_NETWORKS
+        }
 
     def load(self, parameters: Mapping[str, Any]) -> None:
         for name in internals.EXPLORATION:
@@ -168,7 +199,9 @@ def fill(model: Any, fragment: Fragment) -> None:
         for key, part in flat.items():
             buffer.observations[key][...] = part.reshape(buffer.observations[key].shape)
     else:
-        buffer.observations[...] = prepared(model, seen.reshape(-1, *seen.shape[2:])).reshape(buffer.observations.shape)
+        buffer.observations[...] = prepared(model, seen.reshape(-1, *seen.shape[2:])).reshape(
+            buffer.observations.shape
+        )
     buffer.actions[...] = columns["action"].reshape(buffer.actions.shape)
     buffer.rewards[...], buffer.episode_starts[...] = rewards, fragment.starts
     buffer.values[...], buffer.log_probs[...] = columns["values"], columns["log_probs"]
@@ -180,14 +213,19 @@ def fill(model: Any, fragment: Fragment) -> None:
     buffer.pos, buffer.full = buffer.buffer_size, True
     following = prepared(model, fragment.following)
     internals.set_last(model, following, fragment.following_starts)
-    memory = () if "cell_states_vf" not in columns else (internals.memory(model).vf, _floats(model, fragment.following_starts))
+    memory = (
+        ()
+        if "cell_states_vf" not in columns
+        else (internals.memory(model).vf, _floats(model, fragment.following_starts))
+    )
     with torch.no_grad():
         values = model.policy.predict_values(obs_as_tensor(following, model.device), *memory)
     buffer.compute_returns_and_advantage(last_values=values, dones=fragment.following_starts)
 
 
 def _rewards(model: Any, fragment: Fragment) -> Array:
-    """Normalized if the scenario asks for it, and with the value of what would have followed where a time limit ended the episode."""
+    """Normalized if the scenario asks for it, and with the value of what would have followed where a time
+    limit ended the episode."""
     rewards, normalizer = fragment.rewards.copy(), model.get_vec_normalize_env()
     if normalizer is not None:
         ends = [*fragment.starts[1:], fragment.following_starts]
@@ -209,7 +247,10 @@ def _memory_after(model: Any, fragment: Fragment, number: int, row: int) -> tupl
     if "cell_states_vf" not in fragment.columns:
         return ()
     if number + 1 < len(fragment.rewards):
-        parts = [torch.from_numpy(fragment.columns[name][number + 1, row][:, None].copy()) for name in _LSTM_BUFFERS[2:]]
+        parts = [
+            torch.from_numpy(fragment.columns[name][number + 1, row][:, None].copy())
+            for name in _LSTM_BUFFERS[2:]
+        ]
     else:
         parts = [part[:, row : row + 1].contiguous() for part in internals.memory(model).vf]
     return tuple(part.to(model.device) for part in parts), _floats(model, np.array([False]))
@@ -221,4 +262,8 @@ def _floats(model: Any, truths: Array) -> torch.Tensor:
 
 def prepared(model: Any, observations: Any) -> Any:
     """Observations as the policy takes them: with the channels of pictures first."""
-    return model.env.transpose_observations(observations) if isinstance(model.env, VecTransposeImage) else observations
+    return (
+        model.env.transpose_observations(observations)
+        if isinstance(model.env, VecTransposeImage)
+        else observations
+    )

@@ -1,7 +1,8 @@
-"""What a checkpoint keeps of an algorithm of Stable-Baselines3 beside its model: the part that is JSON, and the replay buffer.
+"""What a checkpoint keeps of an algorithm of Stable-Baselines3 beside its model: the part that is JSON, and
+the replay buffer.
 
-Between two rollouts the rollout buffer is empty, and every local variable of the library's loops has its initial value. The rows of a
-replay buffer are written once, into files that several checkpoints share.
+Between two rollouts the rollout buffer is empty, and every local variable of the library's loops has its
+initial value. The rows of a replay buffer are written once, into files that several checkpoints share.
 """
 
 from __future__ import annotations
@@ -59,7 +60,11 @@ class StableState(CheckpointState):
         if self.counts.get("num_timesteps") != self.steps:
             raise ValueError("its counts of steps contradict each other")
         gaps = any(before[1] != after[0] for before, after in pairwise(self.segments))
-        if gaps or any(first >= last or last > self.steps for first, last in self.segments) or self.replay[1] > self.steps:
+        if (
+            gaps
+            or any(first >= last or last > self.steps for first, last in self.segments)
+            or self.replay[1] > self.steps
+        ):
             raise ValueError("the segments of its replay buffer contradict each other")
         return self
 
@@ -92,17 +97,21 @@ class ReplayFiles:
         flush_to_disk(path)
 
     def forget(self, added: int) -> None:
-        """Begin with an empty buffer after the steps so far; the files go with the checkpoints that have them."""
+        """Begin with an empty buffer after the steps so far; the files go with the checkpoints that have
+        them."""
         self.segments, self.offset = [], added
 
     def _rows(self, buffer: ReplayBuffer, first: int, last: int) -> Array:
         """The rows of the ring for the steps from `first` to before `last`."""
         return (np.arange(first, last) - self.offset) % buffer.buffer_size
 
-    def refill(self, buffer: ReplayBuffer, state: StableState, added: int, starts: Array | None, action_space: Any) -> None:
+    def refill(
+        self, buffer: ReplayBuffer, state: StableState, added: int, starts: Array | None, action_space: Any
+    ) -> None:
         """Read the segments in their order. A training with another goal may have a buffer of another size.
 
-        `starts` are the rows in which running episodes begin, for hindsight; None where other episodes have begun.
+        `starts` are the rows in which running episodes begin, for hindsight; None where other episodes have
+        begun.
         """
         size, self.offset = state.replay
         self.segments = list(state.segments)
@@ -119,12 +128,19 @@ class ReplayFiles:
         if not whole:
             raise ValueError("the segments of the replay buffer are not all there")
         for first, last in self.segments:
-            specs = {name: ArraySpec(column.dtype, (last - first, *column.shape[1:])) for name, column in columns.items()}
-            read, rows = read_arrays(self._path(first, last), specs), self._rows(buffer, first, last)[-buffer.buffer_size :]
+            specs = {
+                name: ArraySpec(column.dtype, (last - first, *column.shape[1:]))
+                for name, column in columns.items()
+            }
+            read = read_arrays(self._path(first, last), specs)
+            rows = self._rows(buffer, first, last)[-buffer.buffer_size :]
             for name, column in columns.items():
                 column[rows] = read[name][-len(rows) :]
-            check_actions(read["actions"][..., : get_action_dim(action_space)], action_space)  # the rest are labels of a teacher
-        buffer.pos, buffer.full = (added - self.offset) % buffer.buffer_size, added - self.offset >= buffer.buffer_size
+            check_actions(
+                read["actions"][..., : get_action_dim(action_space)], action_space
+            )  # the rest are labels of a teacher
+        buffer.pos = (added - self.offset) % buffer.buffer_size
+        buffer.full = added - self.offset >= buffer.buffer_size
         if isinstance(buffer, HerReplayBuffer):
             self._find_episodes(buffer, oldest, added, begin_anew=not same)
             starts = starts if same and starts is not None else np.array(buffer.pos)
@@ -142,15 +158,21 @@ class ReplayFiles:
                 episode = rows[first:end]
                 if begin_anew and first:
                     buffer.ep_start[episode, row] = episode[0]
-                if (not begin_anew or first) and (buffer.ep_start[episode, row] == episode[0]).all():  # else its beginning was overwritten
+                if (not begin_anew or first) and (
+                    buffer.ep_start[episode, row] == episode[0]
+                ).all():  # else its beginning was overwritten
                     buffer.ep_length[episode, row] = end - first
                 first = end
 
 
 def _columns(buffer: ReplayBuffer) -> dict[str, Array]:
     """The arrays of a replay buffer that have a row for each step."""
-    found: dict[str, Array] = {}
+    columns: dict[str, Array] = {}
     for name in (name for name in _BUFFER_COLUMNS if hasattr(buffer, name)):
         value = getattr(buffer, name)
-        found |= {f"{name}/{key}": part for key, part in value.items()} if isinstance(value, dict) else {name: value}
-    return found
+        columns |= (
+            {f"{name}/{key}": part for key, part in value.items()}
+            if isinstance(value, dict)
+            else {name: value}
+        )
+    return columns

@@ -5,8 +5,8 @@ It holds robots of two shapes, told by their joints whatever their names:
 - on a fixed base, a link that slides (prismatic) and carries a link that turns (revolute or continuous)
 - links that do not move against each other: a rigid body, at rest if its base is fixed
 
-and objects, as rigid bodies. Nothing touches anything else, nothing sees and nothing can be drawn. A joint that
-passes the end of its range is an error, since there are no stops.
+and objects, as rigid bodies. Nothing touches anything else, nothing sees and nothing can be drawn. A joint
+that passes the end of its range is an error, since there are no stops.
 """
 
 from __future__ import annotations
@@ -53,7 +53,13 @@ if TYPE_CHECKING:
 class Servo:
     """Exerts `stiffness * (target - position) - damping * velocity` once it has targets; `act` renews it."""
 
-    def __init__(self, read: JointReader, exert: MotorWriter, stiffness: Sequence[float], damping: Sequence[float] | None) -> None:
+    def __init__(
+        self,
+        read: JointReader,
+        exert: MotorWriter,
+        stiffness: Sequence[float],
+        damping: Sequence[float] | None,
+    ) -> None:
         self.targets: Sequence[float] | None = None
         self._read, self._exert = read, exert
         self._gains = tuple(zip(stiffness, damping or (0.0,) * len(stiffness), strict=True))
@@ -64,7 +70,12 @@ class Servo:
     def act(self) -> None:
         if self.targets is not None:
             sides = zip(self._gains, self.targets, self._read(), strict=True)
-            self._exert([stiffness * (target - state[0]) - damping * state[1] for (stiffness, damping), target, state in sides])
+            self._exert(
+                [
+                    stiffness * (target - state[0]) - damping * state[1]
+                    for (stiffness, damping), target, state in sides
+                ]
+            )
 
 
 class ExactEngine:
@@ -91,9 +102,14 @@ class ExactEngine:
             self._add(thing.name, model, motion, frames.frame(thing.pose))
         for robot in world.robots:
             self._add(robot.name, robot.model, _motion(robot, world.gravity), frames.frame(robot.pose))
-        flying = [name for name, motion in self._motions.items() if isinstance(motion, RigidBody) and motion.flies]
+        flying = [
+            name for name, motion in self._motions.items() if isinstance(motion, RigidBody) and motion.flies
+        ]
         if flying and (world.ground or world.arena):
-            raise EngineError(f"the exact engine has no contacts: '{flying[0]}' would fall through the ground; use engine 'pybullet'")
+            raise EngineError(
+                f"the exact engine has no contacts: '{flying[0]}' would fall through the ground; use engine"
+                " 'pybullet'"
+            )
         self.reset()
 
     def _add(self, name: str, model: RobotModel, motion: RigidBody | CartPole, home: frames.Frame) -> None:
@@ -111,7 +127,12 @@ class ExactEngine:
                 motion.rest()
 
     def place(
-        self, body: str, position: Triple, orientation: Quaternion, velocity: Triple = ZERO_VECTOR, angular_velocity: Triple = ZERO_VECTOR
+        self,
+        body: str,
+        position: Triple,
+        orientation: Quaternion,
+        velocity: Triple = ZERO_VECTOR,
+        angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
         motion = self._motion(body)
         motion.place((position, frames.normalized(orientation)))
@@ -174,7 +195,9 @@ class ExactEngine:
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         raise _lacks("forces on links")
 
-    def contact(self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True) -> ContactReader:
+    def contact(
+        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
+    ) -> ContactReader:
         raise _lacks("contacts")
 
     def contact_force(self, one: Part) -> ForceReader:
@@ -237,10 +260,14 @@ class ExactEngine:
         return lambda: (motion.pose(name), motion.velocity(name))
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self._motor(robot, joints, max_torque, lambda target, limit: Drive(velocity=target, limit=limit))
+        return self._motor(
+            robot, joints, max_torque, lambda target, limit: Drive(velocity=target, limit=limit)
+        )
 
     def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self._motor(robot, joints, max_torque, lambda target, limit: Drive(torque=min(max(target, -limit), limit)))
+        return self._motor(
+            robot, joints, max_torque, lambda target, limit: Drive(torque=min(max(target, -limit), limit))
+        )
 
     def position_motor(
         self,
@@ -251,7 +278,9 @@ class ExactEngine:
         damping: Sequence[float] | None,
     ) -> MotorWriter:
         if stiffness is None:
-            return self._motor(robot, joints, max_torque, lambda target, limit: Drive(position=target, limit=limit))
+            return self._motor(
+                robot, joints, max_torque, lambda target, limit: Drive(position=target, limit=limit)
+            )
         exert = self.torque_motor(robot, joints, max_torque)
         servo = Servo(self.joint_states(robot, joints), exert, stiffness, damping)
         self._servos[robot, tuple(joints)] = servo
@@ -277,7 +306,11 @@ class ExactEngine:
         self._closed = True
 
     def _motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], driven: Callable[[float, float], Drive]
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        driven: Callable[[float, float], Drive],
     ) -> MotorWriter:
         motion, indices = self._joints(robot, joints)
         limits = tuple(max_torque)
@@ -321,7 +354,10 @@ def _motion(robot: RobotBody, gravity: Triple) -> RigidBody | CartPole:
         return RigidBody(base, gravity, flies=not robot.fixed_base)
     for joint in model.joints:
         if joint.friction or joint.mimic:
-            raise EngineError(f"the exact engine has no friction in joints and no mimic joints, such as '{joint.name}' of '{robot.name}'")
+            raise EngineError(
+                f"the exact engine has no friction in joints and no mimic joints, such as '{joint.name}' of"
+                f" '{robot.name}'"
+            )
     moving = sorted(model.moving_joints, key=lambda joint: joint.type != "prismatic")
     if robot.fixed_base and [joint.type == "prismatic" for joint in moving] == [True, False]:
         slide, hinge = moving
@@ -330,6 +366,7 @@ def _motion(robot: RobotBody, gravity: Triple) -> RigidBody | CartPole:
         if slide.parent in base.members and hinge.parent in cart.members and len(known) == len(model.links):
             return CartPole(base, cart, pole, slide, hinge, gravity)
     raise EngineError(
-        f"the exact engine has no equations for robot '{robot.name}': it knows single bodies, and on a fixed base "
+        f"the exact engine has no equations for robot '{robot.name}': it knows single bodies, and on a fixed"
+        " base "
         "a sliding link that carries a turning one"
     )

@@ -15,7 +15,8 @@ _NOTHING: Matrix = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 @dataclass(frozen=True)
 class Lump:
-    """Mass (kg), center of mass (m) and inertia about it (kg m^2) in the frame of the first link; where each link is in it."""
+    """Mass (kg), center of mass (m) and inertia about it (kg m^2) in the frame of the first link; where each
+    link is in it."""
 
     name: str
     mass: float
@@ -36,8 +37,14 @@ class Lump:
         a, b, c = self.inertia
         volume = dot(a, cross(b, c))
         if self.mass <= 0.0 or volume <= 0.0:
-            raise EngineError(f"'{self.name}' moves without mass or without inertia; give each of its links an inertial")
-        return scaled(cross(b, c), 1 / volume), scaled(cross(c, a), 1 / volume), scaled(cross(a, b), 1 / volume)
+            raise EngineError(
+                f"'{self.name}' moves without mass or without inertia; give each of its links an inertial"
+            )
+        return (
+            scaled(cross(b, c), 1 / volume),
+            scaled(cross(c, a), 1 / volume),
+            scaled(cross(a, b), 1 / volume),
+        )
 
 
 def joined(model: RobotModel, first: str) -> Lump:

@@ -1,18 +1,21 @@
-"""Equations of motion in closed form, integrated by Runge and Kutta's fourth-order rule in steps of at most `FINE`.
+"""Equations of motion in closed form, integrated by Runge and Kutta's fourth-order rule in steps of at most
+`FINE`.
 
 A motion keeps its state between calls of `advance(dt)`, and says where its links are and how they move.
 
-Cart-pole: axes may point anywhere. With x along the unit vector a, the angle t about b, the pole's center at R(t) r from the hinge,
-u = b x Rr, n = b x u, total mass M + m, the pole's mass m and its moment of inertia J about the hinge, gravity g, damping c and d:
+Cart-pole: axes may point anywhere. With x along the unit vector a, the angle t about b, the pole's center at
+R(t) r from the hinge, u = b x Rr, n = b x u, total mass M + m, the pole's mass m and its moment of inertia J
+about the hinge, gravity g, damping c and d:
 
     (M + m) x"  + m (a.u) t"  =  F + (M + m) g.a - m (a.n) t'^2 - c x'
     m (a.u) x"  +    J    t"  =  T + m g.u - d t'
 
-These are Lagrange's equations of the two bodies: kinetic energy (M + m) x'^2 / 2 + m (a.u) x' t' + J t'^2 / 2, potential energy of both
-in g. For a level rail and an upright pole with its center at l, a.u = l cos t and a.n = -l sin t, which is the textbook's pair.
+These are Lagrange's equations of the two bodies: kinetic energy (M + m) x'^2 / 2 + m (a.u) x' t' + J t'^2 /
+2, potential energy of both in g. For a level rail and an upright pole with its center at l, a.u = l cos t and
+a.n = -l sin t, which is the textbook's pair.
 
-Rigid bodies: the center of mass follows a parabola; the attitude follows from the angular momentum L, which is constant, by
-q' = w q / 2 with w = L / I in the body's present attitude.
+Rigid bodies: the center of mass follows a parabola; the attitude follows from the angular momentum L, which
+is constant, by q' = w q / 2 with w = L / I in the body's present attitude.
 """
 
 from __future__ import annotations
@@ -23,7 +26,20 @@ from math import ceil, cos, isfinite, sin
 
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import IDENTITY_FRAME, Frame, Quaternion, Triple, add, cross, dot, inverse, multiply, rotate, scaled, subtract
+from deepbots_cli.frames import (
+    IDENTITY_FRAME,
+    Frame,
+    Quaternion,
+    Triple,
+    add,
+    cross,
+    dot,
+    inverse,
+    multiply,
+    rotate,
+    scaled,
+    subtract,
+)
 from deepbots_cli.port import SERVO_TIME
 from deepbots_cli.robots.model import Joint
 from exact_engine.lump import Lump
@@ -34,7 +50,8 @@ State = tuple[float, float, float, float]
 
 
 class RigidBody:
-    """A body in free flight: a parabola, and a spin whose angular momentum is constant. It stays put unless it `flies`."""
+    """A body in free flight: a parabola, and a spin whose angular momentum is constant. It stays put unless
+    it `flies`."""
 
     def __init__(self, lump: Lump, gravity: Triple, flies: bool) -> None:
         self.flies = flies
@@ -88,7 +105,9 @@ class RigidBody:
         k2 = self._rate(_moved(q, k1, h / 2))
         k3 = self._rate(_moved(q, k2, h / 2))
         k4 = self._rate(_moved(q, k3, h))
-        a, b, c, d = (h / 6 * (r1 + 2 * r2 + 2 * r3 + r4) for r1, r2, r3, r4 in zip(k1, k2, k3, k4, strict=True))
+        a, b, c, d = (
+            h / 6 * (r1 + 2 * r2 + 2 * r3 + r4) for r1, r2, r3, r4 in zip(k1, k2, k3, k4, strict=True)
+        )
         self.turned = frames.normalized((q[0] + a, q[1] + b, q[2] + c, q[3] + d))
 
     def _rate(self, q: Quaternion) -> Quaternion:
@@ -157,12 +176,16 @@ class CartPole:
     state: State
     """Positions of slide and hinge, then their velocities."""
 
-    def __init__(self, rail: Lump, cart: Lump, pole: Lump, slide: Joint, hinge: Joint, gravity: Triple) -> None:
+    def __init__(
+        self, rail: Lump, cart: Lump, pole: Lump, slide: Joint, hinge: Joint, gravity: Triple
+    ) -> None:
         self._slide, self._hinge = slide, hinge
         self._gravity = gravity
         self._base = IDENTITY_FRAME
         self._slot = frames.compose(rail.members[slide.parent], frames.frame(slide.origin))
-        self._bearing = frames.compose(self._slot, frames.compose(cart.members[hinge.parent], frames.frame(hinge.origin)))
+        self._bearing = frames.compose(
+            self._slot, frames.compose(cart.members[hinge.parent], frames.frame(hinge.origin))
+        )
         self._along = rotate(self._slot[1], slide.axis)
         self._about = rotate(self._bearing[1], hinge.axis)
         self.weigh(rail, cart, pole)
@@ -179,7 +202,9 @@ class CartPole:
         self._mass, self._pole_mass = cart.mass + pole.mass, pole.mass
         self._inertia = pole.inertia_about(self._hinge.axis)
         if cart.mass <= 0.0 or self._inertia <= 0.0:
-            raise EngineError(f"links '{cart.name}' and '{pole.name}' move without mass or inertia; give each an inertial")
+            raise EngineError(
+                f"links '{cart.name}' and '{pole.name}' move without mass or inertia; give each an inertial"
+            )
         self.place(self._base)
 
     def pull(self, gravity: Triple) -> None:
@@ -233,12 +258,15 @@ class CartPole:
             k2 = self._rates(_moved(self.state, k1, h / 2))
             k3 = self._rates(_moved(self.state, k2, h / 2))
             k4 = self._rates(_moved(self.state, k3, h))
-            x, t, v, w = (h / 6 * (r1 + 2 * r2 + 2 * r3 + r4) for r1, r2, r3, r4 in zip(k1, k2, k3, k4, strict=True))
+            x, t, v, w = (
+                h / 6 * (r1 + 2 * r2 + 2 * r3 + r4) for r1, r2, r3, r4 in zip(k1, k2, k3, k4, strict=True)
+            )
             self.state = _moved(self.state, (x, t, v, w), 1.0)
         self._require_in_range()
 
     def _settle(self, h: float) -> None:
-        """Choose what the motors exert for `h` seconds: those that chase a velocity reach it in that time if they can."""
+        """Choose what the motors exert for `h` seconds: those that chase a velocity reach it in that time if
+        they can."""
         chased = [drive.chased(self.state[i]) for i, drive in enumerate(self.drives)]
         efforts = self.efforts = [drive.torque for drive in self.drives]
         for _ in range(SWEEPS if None not in chased else 1):
@@ -262,16 +290,31 @@ class CartPole:
         _, t, v, w = state
         m, c, s = self._pole_mass, cos(t), sin(t)
         coupling = m * (self._a_u * c + self._a_n * s)
-        force = self.efforts[0] + self._mass * self._g_a - m * (self._a_n * c - self._a_u * s) * w * w - self._slide.damping * v
+        force = (
+            self.efforts[0]
+            + self._mass * self._g_a
+            - m * (self._a_n * c - self._a_u * s) * w * w
+            - self._slide.damping * v
+        )
         torque = self.efforts[1] + m * (self._g_u * c + self._g_n * s) - self._hinge.damping * w
         det = self._mass * self._inertia - coupling * coupling
-        return v, w, (self._inertia * force - coupling * torque) / det, (self._mass * torque - coupling * force) / det
+        return (
+            v,
+            w,
+            (self._inertia * force - coupling * torque) / det,
+            (self._mass * torque - coupling * force) / det,
+        )
 
     def _require_in_range(self) -> None:
         for joint, position in zip((self._slide, self._hinge), self.state, strict=False):
             lower, upper = joint.limit.lower, joint.limit.upper
-            if joint.type != "continuous" and ((lower is not None and position < lower) or (upper is not None and position > upper)):
-                raise EngineError(f"joint '{joint.name}' passed the end of its range at {position:.4g}, and the exact engine has no stops")
+            if joint.type != "continuous" and (
+                (lower is not None and position < lower) or (upper is not None and position > upper)
+            ):
+                raise EngineError(
+                    f"joint '{joint.name}' passed the end of its range at {position:.4g}, and the exact"
+                    " engine has no stops"
+                )
 
     @property
     def links(self) -> tuple[str, ...]:
@@ -281,18 +324,22 @@ class CartPole:
         x, angle, _, _ = self.state
         moved = scaled(self._along, x)
         hanging = multiply(frames.from_axis_angle(self._about, angle), self._bearing[1])
-        origins = (IDENTITY_FRAME, (add(self._slot[0], moved), self._slot[1]), (add(self._bearing[0], moved), hanging))
+        origins = (
+            IDENTITY_FRAME,
+            (add(self._slot[0], moved), self._slot[1]),
+            (add(self._bearing[0], moved), hanging),
+        )
         index = self._part(link)
         return frames.compose(self._base, frames.compose(origins[index], self._lumps[index].members[link]))
 
     def velocity(self, link: str) -> tuple[Triple, Triple]:
         x, _, v, w = self.state
         index, turned = self._part(link), self._base[1]
-        linear, angular = (
-            scaled(rotate(turned, self._along), v if index else 0.0),
-            scaled(rotate(turned, self._about), w if index == 2 else 0.0),
-        )
-        pivot = frames.compose(self._base, (add(self._bearing[0], scaled(self._along, x)), frames.IDENTITY_ROTATION))[0]
+        linear = scaled(rotate(turned, self._along), v if index else 0.0)
+        angular = scaled(rotate(turned, self._about), w if index == 2 else 0.0)
+        pivot = frames.compose(
+            self._base, (add(self._bearing[0], scaled(self._along, x)), frames.IDENTITY_ROTATION)
+        )[0]
         return add(linear, cross(angular, subtract(self.pose(link)[0], pivot))), angular
 
     def _part(self, link: str) -> int:
@@ -308,7 +355,9 @@ class CartPole:
         x, t, v, w = self.state
         kinetic = self._mass * v * v / 2 + self._coupling(t) * v * w + self._inertia * w * w / 2
         # u turns as cos, n as sin, of the angle; the center itself is -n turned.
-        return kinetic - self._mass * self._g_a * x + self._pole_mass * (self._g_n * cos(t) - self._g_u * sin(t))
+        return (
+            kinetic - self._mass * self._g_a * x + self._pole_mass * (self._g_n * cos(t) - self._g_u * sin(t))
+        )
 
 
 def _moved(state: State, rates: Sequence[float], h: float) -> State:

@@ -1,6 +1,20 @@
-"""The paper's first task, with a choice and with a range of wheel speeds, with a longer pole and over a bad radio."""
+"""The paper's first task, with a choice and with a range of wheel speeds, with a longer pole and over a bad
+radio."""
 
-from tests.results.experiment import NEW_STARTS, RANDOM, Ahead, Bar, Beside, Experiment, Held, Mark, Solved, Trained, Training, seeds
+from tests.results.experiment import (
+    NEW_STARTS,
+    RANDOM,
+    Ahead,
+    Bar,
+    Beside,
+    Experiment,
+    Held,
+    Mark,
+    Solved,
+    Trained,
+    Training,
+    seeds,
+)
 
 FRESH = seeds(20, first=5001)
 """Named before they were trained."""
@@ -12,14 +26,18 @@ BARS = (
     Bar(Held("mean_return"), at_least=199),
 )
 MARKS = (Mark("solved: 195", value=195), Mark("the paper: 2.5 h", hours=2.5))
-PAPER = "The paper's agent, PPO with the same networks, needed about 2.5 simulated hours (some 281 000 steps)."
+PAPER = (
+    "The paper's agent, PPO with the same networks, needed about 2.5 simulated hours (some 281 000 steps)."
+)
 
 EXPERIMENTS = (
     Experiment(
         scenario="cartpole",
         title="CartPole",
-        prose="Solved: 100 new starts confirm a mean return of at least 195 of 200, without exploration. Before deepbots confirmed it, "
-        "the mean of 100 training episodes, with exploration, had to reach 195; seeds 201 to 205 needed 0.224 to 0.274 h for that, and "
+        prose="Solved: 100 new starts confirm a mean return of at least 195 of 200, without exploration."
+        " Before deepbots confirmed it, "
+        "the mean of 100 training episodes, with exploration, had to reach 195; seeds 201 to 205 needed"
+        " 0.224 to 0.274 h for that, and "
         "24 other seeds 0.226 to 0.351 h.",
         trainings=(Training(FRESH, evaluations=(NEW_STARTS,)),),
         baselines=(RANDOM,),
@@ -38,7 +56,8 @@ EXPERIMENTS = (
         trainings=(Training(seeds(5)),),
         baselines=(RANDOM,),
         bars=BARS,
-        paper="The original trains its continuous variant for up to 10 000 episodes of DDPG; it does not say when it was solved.",
+        paper="The original trains its continuous variant for up to 10 000 episodes of DDPG; it does not say"
+        " when it was solved.",
         marks=MARKS[:1],
     ),
     Experiment(

@@ -9,8 +9,10 @@ EXPERIMENTS = (
     Experiment(
         scenario="panda_reach",
         title="PandaReach",
-        prose="Success: the fingertips are within 1 cm of the target in the last step; in the case `fine`, within 5 mm. The case "
-        "`nine` has the nine targets of the original. Seeds 101 to 103, with steps of 0.05 rad, had 90, 79 and 97 % (bar: 95 "
+        prose="Success: the fingertips are within 1 cm of the target in the last step; in the case `fine`,"
+        " within 5 mm. The case "
+        "`nine` has the nine targets of the original. Seeds 101 to 103, with steps of 0.05 rad, had 90, 79"
+        " and 97 % (bar: 95 "
         "%), and the settings were changed.",
         trainings=(
             Training(FRESH, full=True),
@@ -22,7 +24,8 @@ EXPERIMENTS = (
             Bar(Trained("steps"), at_most=15_000),
             Bar(Held("success_rate", case="fine", training="long"), at_least=0.99, stretch=True),
         ),
-        paper="The original needed about 32 000 episodes of at most 300 steps for its nine targets, up to 85 simulated hours; its "
+        paper="The original needed about 32 000 episodes of at most 300 steps for its nine targets, up to 85"
+        " simulated hours; its "
         "reward paid more for hovering near the target than for arriving.",
         marks=(Mark("95 %", value=0.95),),
         curve="success",

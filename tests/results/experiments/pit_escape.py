@@ -36,10 +36,14 @@ EXPERIMENTS = (
     Experiment(
         scenario="pit_escape",
         title="PitEscape",
-        prose="Solved: 100 or 200 new starts confirm a mean return of at least 0.89, without exploration. Two of the seeds failed their "
-        "first confirmation, with 0.877 on 40 starts and 0.889 on 200. A confirmation is as long as the whole training before it, and "
-        "the next one follows when those that failed are a tenth of the training, so these seeds train for longer; the policy of seed "
-        "5019 is good at the end, but was not confirmed before. In a pit 2.8 m high, seed 101 passed a mean return of 0.8 after 2.98 h, "
+        prose="Solved: 100 or 200 new starts confirm a mean return of at least 0.89, without exploration."
+        " Two of the seeds failed their "
+        "first confirmation, with 0.877 on 40 starts and 0.889 on 200. A confirmation is as long as the"
+        " whole training before it, and "
+        "the next one follows when those that failed are a tenth of the training, so these seeds train for"
+        " longer; the policy of seed "
+        "5019 is good at the end, but was not confirmed before. In a pit 2.8 m high, seed 101 passed a mean"
+        " return of 0.8 after 2.98 h, "
         "and seed 102 never; the pit is now 2.5 m high.",
         trainings=(
             Training(FRESH, evaluations=(NEW_STARTS, *_ELSEWHERE)),
@@ -66,7 +70,8 @@ EXPERIMENTS = (
                 for what, least in (("mean_return", 0.89), ("success_rate", 1.0))
             ),
         ),
-        paper="The paper's agent, PPO with the same networks, passed a mean of 0.6 near episode 90 and 0.8 from about episode 150 on; "
+        paper="The paper's agent, PPO with the same networks, passed a mean of 0.6 near episode 90 and 0.8"
+        " from about episode 150 on; "
         "its training took about 3 simulated hours (500 episodes).",
         beside=(
             Beside("simulated hours until solved", "about 3, of the training", Solved("simulated_hours")),
@@ -80,6 +85,7 @@ EXPERIMENTS = (
         prose="The printed sign of the reward makes progress a cost. Standing still is the best policy.",
         trainings=(Training(seeds(2)),),
         bars=(Bar(Held("successes"), at_most=0),),
-        paper="The paper prints the reward as the old value minus the new one; its curve rises, so its agent was paid for progress.",
+        paper="The paper prints the reward as the old value minus the new one; its curve rises, so its agent"
+        " was paid for progress.",
     ),
 )

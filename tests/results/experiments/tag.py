@@ -6,7 +6,8 @@ EXPERIMENTS = (
     Experiment(
         scenario="tag",
         title="Tag",
-        prose="`chase` is a rule by hand: it turns towards the prey, then drives at it. Without the crates, PPO and `chase` were "
+        prose="`chase` is a rule by hand: it turns towards the prey, then drives at it. Without the crates,"
+        " PPO and `chase` were "
         "equally good.",
         trainings=(Training(seeds(1)),),
         baselines=(RANDOM, Baseline("chase", ("--driver", "chase"))),

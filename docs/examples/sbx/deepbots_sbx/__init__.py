@@ -1,4 +1,5 @@
-"""PPO and SAC of sbx for deepbots: what a scenario may write. `deepbots lint` loads this module, so it imports no JAX."""
+"""PPO and SAC of sbx for deepbots: what a scenario may write. `deepbots lint` loads this module, so it
+imports no JAX."""
 
 from typing import Literal
 

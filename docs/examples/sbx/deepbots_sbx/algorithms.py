@@ -1,7 +1,7 @@
 """The algorithms of sbx with their arrays as torch tensors, which is how deepbots stores and reads weights.
 
-A model has two parts: `policy` holds the parameters of the networks, `learner` the optimizers, the random keys and the entropy
-coefficient. Both have the `state_dict` and `load_state_dict` of torch.
+A model has two parts: `policy` holds the parameters of the networks, `learner` the optimizers, the random
+keys and the entropy coefficient. Both have the `state_dict` and `load_state_dict` of torch.
 """
 
 from typing import ClassVar
@@ -15,7 +15,14 @@ from flax.training.train_state import TrainState
 from sbx.ppo.policies import PPOPolicy
 from sbx.sac.policies import SACPolicy
 
-ACTIVATIONS = {"ELU": nn.elu, "GELU": nn.gelu, "LeakyReLU": nn.leaky_relu, "ReLU": nn.relu, "SiLU": nn.silu, "Tanh": nn.tanh}
+ACTIVATIONS = {
+    "ELU": nn.elu,
+    "GELU": nn.gelu,
+    "LeakyReLU": nn.leaky_relu,
+    "ReLU": nn.relu,
+    "SiLU": nn.silu,
+    "Tanh": nn.tanh,
+}
 
 
 def to_tensors(tree):
@@ -23,14 +30,19 @@ def to_tensors(tree):
     found = {}
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         array = np.array(jax.numpy.asarray(leaf))
-        found[jax.tree_util.keystr(path)] = torch.from_numpy(array.astype(np.int64) if array.dtype == np.uint32 else array)
+        found[jax.tree_util.keystr(path)] = torch.from_numpy(
+            array.astype(np.int64) if array.dtype == np.uint32 else array
+        )
     return found
 
 
 def from_tensors(tree, tensors):
     """A tree like `tree`, with the arrays of `to_tensors`."""
     paths, shape = jax.tree_util.tree_flatten_with_path(tree)
-    leaves = [jax.numpy.asarray(tensors[jax.tree_util.keystr(p)].numpy(), jax.numpy.asarray(leaf).dtype) for p, leaf in paths]
+    leaves = [
+        jax.numpy.asarray(tensors[jax.tree_util.keystr(p)].numpy(), jax.numpy.asarray(leaf).dtype)
+        for p, leaf in paths
+    ]
     return jax.tree_util.tree_unflatten(shape, leaves)
 
 
@@ -50,7 +62,9 @@ class Networks:
         return to_tensors({name: self._parameters_of(state) for name, state in self.states().items()})
 
     def load_state_dict(self, tensors):
-        found = from_tensors({name: self._parameters_of(state) for name, state in self.states().items()}, tensors)
+        found = from_tensors(
+            {name: self._parameters_of(state) for name, state in self.states().items()}, tensors
+        )
         for name, state in self.states().items():
             self.__dict__[name] = state.replace(**found[name])
 
@@ -63,7 +77,10 @@ class Learner:
 
     def _tree(self):
         policy = self.model.policy
-        optimizers = {name: {"step": state.step, "opt_state": state.opt_state} for name, state in policy.states().items()}
+        optimizers = {
+            name: {"step": state.step, "opt_state": state.opt_state}
+            for name, state in policy.states().items()
+        }
         keys = {"model": self.model.key, "policy": policy.key, "noise": policy.noise_key}
         return optimizers, keys, getattr(self.model, "ent_coef_state", None)
 

@@ -1,1 +1,2 @@
-"""A plug-in of deepbots: sensor, actuator, function, lint rule, message format, algorithm, engine, scenarios with a robot."""
+"""A plug-in of deepbots: sensor, actuator, function, lint rule, message format, algorithm, engine, scenarios
+with a robot."""

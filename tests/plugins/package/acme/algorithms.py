@@ -1,4 +1,5 @@
-"""Algorithms: PPO with another default, for choices only, one whose weights cannot be stored, and one with its own learner."""
+"""Algorithms: PPO with another default, for choices only, one whose weights cannot be stored, and one with
+its own learner."""
 
 from typing import Literal
 

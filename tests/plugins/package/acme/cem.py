@@ -11,11 +11,14 @@ def with_one(observations):
 
 
 class CrossEntropyMethod(ArrayLearner):
-    """Each episode tries a linear policy; the best quarter of a population says where the next ones are drawn."""
+    """Each episode tries a linear policy; the best quarter of a population says where the next ones are
+    drawn."""
 
     def __init__(self, setup):
         super().__init__(setup)
-        (population,) = (entry.value for entry in setup.training.hyperparameters if entry.name == "population")
+        (population,) = (
+            entry.value for entry in setup.training.hyperparameters if entry.name == "population"
+        )
         self.shape = setup.action_space.n, setup.observation_space.shape[0] + 1
         self.mean, self.spread = np.zeros(self.shape), np.ones(self.shape)
         self.tried, self.scores = np.zeros((population, *self.shape)), np.zeros(population)
@@ -26,7 +29,9 @@ class CrossEntropyMethod(ArrayLearner):
         return {"mean": self.mean}
 
     def memory(self):
-        return {name: getattr(self, name) for name in ("spread", "tried", "scores", "acting", "drawn", "finished")}
+        return {
+            name: getattr(self, name) for name in ("spread", "tried", "scores", "acting", "drawn", "finished")
+        }
 
     def act(self, observations, starts, masks):
         for row in np.flatnonzero(starts):
@@ -43,7 +48,11 @@ class CrossEntropyMethod(ArrayLearner):
             self.finished += 1
             if self.finished[0] == len(self.scores):
                 best = self.tried[np.argsort(-self.scores, kind="stable")[: len(self.scores) // 4]]
-                self.mean[...], self.spread[...], self.finished[...] = best.mean(axis=0), best.std(axis=0) + 0.1, 0
+                self.mean[...], self.spread[...], self.finished[...] = (
+                    best.mean(axis=0),
+                    best.std(axis=0) + 0.1,
+                    0,
+                )
                 self.log.record("cem/best_return", self.scores.max())
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False, action_masks=None):

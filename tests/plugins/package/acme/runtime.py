@@ -18,7 +18,11 @@ def tachometer(site: Site) -> Instrument:
 def throttle(site: actuation.Site) -> ControlLaw:
     read = site.engine.joint_states(site.robot, site.joints)
     stall, idle = site.parameters["stall_torque"], site.parameters["idle_speed"]
-    return ControlLaw(lambda shares: [stall * (share - state[1] / idle) for share, state in zip(shares, read(), strict=True)])
+    return ControlLaw(
+        lambda shares: [
+            stall * (share - state[1] / idle) for share, state in zip(shares, read(), strict=True)
+        ]
+    )
 
 
 def piped(stamp: int, codes: list[str]) -> Codec:

@@ -9,7 +9,8 @@ from stable_baselines3.common.logger import KVWriter
 
 
 class ExploreLess(BaseCallback):
-    """Lowers the weight of the entropy over the first 10,000 steps, notes the norm of the weights every 25 calls, and saves the model."""
+    """Lowers the weight of the entropy over the first 10,000 steps, notes the norm of the weights every 25
+    calls, and saves the model."""
 
     def _on_training_end(self):
         self.model.save(Path(self.logger.dir).parent / "logs" / "whole")
@@ -17,7 +18,9 @@ class ExploreLess(BaseCallback):
     def _on_step(self):
         self.model.ent_coef = 0.01 * max(0.0, 1.0 - self.num_timesteps / 10_000)
         if self.n_calls % 25 == 0:
-            self.logger.record("acme/norm", sum(float(p.detach().norm()) for p in self.model.policy.parameters()))
+            self.logger.record(
+                "acme/norm", sum(float(p.detach().norm()) for p in self.model.policy.parameters())
+            )
         return True
 
 

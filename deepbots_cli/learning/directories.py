@@ -1,0 +1,200 @@
+"""Directories of runs, groups and studies: their names and locks, and files that are written whole."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, Field, ValidationError
+
+from deepbots_cli.errors import RunError, StorageError, UsageError
+from deepbots_cli.files import atomic_write, unwritable_message
+from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
+
+M = TypeVar("M", bound=BaseModel)
+
+WORKERS_FOLDER = "workers"
+"""The output of workers, in the folder of a run, a group or a study."""
+_END_TIMEOUT_S = 60.0
+"""How long to wait for the end of a training whose worker was lost: a process ends some time after its node
+was lost."""
+
+
+class RecordFormat(BaseModel, strict=True):
+    """The entry of a record that tells whether the rest can be read."""
+
+    format: int = Field(ge=0, lt=2**31)
+
+
+def read_json(path: Path, model: type[M], limit: int) -> M:
+    """A file of at most `limit` bytes as a model.
+
+    Raises:
+        RunError: It is missing, no regular file, unreadable, too large, or does not fit the model; in one
+            sentence.
+    """
+    if not path.is_file():
+        raise RunError(f"{path} is missing")
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(limit + 1)
+    except OSError as error:
+        raise RunError(f"{path} cannot be read: {error.strerror}") from error
+    if len(content) > limit:
+        raise RunError(f"{path} is larger than {limit} bytes, so deepbots did not write it")
+    try:
+        return model.model_validate_json(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        place = ".".join(str(part)[:40] for part in first["loc"])
+        if place:
+            reason = f"'{place}': {first['msg']}"
+        elif first["type"] == "json_invalid":
+            reason = "it is not valid JSON"
+        else:
+            reason = first["msg"]
+        raise RunError(f"{path} is damaged: {' '.join(reason.split())[:200]}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    with atomic_write(path, StorageError) as draft:
+        draft.write_bytes(text.encode())
+
+
+def numbered_files(folder: Path) -> list[tuple[int, Path]]:
+    """The files `0001.json`, `0002.json` ... of a folder, by number."""
+    return sorted(
+        (int(path.stem), path) for path in folder.glob("*.json") if re.fullmatch("[0-9]{4,9}", path.stem)
+    )
+
+
+def write_numbered(folder: Path, text: str) -> Path:
+    """Write a text as the file with the next free number; the folder is made where it is missing.
+
+    Raises:
+        RunError: It cannot be written.
+    """
+    path = folder / "0001.json"
+    try:
+        folder.mkdir(exist_ok=True)
+        number = 1 + max((number for number, _ in numbered_files(folder)), default=0)
+        while True:
+            try:
+                path = folder / f"{number:04d}.json"
+                path.touch(exist_ok=False)
+                break
+            except FileExistsError:
+                number += 1  # another process was faster
+    except OSError as error:
+        raise StorageError(unwritable_message(path, error)) from error
+    try:
+        write_text(path, text)
+    except RunError:
+        path.unlink()
+        raise
+    return path
+
+
+def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int | str) -> Path:
+    """Make the directory of a new run: `wanted`, or else the next free `parent/<scenario>-<seed>-<n>`;
+    `seeds` for a group.
+
+    Raises:
+        UsageError: `wanted` exists, or the directory cannot be made.
+    """
+    wanted, parent = None if wanted is None else Path(wanted), Path(parent)
+    try:
+        if wanted is not None:
+            wanted.mkdir(parents=True)
+            return wanted
+        parent.mkdir(parents=True, exist_ok=True)
+        stem = f"{re.sub(r'[^a-z0-9]+', '_', scenario.lower()).strip('_') or 'run'}-{seed}-"
+        number = 1 + max((_number(path.name, stem) for path in parent.iterdir()), default=0)
+        while True:
+            try:
+                path = parent / f"{stem}{number}"
+                path.mkdir()
+                return path
+            except FileExistsError:
+                number += 1  # another process was faster
+    except FileExistsError as error:
+        raise UsageError(
+            f"{error.filename} already exists; choose another directory, because runs are not overwritten"
+        ) from error
+    except OSError as error:
+        raise UsageError(unwritable_message(wanted or parent, error)) from error
+
+
+def _number(name: str, stem: str) -> int:
+    tail = name.removeprefix(stem)
+    return int(tail) if name != tail and tail.isdecimal() and tail.isascii() and len(tail) < 10 else 0
+
+
+def run_folders(runs: Sequence[str | Path]) -> list[Path]:
+    """The run directories, those of folders in the order of their names; each once."""
+    folders: dict[Path, None] = {}
+    for path in map(Path, runs):
+        is_outer = os.path.isdir(path) and folder_kind(path) is not SourceKind.RUN
+        inner = sorted(file.parent for file in path.glob(f"*/{RECORD_NAME}")) if is_outer else []
+        folders |= dict.fromkeys(inner or [path])
+    return list(folders)
+
+
+@contextmanager
+def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator[None]:
+    """Within, nobody else trains in the run directory `folder`. The lock ends with the process, however that
+    ends.
+
+    `name` is that of another lock in the folder, `wait_s` how long to wait for it.
+
+    Raises:
+        UsageError: Another training is at work there, or the directory cannot be written to.
+    """
+    from filelock import FileLock, Timeout  # of the extra `train`
+
+    path = folder / name
+    if path.is_symlink():
+        raise RunError(f"{path} is a symbolic link; deepbots does not write symbolic links into a run")
+    try:
+        lock = FileLock(path, timeout=wait_s).acquire()
+    except Timeout:
+        raise UsageError(
+            f"another process writes to {folder}, a training or `eval --keep`; wait until it finishes, or"
+            " stop it"
+        ) from None
+    except OSError as error:
+        raise UsageError(unwritable_message(folder, error)) from error
+    with lock:
+        yield
+
+
+def is_training(folder: Path) -> bool:
+    """Whether a training is at work in the directory of a run or a group right now."""
+    path = folder / ".lock"
+    if path.is_symlink() or not path.is_file():
+        return False
+    from filelock import FileLock, Timeout  # of the extra `train`
+
+    try:
+        with FileLock(path, timeout=0):
+            return False
+    except Timeout:
+        return True
+    except OSError:  # of somebody else, and not to be written
+        return False
+
+
+def has_ended(folder: Path) -> bool:
+    """Whether no training is at work in the directory any more; waits a while for one whose worker was
+    lost."""
+    deadline = time.monotonic() + _END_TIMEOUT_S
+    while is_training(folder):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.5)
+    return True

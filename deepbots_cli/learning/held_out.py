@@ -1,0 +1,198 @@
+"""Held-out episodes: the worlds that play them, and those of a training: their starts and who plays them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import closing, suppress
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import torch
+
+from deepbots_cli.api import build_batch
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.learning.environments import WorldFactory, reasons_against_batch
+from deepbots_cli.learning.failures import FailureRecorder
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.signals import Interruption
+from deepbots_cli.program import Program
+from deepbots_cli.rollout import Episode, Start, play
+from deepbots_cli.rollout.collector import ShardedCollector
+from deepbots_cli.rollout.drivers import named_driver
+from deepbots_cli.rollout.episode import OnEpisode
+from deepbots_cli.rollout.policies import Predictor, StopCondition, in_order, play_batch, play_episodes
+from deepbots_cli.runtime.batch import BatchSupervisor
+from deepbots_cli.runtime.streams import derive_seed
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.learner import Learner
+
+
+EVALUATION_EPISODES = 20
+"""Starts of an evaluation, the same each time: two networks differ by what they do there, not by their
+luck."""
+
+
+class EvaluationWorlds:
+    """Worlds of one scenario at a time: a batch if engine and scenario support it, otherwise single worlds.
+
+    Args:
+        build: Makes a single world.
+        run: The run that keeps a file of each failure.
+        engine: The engine of a batch; empty if there is none.
+        batch: The number of worlds of a batch. Fewer episodes are left to single worlds.
+        singles: The number of single worlds.
+    """
+
+    def __init__(
+        self,
+        build: WorldFactory,
+        run: Run | None = None,
+        *,
+        engine: str = "",
+        batch: int = 0,
+        singles: int = 1,
+    ) -> None:
+        self._build, self._run, self._engine, self._size, self._count = build, run, engine, batch, singles
+        self._program: Program | None = None
+        self._batch: BatchSupervisor | None = None
+        self._singles: list[FailureRecorder] = []
+
+    def enter(self, program: Program, *, case: str | None = None, stage: str | None = None) -> None:
+        """Play in this scenario from now on, which is that of a case or stage."""
+        if program is self._program:
+            return
+        self.close()
+        self._program, self._case, self._stage = program, case, stage
+        if not reasons_against_batch(program, self._size, self._engine, self._build):
+            self._batch = build_batch(program, self._size, engine=self._engine)
+
+    @property
+    def first(self) -> gym.Env[Any, Any]:
+        """One of the worlds, which has the spaces of all."""
+        return self._single_worlds()[0] if self._batch is None else self._batch.singles[0]
+
+    def has_batch_for(self, episodes: int) -> bool:
+        """Whether a batch plays so many episodes."""
+        return self._batch is not None and episodes >= self._size
+
+    def play(
+        self,
+        policy: Predictor,
+        seeds: Sequence[int],
+        numbers: Sequence[int] | None = None,
+        *,
+        deterministic: bool = True,
+        on_episode: OnEpisode | None = None,
+        until: StopCondition | None = None,
+    ) -> list[Episode]:
+        """An episode from each seed, or only the episodes with these `numbers`.
+
+        They are the same in a batch and in any number of single worlds. With `until`, they end with the first
+        episode for which it returns True.
+        """
+        numbers = range(len(seeds)) if numbers is None else numbers
+        if self._batch is not None and self.has_batch_for(len(numbers)):
+            with suppress(DeepbotsError):  # single worlds say where it is, and keep the episode
+                finished = play_batch(policy, self._batch, [seeds[number] for number in numbers])
+                return in_order(finished, range(len(numbers)), on_episode, until)
+        worlds = self._single_worlds()
+        for world in worlds:
+            world.seeds = seeds
+        finished = play_episodes(policy, worlds, seeds, deterministic=deterministic, numbers=numbers)
+        return in_order(finished, numbers, on_episode, until)
+
+    def _single_worlds(self) -> list[FailureRecorder]:
+        while self._program is not None and len(self._singles) < self._count:
+            world = self._build(self._program)
+            self._singles.append(
+                FailureRecorder(world, self._run, self._program, case=self._case, stage=self._stage)
+            )
+        return self._singles
+
+    def close(self) -> None:
+        for world in self._singles:
+            world.close()
+        if self._batch is not None:
+            self._batch.close()
+        self._singles, self._batch, self._program = [], None, None
+
+
+def play_script(build: WorldFactory, program: Program, name: str, seeds: Sequence[int]) -> list[Episode]:
+    """The episodes of a script from these seeds."""
+    with closing(build(program)) as world:
+        return [play(world, named_driver(world, name), Start(seed)) for seed in seeds]
+
+
+def evaluation_seeds(seed: int, numbers: range) -> list[int]:
+    """The starts of evaluations during a training with the root seed `seed`, which neither the training nor a
+    later evaluation has. Each evaluation has the first `EVALUATION_EPISODES` of them."""
+    return [derive_seed(seed, "trial", number) for number in numbers]
+
+
+def confirmation_root(seed: int, number: int) -> int:
+    """The root seed of the starts of a confirmation, by its number from 1: six digits, which are easy to
+    repeat."""
+    return 100_000 + derive_seed(seed, "confirmation", number) % 900_000
+
+
+class Evaluator:
+    """Plays held-out episodes of the current policy without noise: in a batch of worlds if engine and
+    scenario support it, otherwise in the shards of the training if it has several, otherwise in a world of
+    its own."""
+
+    def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
+        self.steps = 0
+        """Those of all evaluations, without confirmations and the last choice."""
+        self.shards: ShardedCollector | None = None
+        self.starts = evaluation_seeds(seed, range(EVALUATION_EPISODES))
+        """The starts of every evaluation."""
+        self.build = build
+        engine = "" if run is None else run.record.engine
+        self._worlds = EvaluationWorlds(build, run, engine=engine, batch=EVALUATION_EPISODES)
+
+    def evaluate(
+        self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None
+    ) -> list[Episode]:
+        """The episodes of an evaluation; arguments and errors are those of `play`."""
+        done = self.play(model, scenario, interruption, self.starts, stage)
+        self.steps += sum(episode.length for episode in done)
+        return done
+
+    def play(
+        self,
+        model: Learner,
+        scenario: Program,
+        interruption: Interruption,
+        seeds: Sequence[int],
+        stage: str | None = None,
+        *,
+        here: bool = False,
+    ) -> list[Episode]:
+        """An episode from each seed in `scenario`, which is that of `stage`. The training's random numbers
+        stay as they were.
+
+        Args:
+            here: Whether to leave out the shards, such as for another model than that of the training.
+
+        Raises:
+            KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before
+                this evaluation. Shards complete their part first.
+        """
+        state = torch.get_rng_state()
+
+        def look(done: int = 0, of: int = len(seeds)) -> None:
+            if interruption.requested:
+                raise KeyboardInterrupt
+
+        look()
+        self._worlds.enter(scenario, stage=stage)
+        try:
+            if self.shards is not None and not here and not self._worlds.has_batch_for(len(seeds)):
+                return self.shards.evaluate(model.actor(), seeds, stage)
+            return self._worlds.play(model, seeds, on_episode=look)
+        finally:
+            torch.set_rng_state(state)
+
+    def close(self) -> None:
+        self._worlds.close()

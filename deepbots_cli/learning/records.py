@@ -1,0 +1,385 @@
+"""What a run says of itself: `run.json`, how it was trained and how it ended, and `evaluations/NNNN.json`."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, Self, TypedDict
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.curriculum import CompletedStage
+from deepbots_cli.learning.directories import RecordFormat, read_json, write_text
+from deepbots_cli.learning.episodes import Scores, SolvedAt
+from deepbots_cli.program import Program
+from deepbots_cli.program.task import ONLY_AGENT
+from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.source import RECORD_NAME
+
+FORMAT = 5
+"""Of the run directory as a whole; raised when an older deepbots could no longer read it."""
+Status = Literal["running", "finished", "interrupted", "failed"]
+PATIENCE = "patience"
+"""What `stopped_by` says of a training that did not get better."""
+ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand"]
+_MAX_RECORD_BYTES = 4_000_000
+_MAX_EVALUATION_BYTES = 200_000_000
+_VERSIONED_PACKAGES = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
+
+
+class BestModel(BaseModel):
+    """The model that a training kept as its best.
+
+    Attributes:
+        steps: The steps of the training after which it was saved; None where this was not recorded.
+        chosen_by: `confirmation`: it ended the training. `new starts`: the models of the best evaluations
+            played new starts. `evaluation`: there was no second model, or the training was interrupted.
+            `return`: by the mean return of an evaluation, in versions before 0.2. `hand`: a person named it
+            (`eval MODEL --keep`).
+        measure: What the task asks for, by which it was chosen.
+        episodes: The held-out episodes that chose it, of which the other values are; they are better than
+            those of new episodes on average, because they chose it.
+        success_rate: None where the scenario defines no success.
+        mean_return: None if a person chose it.
+        evaluation_seed: The root seed of the starts on which `eval --keep` evaluated it after it was chosen,
+            so that they did not choose it.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    steps: int | None = None
+    chosen_by: ChosenBy
+    measure: Literal["success_rate", "mean_return"]
+    episodes: int | None = None
+    success_rate: float | None = None
+    mean_return: float | None = None
+    evaluation_seed: int | None = Field(default=None, ge=0, lt=2**63)
+
+    @property
+    def text(self) -> str:
+        """`after 35,288 steps, by success rate on new starts`."""
+        after = "" if self.steps is None else f"after {self.steps:,} steps, "
+        if self.chosen_by == "return":
+            return f"{after}chosen by return in an evaluation, by a version before 0.2"
+        if self.chosen_by == "hand":
+            return f"{after}chosen by hand"
+        if self.chosen_by == "confirmation":
+            return f"{after}by the confirmation that ended the training"
+        where = (
+            "on new starts"
+            if self.chosen_by == "new starts"
+            else f"in an evaluation of {self.episodes} episodes"
+        )
+        return f"{after}by {self.measure.replace('_', ' ')} {where}"
+
+
+class RunResult(BaseModel):
+    """How a training ended, or how far it has come.
+
+    Attributes:
+        status: How it ended. An interrupted training keeps everything learned; `resume(run)` continues it.
+        steps: Number of steps, summed over all rows of the environment, without `evaluation_steps`.
+        mean_return: Mean return of the recent episodes, like `success_rate`; None if no episode has ended.
+        best: The best model; None if there were too few episodes for an evaluation. `best_return` is read
+            from records of versions before 0.2.
+        evaluation_steps: Steps of all held-out episodes during the training.
+        confirmations: How often a confirmation of a solved task began.
+        confirmed_seed: The root seed of the starts that confirmed the task and ended the training; None if
+            none did.
+        stage: The stage of the curriculum in which the training ended; `stages` are the stages before it.
+        stopped_by: Name of the callback that stopped the training; `tune` where a study ended a trial,
+            `patience` where no evaluation was better for long enough.
+        inexact: Reasons why a resumed training differs from one without interruption.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    status: Status
+    steps: int
+    total_timesteps: int
+    episodes: int
+    mean_return: float | None
+    success_rate: float | None
+    best: BestModel | None = None
+    best_return: float | None = Field(default=None, exclude=True)
+    simulated_hours: float
+    evaluation_steps: int
+    solved_at: SolvedAt | None
+    cpu_seconds: float
+    wall_seconds: float
+    weights_digest: str
+    stage: str | None = None
+    stages: tuple[CompletedStage, ...] = ()
+    stopped_by: str | None = None
+    inexact: tuple[str, ...] = ()
+    confirmations: int = 0
+    confirmed_seed: int | None = None
+
+    @property
+    def confirmed_at(self) -> SolvedAt | None:
+        """When a confirmation showed that the task is solved. Versions before 0.2 had no confirmations."""
+        return self.solved_at if self.confirmations else None
+
+    @property
+    def best_model(self) -> BestModel | None:
+        """`best`, also of a record of a version before 0.2, which has the return alone."""
+        if self.best is not None or self.best_return is None:
+            return self.best
+        return BestModel(chosen_by="return", measure="mean_return", mean_return=self.best_return)
+
+
+class TrainingResult(RunResult):
+    """The result of a training, its run directory, and the run from which it took weights.
+
+    `stop_requested` is true after Ctrl-C or SIGTERM, even if the training was complete by then.
+    """
+
+    run: Path
+    initialized_from: str | None = None
+    stop_requested: bool = False
+
+    @property
+    def interrupted(self) -> bool:
+        return self.status == "interrupted"
+
+
+class TrainingOptions(TypedDict, total=False):
+    """Arguments of `train` that all trainings of a group share."""
+
+    total_timesteps: int | None
+    stop_when_solved: bool
+    stage: str | None
+    keep_checkpoints: int
+    initialize_from: str | Path | None
+    demonstrations: str | Path | None
+    callbacks: Sequence[str]
+    loggers: Sequence[str]
+    command: Sequence[str]
+    engine: str | None
+
+
+class RunRecord(BaseModel):
+    """The content of `run.json`: who trained what, when, from which inputs, with which versions, and how it
+    went.
+
+    Digests are SHA-256 in hexadecimal. `interface` is what each policy and the world have agreed on, by agent
+    and item (`deepbots_cli.program.identity`). `first_stage` is the stage of the curriculum that the training
+    began in, where it was not the first. `learner` are the reasons for a learner that deepbots chose.
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+    format: int
+    deepbots: str
+    status: Status
+    scenario: str
+    source: str
+    digest: str
+    interface: Mapping[str, Mapping[str, str]]
+    inputs: Mapping[str, str]
+    engine: str
+    seed: int = Field(ge=0, lt=2**63)
+    seeds: Mapping[str, int]
+    total_timesteps: int = Field(ge=0, lt=2**63)
+    stop_when_solved: bool
+    first_stage: str | None
+    keep_checkpoints: int = Field(ge=0, lt=2**31)
+    initialized_from: str | None
+    callbacks: tuple[str, ...] = ()
+    loggers: tuple[str, ...] = ()
+    learner: tuple[str, ...] = ()
+    command: tuple[str, ...]
+    versions: Mapping[str, str]
+    platform: str
+    started: str
+    updated: str
+    resumed_at: tuple[int, ...]
+    result: RunResult | None
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """The record of a run.
+
+        Raises:
+            RunError: The record is missing, damaged, or was written in a format that this deepbots does not
+                know.
+        """
+        path = folder / RECORD_NAME
+        version = read_json(path, RecordFormat, _MAX_RECORD_BYTES).format
+        if version != FORMAT:
+            age = "a newer version of deepbots" if version > FORMAT else "an older version of deepbots"
+            raise RunError(
+                f"{folder} is a run of format {version}, written by {age}, but this version reads format"
+                f" {FORMAT}; "
+                "use the version that wrote it"
+            )
+        return read_json(path, cls, _MAX_RECORD_BYTES)
+
+
+def write_record(folder: Path, record: RunRecord) -> None:
+    write_text(folder / RECORD_NAME, record.model_dump_json(indent=2) + "\n")
+
+
+def changed_settings(command: Sequence[str]) -> tuple[str, ...]:
+    """The assignments `path=value` of `--set` in a command line."""
+    words = list(command)
+    after = [value for word, value in pairwise(words) if word == "--set"]
+    return (*after, *(word.removeprefix("--set=") for word in words if word.startswith("--set=")))
+
+
+def short_settings(settings: Sequence[str]) -> str:
+    """`learning_rate=0.003, hidden=32` for assignments, without the paths to their keys."""
+    return ", ".join(
+        "=".join((path.rpartition(".")[2], value))
+        for path, _, value in (text.partition("=") for text in settings)
+    )
+
+
+def timestamp() -> str:
+    """The time in UTC, to the second, as ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def versions(*further: str) -> dict[str, str]:
+    """Of Python, of what a training result depends on, and of further packages."""
+    installed = {"python": platform.python_version()}
+    for name in (*_VERSIONED_PACKAGES, *further):
+        try:
+            installed[name] = version(name)
+        except PackageNotFoundError:
+            installed[name] = "not installed"
+    return installed
+
+
+class Evaluation(Scores, frozen=True):
+    """The scores of a policy in held-out episodes, and the circumstances.
+
+    Attributes:
+        agent: Name of the agent whose return is reported.
+        model: The name of the model, such as `best` or `last`, or that of a baseline: `random`, `zero`,
+            `script NAME`.
+        model_steps: The steps of the training after which the model was saved; None for a baseline.
+        confirmation: The number of the confirmation that ended the training, if these are its episodes. The
+            intervals then cover all confirmations of the training together.
+        case: Name of the case; None for the scenario itself. The same holds for `stage`.
+        success_defined: Whether the scenario defines success; if not, the success rate has no meaning.
+        solved: None if the scenario has no `solved`, or if its criterion needs more episodes
+            (`required_episodes`) than were run.
+        elsewhere: Name of the scenario if it is not that of the training; `set` are the assignments of
+            `--set`, `digest` is its digest.
+        engine: None if `build` made the worlds.
+        circumstances: Differences from an evaluation of the best model in the scenario of the training, in
+            words.
+        planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation
+            early.
+    """
+
+    agent: str = ONLY_AGENT
+    model: str
+    model_steps: int | None = None
+    confirmation: int | None = None
+    case: str | None = None
+    stage: str | None = None
+    seed: int
+    deterministic: bool = True
+    success_defined: bool
+    solved: bool | None
+    set: tuple[str, ...] = ()
+    elsewhere: str | None = None
+    engine: str | None = None
+    digest: str | None = None
+    circumstances: tuple[str, ...] = ()
+    planned: int | None = None
+    required_episodes: int | None = None
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """`circumstances`, and remarks on the number of episodes."""
+        return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
+
+
+class EvaluationRecord(Evaluation, frozen=True):
+    """An evaluation as `evaluations/NNNN.json` of a run keeps it, without its episodes.
+
+    `evaluated` is a time in UTC. Evaluations of older versions have no `digest` and no `model_steps`.
+    """
+
+    evaluated: str
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """An evaluation that was kept.
+
+        Raises:
+            RunError: The file is damaged.
+        """
+        return read_json(path, cls, _MAX_EVALUATION_BYTES)
+
+    @property
+    def text(self) -> str:
+        """Mean return and success rate with their intervals, and what they are of."""
+        text = f"mean return {self.mean_return:.4g}"
+        if self.return_interval is not None:
+            equal = "; all returns are equal" * (self.std_return == 0)
+            text += f" (95 % interval {{:.4g}} .. {{:.4g}}{equal})".format(*self.return_interval)
+        if self.success_rate is not None and self.success_interval is not None:
+            text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(
+                *self.success_interval
+            )
+        of = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
+        return (
+            f"{text}, over {self.episodes:,} held-out episodes{of}, from seed"
+            f" {self.seed}{in_parentheses(self.remarks)}"
+        )
+
+
+class EvaluationWithEpisodes(EvaluationRecord, frozen=True, allow_inf_nan=False):
+    """An evaluation that a run keeps, with its episodes."""
+
+    outcomes: tuple[Episode, ...] = Field(min_length=1)
+
+    @field_validator("outcomes")
+    @classmethod
+    def _comparable(cls, outcomes: tuple[Episode, ...]) -> tuple[Episode, ...]:
+        """Figures sort episodes by each drawn value."""
+        kinds: dict[str, type] = {}
+        for episode in outcomes:
+            if any(
+                kinds.setdefault(name, type(value)) is not type(value)
+                for name, value in episode.drawn.items()
+            ):
+                raise ValueError("a drawn value is a number in one episode and a name in another")
+        return outcomes
+
+    def failed(self, program: Program) -> list[int]:
+        """The numbers of the episodes that failed: without a success, or where none is defined, ended by a
+        failure."""
+        bad = [
+            not each.is_success if self.success_defined else each.ended_by in program.failures
+            for each in self.outcomes
+        ]
+        return [number for number, is_bad in enumerate(bad) if is_bad]
+
+    @property
+    def replay_options(self) -> dict[str, Any]:
+        """What `trace_episodes` needs to repeat its episodes."""
+        return {"seed": self.seed, "model": self.model, "deterministic": self.deterministic}
+
+
+def in_parentheses(remarks: Iterable[str]) -> str:
+    """` (a; b)`, each remark once; empty without one."""
+    joined = "; ".join(dict.fromkeys(remarks))
+    return f" ({joined})" if joined else ""
+
+
+def remark_on_episodes(episodes: int, planned: int | None, required: int | None) -> tuple[str, ...]:
+    """What to say of the number of episodes of an evaluation; `required` is the number that `solved` asks
+    for."""
+    if planned is not None and episodes < planned:
+        return (f"stopped by a requirement after {episodes} of {planned} episodes",)
+    return (f"fewer than {required} episodes",) if required is not None and episodes < required else ()
