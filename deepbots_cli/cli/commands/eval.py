@@ -32,10 +32,11 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
+from deepbots_cli.diagnostics.junit import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import check_output
+from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import in_parentheses
 from deepbots_cli.learning.run import ModelRef, Run
@@ -666,8 +667,14 @@ def _require(
         }
         properties |= {"episodes": str(sum(each.episodes for each in judged))} | records.evaluated_in(first)
         properties["engine"] = ", ".join(dict.fromkeys(each.engine or "" for each in judged))
-        suites = {first.scenario: [records.JUnitCase(*requirement) for requirement in requirements]}
-        records.write_junit(junit, "eval", suites, properties)
+        cases = [
+            Case(words, reason, "" if met else f"not met: {words} ({reason})")
+            for words, met, reason in requirements
+        ]
+        with atomic_write(junit) as draft:
+            draft.write_bytes(
+                xml_report({first.scenario: cases}, prefix="deepbots eval ", properties=properties).encode()
+            )
     for words, met, reason in requirements:
         if met:
             terminal.note(f"met: {words} ({reason})")

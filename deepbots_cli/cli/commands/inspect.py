@@ -1,4 +1,4 @@
-"""`deepbots inspect`: a scenario, a run or a robot file as the tables of `cli/inspection.py`."""
+"""`deepbots inspect`: a scenario, a run or a robot file as the tables of `insight/inspection.py`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.analysis.deployment import Deployment
-from deepbots_cli.cli import inspection, terminal
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
@@ -21,6 +21,7 @@ from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.document import MappingNode, Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
+from deepbots_cli.insight import inspection
 from deepbots_cli.program import Program
 
 if TYPE_CHECKING:

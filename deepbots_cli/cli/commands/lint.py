@@ -24,7 +24,7 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
-from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
+from deepbots_cli.diagnostics.render import escape_log_commands, github, render, sarif, summary
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.files import file_stamps
@@ -563,6 +563,8 @@ def report(
         case Format.sarif:
             return sarif(findings, _page)
         case Format.junit:
+            from deepbots_cli.diagnostics.junit import junit  # XML, which nothing else needs here
+
             return junit(findings, names, failing)
         case Format.json:
             return render(findings, "json")

@@ -82,13 +82,7 @@ class ControlStep:
         self._describe = Readings(program, self.timestep)
         self._formulas = MemoryFormulas(self.math, program.world.timestep)
         self._whole: dict[str, Value] = {}
-        self._signals = {signal.name: signal for signal in program.signals}
-        self._parameters = {value.name: value for value in program.parameters}
-        self._fields = {
-            f"{robot.name}.{entry.name}": (robot, entry)
-            for robot in program.robots
-            for entry in robot.emitted
-        }
+        self._definitions = self._describe.deployment.definitions
         self._on_board = {
             robot.name: TreePrinter(self.math, _OnBoard(self, robot), self._observed_states)
             for robot in program.robots
@@ -213,19 +207,16 @@ class ControlStep:
             raise UsageError(
                 f"the policy sees '{name}', and {_LATER.get(name, 'an ending')} is known in a training alone"
             )
-        if name in self._parameters:
-            return _item(
-                self.input(self._describe.parameter(self._parameters[name])),
-                self._parameters[name].components,
-                part,
-            )
-        if name in self._signals:
-            signal = self._signals[name]
+        if name in self._definitions.parameters:
+            value = self._definitions.parameters[name]
+            return _item(self.input(self._describe.parameter(value)), value.components, part)
+        if name in self._definitions.signals:
+            signal = self._definitions.signals[name]
             return _item(
                 self._once(f"signal {name}", self._observed, signal.scalars), signal.components, part
             )
-        if name in self._fields:
-            robot, entry = self._fields[name]
+        if name in self._definitions.fields:
+            robot, entry = self._definitions.fields[name]
             if not self.program.is_direct(robot, "from_robot") and not _sends_a_sensor(robot, entry.scalars):
                 late = f"messages from {robot.name} arrive late or not at all"
                 raise UsageError(
@@ -448,7 +439,7 @@ class ControlStep:
 
     def _seen_image(self, image: ImageObservation) -> str:
         """An image, uint8 [rows, columns, channels], with its history side by side, oldest first."""
-        robot, entry = self._fields.get(image.name, (None, None))
+        robot, entry = self._definitions.fields.get(image.name, (None, None))
         sensor = None
         if robot is not None and entry is not None:
             sensor = next((each for each in robot.sensors if entry.scalars == (Name(each.name),)), None)
