@@ -1,9 +1,9 @@
 """From a program to what is known of its values without a simulation.
 
 `Analysis` follows names to their definitions as scalar trees, message fields to the sensors behind them, and
-sensors to the facts that they measure. It says which values are the same quantity, whatever their names, and
-what a value depends on.
+sensors to the facts that they measure. It says what a value depends on.
 
+identities.py  which values are the same quantity
 ranges.py      the interval of a value, in any step and right after a reset; intervals as text
 conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
 deployment.py  the readings of the world that a policy needs on a real robot
@@ -22,12 +22,13 @@ from typing import cast
 from weakref import proxy
 
 from deepbots_cli.analysis.conditions import shadowed_endings
+from deepbots_cli.analysis.identities import Identities
 from deepbots_cli.analysis.ranges import Ranges, StartRanges
 from deepbots_cli.analysis.returns import RewardTerms, return_range
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.intervals import INF
 from deepbots_cli.expressions.lower import Lowering, Scalars
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.scalar import children as parts
 from deepbots_cli.expressions.types import (
     ComponentSelection,
@@ -114,8 +115,8 @@ class Analysis:
         self._lowerings: dict[str, _CachedLowering] = exact._lowerings if exact else {}
         self._dependencies: dict[int, tuple[Scalar, frozenset[str]]] = {}
         self._sources: dict[int, tuple[Scalar, frozenset[str]]] = {}
-        self._identities: dict[int, tuple[Scalar, int]] = {}
-        self._numbers: dict[tuple[object, ...], int] = {}
+        self.identity = Identities(self._self).of
+        """A number that two trees share if they mean the same quantity."""
         self._ranges: dict[tuple[float, float], Ranges] = {}
         self.rates: dict[bool, dict[Scalar, float]] = {}
         """The largest changes of values per second, as `speeds.rate_of` works them out: all, and those that
@@ -310,7 +311,7 @@ class Analysis:
             else:
                 yield node
 
-    # Equal quantities
+    # Bodies
 
     def own_contacts(self, node: Scalar) -> list[str]:
         """The contacts between links of one robot, which are never true: links of one robot do not touch each
@@ -326,36 +327,6 @@ class Analysis:
         return sorted(
             {f"contact({', '.join(part.subjects)})" for part, of in owners if len(of) == 1 and of <= robots}
         )
-
-    def identity(self, node: Scalar) -> int:
-        """A number that two trees share if they mean the same quantity."""
-        cached = self._identities.get(id(node))
-        if cached is None:
-            cached = self._identities[id(node)] = (node, self._identity(node))
-        return cached[1]
-
-    def _identity(self, node: Scalar) -> int:
-        match node:
-            case Name():
-                meaning = self.resolve_aliases(node)
-                return (
-                    self._number("name", meaning.name, meaning.component)
-                    if isinstance(meaning, Name)
-                    else self.identity(meaning)
-                )
-            case Const(value):
-                return self._number("const", value)
-            case EngineRead(function, subjects, component):
-                return self._number("world", function, subjects, component)
-            case Op(op, args):
-                return self._number(op, *map(self.identity, args))
-            case State(function, args, _):
-                return self._number(function, *map(self.identity, args))
-            case Draw(_, _, stream):
-                return self._number("draw", stream)
-
-    def _number(self, *key: object) -> int:
-        return self._numbers.setdefault(key, len(self._numbers))
 
     def distance_pair(self, node: Scalar) -> frozenset[str] | None:
         """The two bodies whose distance this is, by any measure: between origins, between surfaces, or along

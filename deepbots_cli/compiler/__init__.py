@@ -4,8 +4,8 @@
 
 values.py       texts to typed trees, findings at their places
 namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its
-                place;
-                fields of the scenario, resolved by their annotations; values that every episode draws anew
+                place
+fields.py       fields of the scenario, read as their annotations say; values that every episode draws anew
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
 robots.py       robot files and their changes, patterns and groups, what joints measure, limits of the robot
                 file
@@ -242,7 +242,7 @@ def _program(namespace: Namespace) -> Program:
             reset,
             joint_starts=joint_starts(namespace, poses),
             settle=settling_time(namespace, timestep),
-            variations=(*namespace.variations, *namespace.colors),
+            variations=(*namespace.fields.variations, *namespace.fields.colors),
             groups=tuple(namespace.groups.values()),
         ),
         action_repeat=action_repeat,

@@ -9,15 +9,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, Unpack
 
-from deepbots_cli.compiler.namespace import (
-    Default,
-    FieldContext,
-    Namespace,
-    NamespaceReader,
-    Origin,
-    RobotScope,
-    SupervisorScope,
-)
+from deepbots_cli.compiler.fields import Default, FieldContext
+from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin, RobotScope, SupervisorScope
 from deepbots_cli.compiler.robots import (
     ResolvedRobot,
     effort_dimension,
@@ -103,7 +96,7 @@ class Actuators(NamespaceReader):
     def read(self, name: str) -> ResolvedActuator | None:
         """The actuator called `name`; None after a finding. One without a command varies nothing."""
         spec = self._robot.spec.actuators[name]
-        varied = len(self._namespace.variations)
+        varied = len(self._fields.variations)
         match spec:
             case specs.JointActuator():
                 driven = self._motor(name, spec)
@@ -116,7 +109,7 @@ class Actuators(NamespaceReader):
             case _:
                 raise TypeError(f"{type(spec).__name__} is in no table")
         if name not in self._robot.spec.apply:
-            del self._namespace.variations[varied:]
+            del self._fields.variations[varied:]
         return driven
 
     def _motor(self, name: str, spec: specs.JointActuator) -> ResolvedActuator | None:
@@ -128,7 +121,7 @@ class Actuators(NamespaceReader):
         motor: Actuator
         match spec:
             case specs.VelocityMotor():
-                acceleration = self._namespace.fixed(spec, "max_acceleration", dimension=dimension / TIME)
+                acceleration = self._fields.fixed(spec, "max_acceleration", dimension=dimension / TIME)
                 motor = Motor(
                     name,
                     spec.type,
@@ -170,7 +163,7 @@ class Actuators(NamespaceReader):
                 )
             case _:
                 slides = joint_dimension(joints[0]) == LENGTH
-                own = self._namespace.parameters(
+                own = self._fields.parameters(
                     spec, kind_parameters(type(spec), specs.JointActuator), dimension, slides=slides
                 )
                 if own is None:
@@ -187,7 +180,7 @@ class Actuators(NamespaceReader):
     def _cartesian(self, name: str, spec: specs.Cartesian) -> ResolvedActuator | None:
         joints = self._robot.joints_of(spec, self._values)
         links = self._robot.links_of(spec, self._values)
-        rpy = self._namespace.triple(spec, "rpy")
+        rpy = self._fields.triple(spec, "rpy")
         if not links or not joints or (spec.rpy is not None and rpy is None):
             return None
         model = self._robot.model
@@ -211,7 +204,7 @@ class Actuators(NamespaceReader):
         if not joints:
             return None
         position = joint_dimension(joints[0])
-        closed, open_ = (self._namespace.fixed(spec, key, dimension=position) for key in ("closed", "open"))
+        closed, open_ = (self._fields.fixed(spec, key, dimension=position) for key in ("closed", "open"))
         names = tuple(joint.name for joint in joints)
         limits = self._max_torque(spec, joints), self._max_velocity(spec, joints)
         motor = Motor(name, "position_motor", names, *limits, response=self._response(spec, names))
@@ -234,8 +227,8 @@ class Actuators(NamespaceReader):
 
     def _thrust(self, name: str, spec: specs.Thrust) -> ResolvedActuator | None:
         links = self._robot.links_of(spec, self._values)
-        ends = self._namespace.ends(spec, "range", what="the range of a thrust")
-        moment_constant = self._namespace.fixed(spec, "moment_constant") or 0.0
+        ends = self._fields.ends(spec, "range", what="the range of a thrust")
+        moment_constant = self._fields.fixed(spec, "moment_constant") or 0.0
         response = self._response(spec, links)
         spin = self._spin(spec, links)
         if not links or ends is None or spin is None:
@@ -248,7 +241,7 @@ class Actuators(NamespaceReader):
     def _spin(self, spec: specs.Thrust, links: tuple[str, ...]) -> tuple[float, ...] | None:
         """The sense of each link, from one number for all or from patterns; None after a finding."""
         if not isinstance(spec.spin, dict):
-            spin = self._namespace.fixed(spec, "spin") if "spin" in spec.model_fields_set else 1.0
+            spin = self._fields.fixed(spec, "spin") if "spin" in spec.model_fields_set else 1.0
             return None if spin is None else (spin,) * len(links)
         senses: dict[str, float | None] = {}
         unknown = False
@@ -259,7 +252,7 @@ class Actuators(NamespaceReader):
                 report_unmatched(
                     self._values, self._values.key_span((*spec.path, "spin", pattern)), pattern, "link", links
                 )
-            senses |= dict.fromkeys(members, self._namespace.fixed(spec, "spin", pattern))
+            senses |= dict.fromkeys(members, self._fields.fixed(spec, "spin", pattern))
         open_ = [link for link in links if link not in senses]
         if open_ and not unknown:
             help = f"write 1 or -1 for each link, as in `{open_[0]}: 1`"
@@ -284,18 +277,18 @@ class Actuators(NamespaceReader):
         """The largest torque or force of each joint: the tighter of the scenario's and that of the robot
         file."""
         own = tuple(joint.limit.effort for joint in joints)
-        variations = len(self._namespace.variations)
+        variations = len(self._fields.variations)
         effort = effort_dimension(joints[0])
         max_torque = self._scalar_or_randomized(
             spec, "max_torque", None, dimension=effort, per_component=tuple(joint.name for joint in joints)
         )
         if max_torque is None:
             return own
-        drawn = self._namespace.variations[variations:]
+        drawn = self._fields.variations[variations:]
         self._compare(
             spec, "max_torque", drawn[0].value.typed.type.interval.high if drawn else max_torque, effort, own
         )
-        self._namespace.variations[variations:] = [replace(varied, max=own) for varied in drawn]
+        self._fields.variations[variations:] = [replace(varied, max=own) for varied in drawn]
         return _tighter(own, max_torque)
 
     def _max_velocity(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
@@ -310,7 +303,7 @@ class Actuators(NamespaceReader):
                 else own
             )
         rate = joint_dimension(joints[0]) / TIME
-        max_velocity = self._namespace.fixed(spec, "max_velocity", dimension=rate)
+        max_velocity = self._fields.fixed(spec, "max_velocity", dimension=rate)
         if max_velocity is None:
             return own
         self._compare(spec, "max_velocity", max_velocity, rate, own)
@@ -321,7 +314,7 @@ class Actuators(NamespaceReader):
     ) -> float | Default:
         """A value that an episode may draw."""
         of = OfActuator(self._robot.name, str(spec.path[-1]))
-        return self._namespace.scalar_or_randomized(spec, key, f"actuator_{key}", of, default, **context)  # type: ignore[arg-type]
+        return self._fields.scalar_or_randomized(spec, key, f"actuator_{key}", of, default, **context)  # type: ignore[arg-type]
 
     def _compare(
         self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits
@@ -359,7 +352,9 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
             )
         dimension = joint_dimension(robot.model.joint(joints[0])) if joints else None
         position = (
-            namespace.fixed(robot.spec, "poses", name, pattern, dimension=dimension) if joints else None
+            namespace.fields.fixed(robot.spec, "poses", name, pattern, dimension=dimension)
+            if joints
+            else None
         )
         sound = sound and position is not None
         positions |= dict.fromkeys(joints, position or 0.0)

@@ -90,7 +90,7 @@ def route(direction: Direction, namespace: Namespace) -> Route:
         )
         return Route()
     latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
-    burst = namespace.fixed(spec, "burst", scope=namespace.scope(Context.FIELD))
+    burst = namespace.fields.fixed(spec, "burst", scope=namespace.scope(Context.FIELD))
     if burst is not None and loss is not None:
         highest = loss.typed.type.interval.high
         # Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at
@@ -117,7 +117,7 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
     if text.kind.known == "step" and text.kind.si is not None:
         typed, redraw = values.redrawn(text, what, namespace.scope(Context.FIELD), text.kind.si)
     else:
-        typed, redraw = namespace.typed(text), None
+        typed, redraw = namespace.fields.typed(text), None
     if typed is None or not is_repeated_as_a_whole(typed, redraw, text, values):
         return None
     if typed.type.known is Known.FIXED and values.fixed(typed, text, what) is None:
@@ -166,7 +166,7 @@ def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Dist
     pushed = _pushed(spec, namespace)
     keys = ("force", "torque", "at", "every", "duration")
     force, torque, first, every, duration = expressions = [
-        namespace.expression(spec, key, known=Known.STEP) for key in keys
+        namespace.fields.expression(spec, key, known=Known.STEP) for key in keys
     ]
     if every is not None and duration is not None:
         longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
@@ -333,7 +333,7 @@ def _start_value(
 ) -> Expression | None:
     """A draw that is written once is drawn anew for each joint of a group."""
     namespace, values = scope.namespace, scope.namespace.values
-    typed = namespace.typed(
+    typed = namespace.fields.typed(
         text, "the start of a joint", dimension=dimension, components=subject.components, scope=scope
     )
     if typed is None:
@@ -455,7 +455,7 @@ def _requirement(namespace: Namespace) -> Expression | None:
 
 def settling_time(namespace: Namespace, timestep: float) -> float:
     """Seconds, in whole timesteps of `timestep` s."""
-    values, settle = namespace.values, namespace.fixed(namespace.scenario.reset, "settle") or 0.0
+    values, settle = namespace.values, namespace.fields.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
     if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid(
         "world.timestep"
@@ -572,7 +572,7 @@ class Signals(NamespaceReader):
             typed = expect_value(typed, self._values.report(text), "an ending", boolean=True)
         if typed is None:
             return Symbol(name, None)
-        added = self._namespace.noise(value, typed) if isinstance(value, Measured) else None
+        added = self._fields.noise(value, typed) if isinstance(value, Measured) else None
         self.valued[name] = text.expression(typed, name, noise=added)
         return Symbol(
             name,
@@ -637,8 +637,8 @@ def truncation(namespace: Namespace) -> Truncation:
                 "DB803", (key,), "the scenario has no time limit, so an episode could last forever", help
             )
         return Truncation()
-    steps = namespace.fixed(limits, "max_steps")
-    return Truncation(None if steps is None else int(steps), namespace.fixed(limits, "max_time"))
+    steps = namespace.fields.fixed(limits, "max_steps")
+    return Truncation(None if steps is None else int(steps), namespace.fields.fixed(limits, "max_time"))
 
 
 def success_help(limits: Truncation, timestep: float, instead: str, has_failures: bool) -> str:

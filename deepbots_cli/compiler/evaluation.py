@@ -561,7 +561,7 @@ class _Reader(NamespaceReader):
         """The largest number of steps of an episode; a finding if all episodes of the test may take too
         many."""
         period = self._program.period
-        own = Truncation(spec.max_steps, self._namespace.fixed(spec, "max_time")).max_episode_steps(period)
+        own = Truncation(spec.max_steps, self._fields.fixed(spec, "max_time")).max_episode_steps(period)
         steps = min(
             own,
             self._program.truncation.max_episode_steps(period),

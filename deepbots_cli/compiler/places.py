@@ -372,15 +372,15 @@ class Places(NamespaceReader):
         place = Placement(body, self.coordinates(pose), owner=draws_owner(pose.path))
         if not isinstance(pose, PlacementSpec):
             return self.resting_placement(place)
-        spacing = self._namespace.pair(pose, "spacing")
+        spacing = self._fields.pair(pose, "spacing")
         has_finding = spacing is None and self._values.is_present((*pose.path, "spacing"))
         place = replace(
             place,
-            clearance=self._namespace.fixed(pose, "clearance") or 0.0,
+            clearance=self._fields.fixed(pose, "clearance") or 0.0,
             at_most=pose.at_most,
             spacing=spacing or (0.0, 0.0),
-            velocity=self._namespace.expression(pose, "velocity", scope=self._scope),
-            angular_velocity=self._namespace.expression(pose, "angular_velocity", scope=self._scope),
+            velocity=self._fields.expression(pose, "velocity", scope=self._scope),
+            angular_velocity=self._fields.expression(pose, "angular_velocity", scope=self._scope),
         )
         place = self._on_line(place, pose, pose.line) if pose.line else place
         if pose.on is not None:
@@ -405,8 +405,8 @@ class Places(NamespaceReader):
                 if getattr(pose, part) == "any":
                     coordinates[part] = self._values.field(pose, part).expression(_ANY_ANGLE)
                 else:
-                    coordinates[part] = self._namespace.expression(pose, part, scope=self._scope)
-            vector = self._namespace.expression(pose, whole, scope=self._scope)
+                    coordinates[part] = self._fields.expression(pose, part, scope=self._scope)
+            vector = self._fields.expression(pose, whole, scope=self._scope)
             if vector is not None:
                 typed = vector.typed
                 for index, part in enumerate(parts):
@@ -467,14 +467,14 @@ class Places(NamespaceReader):
             )
         if name not in flat or (pose.region is not None and (region := self._region(pose)) is None):
             return None
-        return Top(name, region if pose.region is not None else None, self._namespace.fixed(pose, "grid"))
+        return Top(name, region if pose.region is not None else None, self._fields.fixed(pose, "grid"))
 
     def _region(self, pose: PlacementSpec) -> Region | None:
-        mesh = self._namespace.fixed(pose, "grid")
+        mesh = self._fields.fixed(pose, "grid")
         if mesh is None and pose.grid is not None:
             return None
         if isinstance(pose.region, RegionSpec):
-            x, y = self._namespace.ends(pose.region, "x"), self._namespace.ends(pose.region, "y")
+            x, y = self._fields.ends(pose.region, "x"), self._fields.ends(pose.region, "y")
             return Region((x.low[0], y.low[0]), (x.high[0], y.high[0]), mesh) if x and y else None
         arena, span = self._world.arena, self._values.span((*pose.path, "region"))
         if pose.region != "arena":
@@ -587,7 +587,7 @@ class Layouts(NamespaceReader):
     def _shares(self) -> dict[str, float]:
         spec = self._spec.reset.layout
         assert isinstance(spec, dict)  # as the caller found
-        read = {name: self._namespace.fixed(self._spec.reset, "layout", name) for name in spec}
+        read = {name: self._fields.fixed(self._spec.reset, "layout", name) for name in spec}
         shares = {name: share for name, share in read.items() if share is not None}
         if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
             headline = f"the shares add up to {100 * sum(shares.values()):g} %"
@@ -599,7 +599,7 @@ class Layouts(NamespaceReader):
     def _map(self, name: str, layout: MapLayout, *, used: bool) -> list[Placement]:
         """Each letter's body on the cells that bear it; the first row is the farthest along y, the middle is
         the origin."""
-        cell, text = self._namespace.fixed(layout, "cell"), self._values.field(layout, "map")
+        cell, text = self._fields.fixed(layout, "cell"), self._values.field(layout, "map")
         rows = _rows(text) if self._is_small(text) else []
         if cell is None or not rows or not self._is_even(rows):
             return []

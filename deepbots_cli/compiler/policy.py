@@ -92,11 +92,11 @@ def copies(namespace: Namespace) -> RobotCopies | None:
         return None
     _refuse_others(name, namespace)
     robot_spec = spec.robots[name]
-    count = namespace.fixed(robot_spec, "count")
+    count = namespace.fields.fixed(robot_spec, "count")
     if robot_spec.spacing is None and not values.is_invalid("spacing"):
         help = f"write the distance between copies, as in `robots.{name}.spacing: 0 0.5 0 m`"
         values.add("DB102", ("agent", "each"), f"the copies of `{name}` have no `spacing`", help)
-    spacing = namespace.triple(robot_spec, "spacing")
+    spacing = namespace.fields.triple(robot_spec, "spacing")
     if count is None or spacing is None:
         return None
     if not 1 <= count <= MAX_BODIES:
@@ -244,7 +244,7 @@ class Actions(NamespaceReader):
     ) -> tuple[float, ...]:
         """The value of each variable under one option; 0 after a finding."""
         written, place = part.choices[option], (*part.path, "choices", option)
-        number = partial(self._namespace.fixed, part, "choices", option, dimension=NUMBER)
+        number = partial(self._fields.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(written, dict):
             if named:
                 help = f"assign the variables, as in `{{{variables[0]}: 1}}`"
@@ -263,7 +263,7 @@ class Actions(NamespaceReader):
 
     def _interval(self, name: str, part: ContinuousAction | str) -> Symbol:
         holder = (self._spec, "action", name) if isinstance(part, str) else (part, "range")
-        ends = self._namespace.ends(*holder, what="the range of an action")
+        ends = self._fields.ends(*holder, what="the range of an action")
         components: Components | None = ()
         if isinstance(part, ContinuousAction) and part.each is not None:
             components = self._group(part.each, (*part.path, "each"))
@@ -327,7 +327,7 @@ class Observations(NamespaceReader):
                 self._values.range(range_text, self._namespace.scope(Context.FIXED))
             return None
         bounds = self._bounds(typed, range_text)
-        added = self._namespace.noise(written, typed) if isinstance(written, Observed) else None
+        added = self._fields.noise(written, typed) if isinstance(written, Observed) else None
         if bounds is None:
             return None
         kind = ImageObservation if typed.type.picture else Observation
@@ -501,13 +501,13 @@ class Goals(NamespaceReader):
         for name in self._namespace.names_of(Origin.GOAL):
             self._namespace.resolve(name)
         achieved, desired = self._valued.get("achieved"), self._valued.get("desired")
-        within = self._namespace.fixed(
+        within = self._fields.fixed(
             spec, "tolerance", dimension=achieved.typed.type.dimension if achieved else None
         )
         ends = None
         if achieved is not None:
             kind = achieved.typed.type
-            ends = self._namespace.ends(
+            ends = self._fields.ends(
                 spec,
                 "range",
                 what="the range of a goal",
@@ -548,7 +548,7 @@ class Goals(NamespaceReader):
         if wanted:
             typed = typed._replace(type=typed.type._replace(components=wanted.components))
         self._valued[name] = text.expression(
-            typed, noise=self._namespace.noise(spec, typed) if name == "achieved" else None
+            typed, noise=self._fields.noise(spec, typed) if name == "achieved" else None
         )
         return Symbol(name, typed.type._replace(known=Known.STEP))
 

@@ -319,7 +319,7 @@ class Overrides:
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         of = OfLink(self.robot, link.name)
-        factors = self.namespace.triple(change, "scale", known=Known.EPISODE)
+        factors = self.namespace.fields.triple(change, "scale", known=Known.EPISODE)
         if factors:
             model = self._accepted(model, with_scale(model, link.name, factors), change, "scale")
         if change.density is not None:
@@ -327,10 +327,12 @@ class Overrides:
         elif change.mass is not None:
             model = self._change_mass(model, model.link(link.name), change)
         contact = {
-            field: self.namespace.scalar_or_randomized(change, key, what, of, None, scope=self._scope())
+            field: self.namespace.fields.scalar_or_randomized(
+                change, key, what, of, None, scope=self._scope()
+            )
             for key, (field, what) in _CONTACT.items()
         }
-        model, paint = with_friction(model, link.name, **contact), self.namespace.color(change, of)
+        model, paint = with_friction(model, link.name, **contact), self.namespace.fields.color(change, of)
         return with_color(model, link.name, paint) if paint else model
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
@@ -342,7 +344,7 @@ class Overrides:
                 "keep one of the two",
             )
             return model
-        density = self.namespace.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
+        density = self.namespace.fields.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
         return (
             self._accepted(model, with_density(model, link, density), change, "density") if density else model
         )
@@ -352,8 +354,8 @@ class Overrides:
             return model  # a pattern means the links that have a mass
         of = OfLink(self.robot, link.name)
         scope = self._scope(MASS, link.inertial.mass if link.inertial else None)
-        mass = self.namespace.scalar_or_randomized(change, "mass", "mass", of, None, scope=scope)
-        if mass == 0 and not self.namespace.is_randomized("mass", of):
+        mass = self.namespace.fields.scalar_or_randomized(change, "mass", "mass", of, None, scope=scope)
+        if mass == 0 and not self.namespace.fields.is_randomized("mass", of):
             self.values.add(
                 "DB105", self.values.field(change, "mass").span, "`mass` is 0 kg", "write more than 0 kg"
             )
@@ -371,13 +373,15 @@ class Overrides:
 
         def drawn(key: str, what: JointParameter, urdf: float | None, dimension: Dimension) -> float | None:
             of, scope = OfJoint(self.robot, joint.name), self._scope(dimension, urdf)
-            return self.namespace.scalar_or_randomized(
+            return self.namespace.fields.scalar_or_randomized(
                 change, key, what, of, None, dimension=dimension, scope=scope
             )
 
         def fixed(key: str, urdf: float | None, dimension: Dimension) -> float | None:
             scope = self._scope(dimension, urdf)
-            numbers = self.namespace.fixed(change, key, dimension=dimension, scope=scope, known=Known.EPISODE)
+            numbers = self.namespace.fields.fixed(
+                change, key, dimension=dimension, scope=scope, known=Known.EPISODE
+            )
             return urdf if numbers is None else numbers
 
         damping = drawn("damping", "joint_damping", joint.damping, effort * TIME / position)
@@ -401,7 +405,7 @@ class Overrides:
             )
             return limit
         scope, dimension = self.namespace.scope(Context.FIELD), joint_dimension(joint)
-        ends = self.namespace.ends(
+        ends = self.namespace.fields.ends(
             change, "range", what="the range of a joint", dimension=dimension, scope=scope
         )
         return replace(limit, lower=ends.low[0], upper=ends.high[0]) if ends else limit

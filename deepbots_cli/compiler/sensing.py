@@ -95,7 +95,7 @@ class SensorsCompiler(NamespaceReader):
             isinstance(spec, JointSensor)
             and joint_dimension(self._robot.model.joint(sensor.subjects[0])) == LENGTH
         )
-        own = self._namespace.parameters(
+        own = self._fields.parameters(
             spec, kind_parameters(type(spec), *BASES), typed.dimension, slides=slides
         )
         if own is None:
@@ -201,9 +201,10 @@ def _frame(namespace: Namespace, spec: SensorFrame) -> Pose:
 
     def triple(whole: str, parts: Components) -> Vector:
         if getattr(spec, whole) is not None:
-            return namespace.triple(spec, whole) or (0.0, 0.0, 0.0)
+            return namespace.fields.triple(spec, whole) or (0.0, 0.0, 0.0)
         x, y, z = (
-            namespace.fixed(spec, part) or 0.0 if part in spec.model_fields_set else 0.0 for part in parts
+            namespace.fields.fixed(spec, part) or 0.0 if part in spec.model_fields_set else 0.0
+            for part in parts
         )
         return (x, y, z)
 
@@ -213,13 +214,13 @@ def _frame(namespace: Namespace, spec: SensorFrame) -> Pose:
 def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
     """The intrinsics of a camera; None after a finding."""
     values = namespace.values
-    size, fov = namespace.pair(spec, "resolution"), namespace.fixed(spec, "fov")
+    size, fov = namespace.fields.pair(spec, "resolution"), namespace.fields.fixed(spec, "fov")
     near, far = 0.0, 10.0
     if spec.range is not None:
         if spec.channels != "depth":
             help = "write `channels: depth`, or remove `range`"
             values.add_at_key("DB203", (*spec.path, "range"), "`range` applies to depth cameras only", help)
-        ends = namespace.ends(spec, "range", what="the range of a camera", dimension=LENGTH)
+        ends = namespace.fields.ends(spec, "range", what="the range of a camera", dimension=LENGTH)
         if ends is None:
             return None
         (near,), (far,) = ends.low, ends.high
@@ -284,7 +285,7 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
         if count > 1:
             return None
         return {"": Pose()} if spec.rays is None else {"r0": Pose()}
-    ends = namespace.ends(spec, "angle_range", what="`angle_range`", falling=True)
+    ends = namespace.fields.ends(spec, "angle_range", what="`angle_range`", falling=True)
     if ends is None:
         return None
     (first,), (last,) = ends.low, ends.high
@@ -299,7 +300,9 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
     dimension = NUMBER
     for key in ("distance", "value", *(["noise"] if spec.noise is not None else [])):
         text = values.field(spec, key)
-        typed = namespace.typed(text, dimension=NUMBER) if key == "noise" else namespace.typed(text)
+        typed = (
+            namespace.fields.typed(text, dimension=NUMBER) if key == "noise" else namespace.fields.typed(text)
+        )
         numbers = values.fixed(typed, text, f"`{key}`") if typed else None
         if typed and numbers:
             columns[key] = tuple(map(float, numbers))
@@ -342,7 +345,7 @@ _NUMERIC_SENSOR_KEYS = ("noise", "bias", "drift", "resolution", "range")
 def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[NoiseModel | None, Type]:
     """The errors of a sensor, period apart, and the type of its readings with them; None for a perfect
     sensor."""
-    drawn = len(namespace.variations)
+    drawn = len(namespace.fields.variations)
     latency = _latency(namespace, spec)
     if typed.boolean or typed.picture:
         tells, keys = (
@@ -374,13 +377,13 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[N
                 Interval(each.low - half, each.high + half) if each.is_finite else each for each in reach
             ]
         typed = typed.with_intervals(reach)
-    return None if model == NoiseModel() and len(namespace.variations) == drawn else model, typed
+    return None if model == NoiseModel() and len(namespace.fields.variations) == drawn else model, typed
 
 
 def _latency(namespace: Namespace, spec: SensorSpec) -> float:
     if "latency" not in spec.model_fields_set:
         return 0.0
-    return namespace.scalar_or_randomized(spec, "latency", "sensor", _owner(spec.path, "latency"), 0.0)
+    return namespace.fields.scalar_or_randomized(spec, "latency", "sensor", _owner(spec.path, "latency"), 0.0)
 
 
 def _error(
@@ -396,14 +399,14 @@ def _error(
         dimension = typed.dimension / TIME
     else:
         dimension = typed.dimension
-    of, drawn = _owner(spec.path, f"relative_{key}" if relative else key), len(namespace.variations)
+    of, drawn = _owner(spec.path, f"relative_{key}" if relative else key), len(namespace.fields.variations)
     error = (
-        namespace.vector_or_randomized(
+        namespace.fields.vector_or_randomized(
             spec, key, "sensor", of, dimension=dimension, per_component=typed.components or ("",)
         )
         or ()
     )
-    if not any(error) and drawn == len(namespace.variations):
+    if not any(error) and drawn == len(namespace.fields.variations):
         error = ()
     return ((), error) if relative else (error, ())
 
@@ -411,7 +414,9 @@ def _error(
 def _resolution(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[float, ...]:
     if "resolution" not in spec.model_fields_set:
         return ()
-    steps = namespace.numbers(spec, "resolution", dimension=typed.dimension, components=typed.components)
+    steps = namespace.fields.numbers(
+        spec, "resolution", dimension=typed.dimension, components=typed.components
+    )
     if steps and any(0.0 < step < MIN_RESOLUTION for step in steps):
         values, unit = namespace.values, "" if typed.dimension == NUMBER else f" {typed.dimension}"
         headline = f"`resolution` is {min(step for step in steps if step > 0.0):g}{unit}"
@@ -429,7 +434,7 @@ def _range(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     if spec.range is None:
         return (), ()
-    ends = namespace.ends(
+    ends = namespace.fields.ends(
         spec, "range", what="the range of a sensor", dimension=typed.dimension, components=typed.components
     )
     return (ends.low, ends.high) if ends else ((), ())
@@ -444,7 +449,7 @@ def _with_period(
 ) -> NoiseModel | None:
     """The errors with the period of the sensor, in timesteps; DB308 for a period that is no whole number of
     them."""
-    seconds, values = namespace.fixed(spec, "period"), namespace.values
+    seconds, values = namespace.fields.fixed(spec, "period"), namespace.values
     if seconds is None or values.is_invalid("world.timestep"):
         return faults
     ticks, span = round(seconds / timestep), values.span((*spec.path, "period"))

@@ -80,7 +80,7 @@ def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> Obj
     There are as many bodies as the greatest count asks for, and one at least; an episode without copies
     leaves them absent.
     """
-    values, count = namespace.values, namespace.expression(thing, "count")
+    values, count = namespace.values, namespace.fields.expression(thing, "count")
     if count is None:
         return None
     highest = count.typed.type.interval.high
@@ -108,7 +108,7 @@ _MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = (
 def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
     """The mesh file of an object or a terrain; None after a finding."""
     values, reference, place = namespace.values, spec.file, (*spec.path, "file")
-    factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.triple(spec, "scale")
+    factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.fields.triple(spec, "scale")
     path = locate_file(reference, values.span(place), namespace.document, values)
     if path is None or factors is None:
         return None
@@ -191,18 +191,18 @@ def lines(namespace: Namespace) -> tuple[Line, ...]:
 
 def _line(name: str, spec: world_spec.Line, namespace: Namespace) -> Line | None:
     points = _points(spec, namespace)
-    width, reflectance = namespace.fixed(spec, "width"), namespace.fixed(spec, "reflectance")
+    width, reflectance = namespace.fields.fixed(spec, "width"), namespace.fields.fixed(spec, "reflectance")
     if points is None or width is None or reflectance is None:
         namespace.values.mark_invalid(name)
         return None
     return Line(
-        name, points, spec.closed, width, reflectance, namespace.color(spec) or (*COLORS["black"], 1.0)
+        name, points, spec.closed, width, reflectance, namespace.fields.color(spec) or (*COLORS["black"], 1.0)
     )
 
 
 def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tuple[Point, ...] | None:
     """The corners; None after a finding."""
-    corners = [namespace.pair(spec, "points", index) for index in range(len(spec.points))]
+    corners = [namespace.fields.pair(spec, "points", index) for index in range(len(spec.points))]
     points = [point for point in corners if point is not None]
     if len(points) < len(corners):
         return None
@@ -236,13 +236,13 @@ def wall_piece_names(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
 
 def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[ObjectBody]:
     points = _points(spec, namespace)
-    height, thickness = namespace.fixed(spec, "height"), namespace.fixed(spec, "thickness")
+    height, thickness = namespace.fields.fixed(spec, "height"), namespace.fields.fixed(spec, "thickness")
     names = wall_piece_names(name, spec)
-    friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(names), None)
+    friction = namespace.fields.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(names), None)
     if points is None or height is None or thickness is None or friction is None:
         namespace.values.mark_invalid(name)
         return ()
-    paint = namespace.color(spec) or WALL_COLOR
+    paint = namespace.fields.color(spec) or WALL_COLOR
     boxes = []
     ends = (*points[1:], points[0]) if spec.closed else points[1:]
     for piece, one, other in zip(names, points, ends, strict=False):
@@ -264,14 +264,16 @@ _FORMULA_SAMPLES = 8  # places along either side at which a formula is tried
 
 def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
     """The terrain; None after a finding."""
-    friction = namespace.scalar_or_randomized(given, "friction", "lateral_friction", OfLink(GROUND), 1.0)
-    paint = namespace.color(given, OfLink(GROUND))
+    friction = namespace.fields.scalar_or_randomized(
+        given, "friction", "lateral_friction", OfLink(GROUND), 1.0
+    )
+    paint = namespace.fields.color(given, OfLink(GROUND))
     relief = _relief(given, namespace)
     return None if relief is None else Terrain(relief, friction, paint)
 
 
 def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | None:
-    values, fixed = namespace.values, namespace.fixed
+    values, fixed = namespace.values, namespace.fields.fixed
     match spec:
         case world_spec.Pit():
             height = fixed(spec, "height")
@@ -287,10 +289,10 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
             return mesh(namespace, spec)
         case world_spec.Heightfield():
             file = picture(namespace, (*spec.path, "file"), spec.file)
-            size, height = namespace.pair(spec, "size"), fixed(spec, "height")
+            size, height = namespace.fields.pair(spec, "size"), fixed(spec, "height")
             return None if file is None or size is None or height is None else Picture(*file, size, height)
         case world_spec.Formula():
-            size = namespace.pair(spec, "size")
+            size = namespace.fields.pair(spec, "size")
             return None if size is None else _formula(spec, size, namespace)
     return None
 
@@ -375,12 +377,12 @@ def _body(
     namespace: Namespace,
     variants: tuple[Variant, ...] = (),
 ) -> ObjectBody:
-    value, of = namespace.scalar_or_randomized, OfLink(name)
+    value, of = namespace.fields.scalar_or_randomized, OfLink(name)
     return ObjectBody(
         name,
         body_shape,
         mass=variants[0].mass if variants else _mass(thing, body_shape, of, namespace),
-        color=(None if variants else namespace.color(thing, of)) or _DEFAULT_COLOR,
+        color=(None if variants else namespace.fields.color(thing, of)) or _DEFAULT_COLOR,
         fixed=bool(thing.fixed),
         solid=thing.solid is not False,
         friction=1.0 if variants else value(thing, "friction", "lateral_friction", of, 1.0),
@@ -407,8 +409,8 @@ def _variant(
     massive, rough, painted, still = (
         spec if getattr(spec, key) is not None else thing for key in ("mass", "friction", "color", "fixed")
     )
-    weight = namespace.fixed(massive, "mass", known=Known.EPISODE)
-    grip = namespace.fixed(rough, "friction", known=Known.EPISODE)
+    weight = namespace.fields.fixed(massive, "mass", known=Known.EPISODE)
+    grip = namespace.fields.fixed(rough, "friction", known=Known.EPISODE)
     stays = bool(still.fixed)
     if variant_shape is None:
         return None
@@ -418,7 +420,7 @@ def _variant(
         mass=_usual_mass(variant_shape, spec, namespace, still=stays or thing.solid is False)
         if massive.mass is None
         else weight or 0.0,
-        color=namespace.color(painted) or _DEFAULT_COLOR,
+        color=namespace.fields.color(painted) or _DEFAULT_COLOR,
         friction=1.0 if grip is None else grip,
         fixed=stays,
     )
@@ -428,13 +430,13 @@ def shape(thing: world_spec.Material | world_spec.PlacedBody, namespace: Namespa
     """The shape of an object or of a variant; None after a finding."""
     match thing:
         case world_spec.Box():
-            size = namespace.triple(thing, "size")
+            size = namespace.fields.triple(thing, "size")
             return Box(size) if size else None
         case world_spec.Sphere():
-            radius = namespace.fixed(thing, "radius")
+            radius = namespace.fields.fixed(thing, "radius")
             return Sphere(radius) if radius else None
         case world_spec.Cylinder() | world_spec.Capsule():
-            radius, height = namespace.fixed(thing, "radius"), namespace.fixed(thing, "height")
+            radius, height = namespace.fields.fixed(thing, "radius"), namespace.fields.fixed(thing, "height")
             kind = Cylinder if isinstance(thing, world_spec.Cylinder) else Capsule
             return kind(radius, height) if radius and height else None
         case world_spec.Mesh():
@@ -448,8 +450,8 @@ def _mass(thing: world_spec.Material, body_shape: Shape, of: OfLink, namespace: 
     if thing.mass is None:
         return _usual_mass(body_shape, thing, namespace, still=still)
     if still:  # there is nothing that a drawn mass would change
-        return namespace.fixed(thing, "mass", known=Known.EPISODE) or 0.0
-    return namespace.scalar_or_randomized(thing, "mass", "mass", of, 0.0)
+        return namespace.fields.fixed(thing, "mass", known=Known.EPISODE) or 0.0
+    return namespace.fields.scalar_or_randomized(thing, "mass", "mass", of, 0.0)
 
 
 def _usual_mass(body_shape: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
@@ -468,7 +470,7 @@ _MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e
 def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
     """The world with `robots` and `painted` lines in it."""
     values, spec = namespace.values, namespace.scenario.world
-    timestep = namespace.fixed(spec, "timestep")
+    timestep = namespace.fields.fixed(spec, "timestep")
     if timestep is None:
         values.mark_invalid("timestep")  # the stand-in below is nothing to measure periods by
     else:
@@ -501,7 +503,7 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
 def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
     """The fields of `WorldModel` that the section gives, without fields that had a finding."""
     whats: tuple[WorldParameter, ...] = get_args(WorldParameter)
-    values = {what: namespace.vector_or_randomized(spec, what, what, OfWorld()) for what in whats}
+    values = {what: namespace.fields.vector_or_randomized(spec, what, what, OfWorld()) for what in whats}
     return {what: numbers if len(numbers) > 1 else numbers[0] for what, numbers in values.items() if numbers}
 
 
@@ -543,19 +545,21 @@ def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
     of, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "color"]
     whats = {field.name: "lateral_friction" if field.name == "friction" else field.name for field in contact}
     ground: dict[str, Any] = {
-        field.name: namespace.scalar_or_randomized(
+        field.name: namespace.fields.scalar_or_randomized(
             spec, field.name, cast("LinkParameter", whats[field.name]), of, field.default
         )
         for field in contact
     }
-    return Ground(**ground, color=namespace.color(spec, of))
+    return Ground(**ground, color=namespace.fields.color(spec, of))
 
 
 def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:
-    size = namespace.pair(spec, "size")
-    height = namespace.fixed(spec, "wall_height")
-    thickness = namespace.fixed(spec, "wall_thickness")
-    friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(ARENA_WALLS), 1.0)
+    size = namespace.fields.pair(spec, "size")
+    height = namespace.fields.fixed(spec, "wall_height")
+    thickness = namespace.fields.fixed(spec, "wall_thickness")
+    friction = namespace.fields.scalar_or_randomized(
+        spec, "friction", "walls_friction", OfWalls(ARENA_WALLS), 1.0
+    )
     if size is None or height is None or thickness is None:
         return None
-    return Arena(size, height, thickness, friction, namespace.color(spec))
+    return Arena(size, height, thickness, friction, namespace.fields.color(spec))

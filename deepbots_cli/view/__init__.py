@@ -4,11 +4,12 @@ and plots of trainings.
 frames.py      what is drawn of an environment at one moment, read by the engine port
 episodes.py    what is opened, who acts, and the frames of an episode
 batch.py       a batch of worlds, of which one is shown
-scene.py       the world in viser's scene
+scene.py       the world in viser's scene, and the cameras of the browsers
 manual_input.py driving by keys, gamepad, buttons and sliders
 server.py      viser's web server behind checks
-page.py        the page: controls, time, plots, and the loop that steps and draws
-panel.py       what the panel says
+page.py        the page: what is opened and read again, and the loop that steps and draws
+playback.py    the worlds of the page in time: players, episodes, steps
+panel.py       the panel of the page and its tabs; its tables and notices are in panel_html.py
 pictures.py    PNG pictures, MP4 and GIF clips, and offline pages
 recordings.py  episodes as MCAP files: what is written and read
 logs.py        playing the log of a robot

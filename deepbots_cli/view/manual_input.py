@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.view.frames import PlottedField
+
+if TYPE_CHECKING:
+    from deepbots_cli.view.episodes import Player
 
 Keys = frozenset[str]
 Axes = tuple[float, ...]
+_STEERING_TIME = 0.3  # s of the episode, in which the effect of a key on the yaw is measured
 RELEASE_TIMEOUT_S = 0.25  # s; keys and gamepads are sent 20 times a second while they are held
 
 
@@ -130,6 +136,22 @@ class ManualInput:
         for field in self._choices:
             parts += [f"{codes[0][-1]}: {field.options[option]}" for codes, option in self._keys_of(field)]
         return "; ".join(parts)
+
+
+def turns_left(player: Player, seed: int, episode: int) -> bool:
+    """Whether a larger value of the range of A and D turns the robot to the left; begins the episode anew."""
+    robot = next(iter(player.env.world.robots), None)
+    ranges = [field.name for field in player.reader.layout.action if not field.options][:2]
+    if robot is None or not ranges:
+        return False
+    yaws = []
+    for value in (1.0, -1.0):
+        frame, player.manual_values = player.begin(seed, episode), {ranges[0]: 1.0, ranges[-1]: value}
+        while frame.ended_by is None and frame.time < _STEERING_TIME:
+            frame = player.step(by_hand=True)
+        yaws.append(roll_pitch_yaw(frame.links[robot.name, robot.model.root][1])[2])
+    player.begin(seed, episode)
+    return math.remainder(yaws[0] - yaws[1], math.tau) > 0.01
 
 
 def _key_name(code: str) -> str:

@@ -1,125 +1,484 @@
-"""What the panel of the page says, as HTML. Names come from scenarios, and are escaped."""
+"""The panel of the page: the state of the episode, controls of time, and tabs.
+
+What people do there is passed to `queue`, which the page's thread runs.
+"""
 
 from __future__ import annotations
 
 import html
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from statistics import fmean
-from typing import Any
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from deepbots_cli.view.frames import AgentFrame, FrameLayout, PlottedField, WorldFrame
+import numpy as np
 
-_MAX_ROWS = 40
-_NUMBER = "text-align:right;white-space:nowrap;padding-left:0.6em"
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import Run
+from deepbots_cli.runtime.overview import follows_robot
+from deepbots_cli.view import panel_html, plots
+from deepbots_cli.view.episodes import Player
+from deepbots_cli.view.frames import COLORS, AgentFrame, Image, PlottedField, WorldFrame
+from deepbots_cli.view.playback import MAX_RECORDINGS, Playback, ShownWorld
+from deepbots_cli.view.replay import ReplayPlayer
+
+if TYPE_CHECKING:
+    import viser
+
+_TRAINING_INTERVAL_S = 20.0  # s, after which the logs of a training are read again
+_MAX_SERIES = 8
+_NUMBER_WITH_UNIT = re.compile(
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*"
+)
+"""A number with its unit."""
+
+PlottedValue = Callable[[AgentFrame], float]
+"""A number that is plotted."""
+Queue = Callable[[Callable[[], None]], None]
 
 
-def table(rows: Iterable[str]) -> str:
-    content = f"<table style='width:100%;border-spacing:0 1px'>{''.join(rows)}</table>"
-    return f"<div style='padding:0 1.2em 0 0.8em;font-size:0.8em'>{content}</div>"
+class ChosenAgent(NamedTuple):
+    """The agent whose values are shown: the number of its world, and its name there."""
+
+    world: int
+    name: str
+
+    def of(self, frame: WorldFrame) -> AgentFrame:
+        """The agent in a frame, or the first agent of a world without it."""
+        return frame.agents.get(self.name) or next(iter(frame.agents.values()))
 
 
-def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
-    """Reward terms, action and observation; of the log of a robot, commands and what the policy knew."""
-    if not layout.of_robot:
-        yield _head("reward terms of this step")
-        yield from (
-            _row(name, f"{value:+.4f}") for name, value in [*agent.terms.items(), ("sum", agent.reward)]
+class Panel:
+    """The panel of the worlds that a playback shows.
+
+    Attributes:
+        banner: How the episode stands, or an error (HTML).
+        values: Reward terms, action, observation and messages of the chosen agent (HTML).
+        slider: The step of a recording; None for other sources.
+        plots, training, show: Tabs; `training` is None for other sources than runs.
+    """
+
+    def __init__(
+        self, gui: viser.GuiApi, playback: Playback, queue: Queue, on_parameter: Callable[[str, str], None]
+    ) -> None:
+        """Add the controls. `queue` runs what people do in the thread of the page; `on_parameter` takes a
+        name and its new value."""
+        self._gui, self._playback, self._queue = gui, playback, queue
+        worlds, player = playback.worlds, playback.worlds[0].player
+        self._agents = {
+            f"{world.title}: {name}" if world.title else name: ChosenAgent(number, name)
+            for number, world in enumerate(worlds)
+            for name in world.player.env.agents
+        }
+        self._agent = next(iter(self._agents.values()))
+        gui.set_panel_label(player.program.name)
+        self.banner = gui.add_html("")
+        self.slider: Any = None
+        self._add_time(player)
+        tabs: dict[str, Callable[[], Any]] = {
+            "Values": partial(gui.add_html, ""),
+            "Plots": partial(PlotsTab, gui, worlds, self._agent, queue),
+        }
+        if not isinstance(player, ReplayPlayer):
+            drive = {"Drive": partial(add_drive, gui, playback, queue)}
+            tabs = drive | tabs if playback.by_hand else tabs | drive
+        if (
+            player.opened.parameters and len(worlds) == 1 and playback.driven is None
+        ):  # a recording has one scenario
+            tabs["Parameters"] = partial(add_parameters, gui, player.opened.parameters, on_parameter)
+        if player.opened.run is not None:
+            tabs["Training"] = partial(TrainingTab, gui, player.opened.run)
+        tabs["Show"] = partial(ShowTab, gui, playback, queue)
+        group = gui.add_tab_group()
+        contents = {}
+        for title, add in tabs.items():
+            with group.add_tab(title):
+                contents[title] = add()
+        self.values: Any = contents["Values"]
+        self.plots: PlotsTab = contents["Plots"]
+        self.training: TrainingTab | None = contents.get("Training")
+        self.show: ShowTab = contents["Show"]
+        self._cameras: dict[str, Any] = {}
+        if any(
+            sensor.optics
+            for world in worlds
+            for robot in world.player.program.robots
+            for sensor in robot.sensors
+        ):
+            self._camera_folder = gui.add_folder("Cameras")
+
+    def _add_time(self, player: Player) -> None:
+        gui, playback, queue = self._gui, self._playback, self._queue
+        acts = {
+            "pause": lambda: playback.play(playback.paused),
+            "step": playback.step_once,
+            "reset": playback.begin,
+            "next": lambda: playback.begin(1),
+        }
+        buttons = gui.add_button_group(
+            "time", tuple(acts), hint="pause or continue; one step; restart this episode; next episode"
         )
-    if agent.action is not None:
-        yield _head("commands" if layout.of_robot else "action")
-        yield from (
-            _bar(field, value)
-            for field, value in list(zip(layout.action, agent.action, strict=True))[:_MAX_ROWS]
+        buttons.on_click(lambda event: queue(acts[event.target.value]))
+        for name, key in {"pause": "space", "step": "N", "reset": "B"}.items():  # keys that do not drive
+            gui.add_command(name, hotkey=key).on_trigger(lambda _, name=name: queue(acts[name]))
+        if isinstance(player, ReplayPlayer):
+            self.slider = gui.add_slider("step", min=0, max=1, step=1, initial_value=0)
+            self.slider.on_update(self._scrub)
+        if player.worlds > 1:
+            world = gui.add_slider(
+                "world",
+                min=0,
+                max=player.worlds - 1,
+                step=1,
+                initial_value=playback.batch_world,
+                hint="world of the batch",
+            )
+            world.on_update(lambda _: queue(lambda: playback.choose_world(int(world.value))))
+        speed = gui.add_slider("speed", min=0.1, max=5.0, step=0.1, initial_value=playback.speed)
+        speed.on_update(lambda _: setattr(playback, "speed", speed.value))
+        if self.slider is None:
+            seed = gui.add_number("seed", playback.seed, min=0, step=1)
+            seed.on_update(lambda _: queue(lambda: playback.set_seed(int(seed.value))))
+        names = tuple(dict.fromkeys((*player.opened.drivers, player.driver_name)))  # which may be actions
+        if len(names) > 1 and len(playback.worlds) == 1:
+            driver = gui.add_dropdown("driver", names, initial_value=player.driver_name)
+            driver.on_update(lambda _: queue(lambda: playback.set_driver(driver.value)))
+        if len(self._agents) > 1:
+            agent = gui.add_dropdown("robot", tuple(self._agents))
+            agent.on_update(lambda _: queue(lambda: setattr(self, "_agent", self._agents[agent.value])))
+
+    def _scrub(self, event: Any) -> None:
+        if event.client_id is not None:  # and not the page itself, which moves the slider along
+            self._queue(lambda: self._playback.seek(int(event.target.value)))
+
+    # What is shown
+
+    def begin(self) -> None:
+        """Show the beginning of an episode."""
+        player = self._playback.worlds[0].player
+        if self.training is not None and player.opened.run is not None:
+            self.training.read(player.opened.run)
+        if self.slider is not None and isinstance(player, ReplayPlayer):
+            self.slider.max = max(1, player.length - 1)
+        self.update_texts()
+
+    def update(self) -> None:
+        """Show the newest frames in texts, plots and pictures."""
+        self.update_texts()
+        worlds = self._playback.worlds
+        self.plots.draw(worlds, self._agent)
+        for number, world in enumerate(worlds):
+            for name, image in world.player.frame.cameras.items():
+                label = f"{'AB'[number]}: {name}" if world.title else name
+                if label in self._cameras:
+                    self._cameras[label].image = _enlarged(image)
+                else:
+                    with self._camera_folder:
+                        self._cameras[label] = self._gui.add_image(_enlarged(image), label=label)
+
+    def update_texts(self) -> None:
+        """Show the newest frames in texts."""
+        playback, agent = self._playback, self._agent
+        states = "".join(self._state(number) for number in range(len(playback.worlds)))
+        self.banner.content = panel_html.notice(*playback.stopped, "#D55E00") if playback.stopped else states
+        player = playback.worlds[agent.world].player
+        layout, frame = player.reader.layout, player.frame
+        others = frame.agents.keys() - {agent.name}
+        rows = [
+            *panel_html.agent_rows(layout, frame.agents[agent.name]),
+            *panel_html.message_rows(layout, frame, others),
+        ]
+        self.values.content = panel_html.table(rows)
+        if self.slider is not None:
+            self.slider.value = min(player.frame.step, self.slider.max)
+
+    def _state(self, number: int) -> str:
+        """How a world stands."""
+        playback, world = self._playback, self._playback.worlds[number]
+        player, frame = world.player, world.player.frame
+        agent = self._agent.of(frame)
+        state = (frame.ending or ("press a key to begin" if playback.waiting else "running")) + (
+            " (paused)" if playback.paused else ""
         )
-    if agent.allowed:
-        options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
-        forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
-        yield _row(f"forbidden in the next step: {', '.join(forbidden)}", "")
-    yield _head("reported by the robot" if layout.of_robot else "observation")
-    yield from (
-        _bar(field, value)
-        for field, value in list(zip(layout.observation, agent.observation, strict=True))[:_MAX_ROWS]
-    )
-    left = len(layout.observation) - _MAX_ROWS
-    if left > 0:
-        yield _row(f"and {left} more, see Plots", "")
+        state = f"{world.title}: {state}" if world.title else state
+        color = "#0072B2"
+        if frame.ended_by:
+            unsuccessful = "#E69F00" if frame.truncated else "#D55E00"
+            color = "#009E73" if frame.is_success else unsuccessful
+        total = "" if player.reader.layout.of_robot else f", return {agent.episode_return:.2f}"
+        numbers = f"episode {playback.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"
+        note = f"<br>{html.escape(player.note)}" if player.note else ""
+        return panel_html.notice(state, f"{numbers}{note}{self._score()}", color)
+
+    def _score(self) -> str:
+        playback = self._playback
+        if not playback.by_hand:
+            return ""
+        best = f", best return {playback.best_return:.2f}" if playback.played else ""
+        lines = [f"played {playback.played}, successes {playback.successes}{best}"]
+        if playback.rival is not None:
+            rival = playback.rival.frame
+            state = f" ({rival.ending} after {rival.time:.1f} s)" if rival.ended_by else ""
+            lines.append(
+                f"{playback.rival.driver_name}: {rival.agents[self._agent.name].episode_return:.2f}{state}"
+            )
+        if playback.driven is not None:
+            lines.append(playback.driven.note)
+        return "".join(f"<br>{html.escape(line)}" for line in lines)
 
 
-def training_rows(
-    stages: Sequence[tuple[str, float]], evaluations: Sequence[Mapping[str, Any]], *, success: bool
-) -> Iterator[str]:
-    """The stages of a curriculum with the timesteps at their beginning, and the evaluations of a training,
-    the newest first."""
-    if stages:
-        yield _head("stages of the curriculum, and their first timestep")
-        yield from (
-            _wide_row(f"{number}. {name}", f"{steps:,.0f}") for number, (name, steps) in enumerate(stages, 1)
+def _enlarged(image: Image) -> Image:
+    """An image with pixels that are large enough to be seen."""
+    factor = max(1, 240 // max(image.shape[:2]))
+    large = image.repeat(factor, axis=0).repeat(factor, axis=1)
+    return large if large.shape[2] == 3 else large.repeat(3, axis=2)
+
+
+# Tabs, each added to the open tab of the GUI
+
+
+class Plot(NamedTuple):
+    """A plot over the step, with a line for each value of each world (None for the world of the chosen
+    agent)."""
+
+    handle: Any
+    values: Sequence[PlottedValue]
+    worlds: Sequence[int] | None
+
+
+class PlotsTab:
+    """Plots of the return, of the reward terms, and of a field that a person chooses; of the log of a robot,
+    of its own fields."""
+
+    def __init__(
+        self, gui: viser.GuiApi, worlds: Sequence[ShownWorld], agent: ChosenAgent, queue: Queue
+    ) -> None:
+        self._gui = gui
+        layout = worlds[agent.world].player.reader.layout
+        fields: dict[str, list[tuple[PlottedField, PlottedValue]]] = {}
+        for number, each in enumerate(layout.observation):
+            fields.setdefault(each.group, []).append((each, partial(_observation_value, number, each)))
+        fields |= {
+            f"action: {each.name}": [(each, partial(_action_value, number, each))]
+            for number, each in enumerate(layout.action)
+        }
+        self._plots: dict[str, Plot] = {}
+        for group in layout.of_robot:
+            gui.add_html(panel_html.heading(group))
+            self._plots[group] = self._add_fields(fields[group])
+        if not layout.of_robot:
+            names = [world.title or "return" for world in worlds]
+            gui.add_html(panel_html.heading("return"))
+            self._plots["return"] = self._add_plot(
+                names, 150, [lambda agent: agent.episode_return], range(len(worlds))
+            )
+            gui.add_html(panel_html.heading("reward terms"))
+            terms = layout.terms[:_MAX_SERIES]
+            self._plots["terms"] = self._add_plot(terms, 200, [partial(_term_value, term) for term in terms])
+        chosen = gui.add_dropdown("field", tuple(fields))
+        folder = gui.add_folder(None)
+
+        def plot() -> None:
+            """Plot the numbers of one entry of the observation, or one of the action, over its range."""
+            if "field" in self._plots:
+                self._plots["field"].handle.remove()
+            with folder:
+                self._plots["field"] = self._add_fields(fields[chosen.value])
+
+        chosen.on_update(lambda _: queue(plot))
+        plot()
+
+    def _add_fields(self, fields: Sequence[tuple[PlottedField, PlottedValue]]) -> Plot:
+        """An empty plot of the first of these numbers, over their range."""
+        limits = (
+            min(field.to_shown(field.low) for field, _ in fields),
+            max(field.to_shown(field.high) for field, _ in fields),
         )
-    yield _head("evaluations during the training" if evaluations else "no evaluation yet")
-    for each in list(reversed(evaluations))[:_MAX_ROWS]:
-        stage = f", stage {each['stage']}" if each["stage"] else ""
-        rate = f", success {fmean(each['successes']):.0%}" if success else ""
-        yield _wide_row(f"{each['steps']:,.0f} steps{stage}", f"return {fmean(each['returns']):.4g}{rate}")
+        return self._add_plot(
+            [f.label for f, _ in fields[:_MAX_SERIES]],
+            220,
+            [value for _, value in fields[:_MAX_SERIES]],
+            limits=limits,
+        )
+
+    def _add_plot(
+        self,
+        names: Sequence[str],
+        height: int,
+        values: Sequence[PlottedValue],
+        worlds: Sequence[int] | None = None,
+        limits: tuple[float, float] | None = None,
+    ) -> Plot:
+        """An empty plot with a named line for each value of each world."""
+        lines = [
+            {"label": name, "stroke": color, "width": 1.5} for name, color in zip(names, COLORS, strict=False)
+        ]
+        scales: dict[str, Any] = {"x": {"time": False}}  # steps would be shown as dates
+        if limits is not None:
+            margin = 0.03 * (limits[1] - limits[0]) or 1.0
+            scales["y"] = {"range": (limits[0] - margin, limits[1] + margin)}
+        series: Any = ({"label": "step"}, *lines)
+        room = (12, 8, 0, 0)  # px, above for the uppermost number
+        handle = self._gui.add_uplot(
+            (np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room
+        )
+        return Plot(handle, values, worlds)
+
+    def draw(self, worlds: Sequence[ShownWorld], agent: ChosenAgent) -> None:
+        """Plot the frames of the worlds so far."""
+        pasts = [{frame.step: agent.of(frame) for frame in world.frames} for world in worlds]
+        for plot in self._plots.values():
+            lanes = [pasts[number] for number in plot.worlds or [agent.world]]
+            steps = sorted(set[int]().union(*lanes))
+            rows = [
+                [value(lane[step]) if step in lane else math.nan for step in steps]
+                for lane in lanes
+                for value in plot.values
+            ]
+            plot.handle.data = (np.array(steps, float), *map(np.array, rows))
 
 
-def message_rows(layout: FrameLayout, frame: WorldFrame, others: Collection[str]) -> Iterator[str]:
-    """The message that each receiver goes by, with its age, but for those of the `others` among copies of a
-    robot."""
-    for key, message in frame.messages.items():
-        robot, _, direction = key.partition("/")
-        if robot in others:
+def _observation_value(number: int, field: PlottedField, agent: AgentFrame) -> float:
+    return field.to_shown(agent.observation[number])
+
+
+def _action_value(number: int, field: PlottedField, agent: AgentFrame) -> float:
+    return field.to_shown(agent.action[number]) if agent.action else math.nan
+
+
+def _term_value(term: str, agent: AgentFrame) -> float:
+    return agent.terms.get(term, math.nan)
+
+
+class TrainingTab:
+    """The stages and evaluations of the training of a run."""
+
+    def __init__(self, gui: viser.GuiApi, run: Run) -> None:
+        self.text, self._read_at = gui.add_html(""), -math.inf
+        self.read(run)
+
+    def read(self, run: Run) -> None:
+        """Read the logs, while the training goes on at most every 20 s."""
+        if time.monotonic() - self._read_at < _TRAINING_INTERVAL_S:
+            return
+        self._read_at = math.inf
+        try:
+            record = RunRecord.read(run.path)
+            episodes, evaluations = plots.logs_of(run.path)
+        except RunError as error:
+            self.text.content = panel_html.notice(
+                "the training cannot be shown", html.escape(str(error)), "#D55E00"
+            )
+            return
+        rows = panel_html.training_rows(
+            plots.stage_starts(record, episodes), evaluations, success=run.program.defines_success
+        )
+        self.text.content = panel_html.table(rows)
+        if record.status == "running":
+            self._read_at = time.monotonic()
+
+
+class ShowTab:
+    """What is drawn, and how the camera and time behave."""
+
+    def __init__(self, gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
+        self._playback, first = playback, playback.worlds[0]
+        useless = (
+            set() if any(world.player.shortest_paths() for world in playback.worlds) else {"shortest path"}
+        )
+        self._switches = {
+            what: gui.add_checkbox(what, on)
+            for what, on in first.scene.visible_parts.items()
+            if what not in useless
+        }
+        for what, box in self._switches.items():
+            box.on_update(lambda event, what=what: queue(lambda: self._set_visible(what, event.target.value)))
+        self.follows = gui.add_checkbox("camera follows the robot", follows_robot(first.player.env.world))
+        self.continues = gui.add_checkbox("next episode after the end", True)
+        dark = gui.add_checkbox("dark", False)
+        dark.on_update(lambda _: set_theme(gui, dark=dark.value))
+
+    def apply(self) -> None:
+        """Let new scenes show what is switched on."""
+        for what, box in self._switches.items():
+            self._set_visible(what, box.value)
+
+    def _set_visible(self, what: str, on: bool) -> None:
+        for world in self._playback.worlds:
+            world.scene.set_visible(what, on)
+
+
+def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
+    gui.configure_theme(
+        show_logo=False, show_share_button=False, dark_mode=dark
+    )  # sharing sends the scene to a public host
+
+
+def add_parameters(
+    gui: viser.GuiApi, parameters: Mapping[str, str], on_change: Callable[[str, str], None]
+) -> None:
+    """A slider for each number, and a text for each other value."""
+    for name, text in parameters.items():
+        number = _NUMBER_WITH_UNIT.fullmatch(text)
+        if number is None:
+            box = gui.add_text(name, text)
+            box.on_update(lambda event, n=name: on_change(n, event.target.value))
             continue
-        age = f"{1000 * message.age:.0f} ms old{'' if message.received else ', no new message in this step'}"
-        yield _head(f"message {'to' if direction == 'to_robot' else 'from'} {robot}: {age}")
-        for entry, value in list(zip(layout.messages[key], message.values, strict=True))[:_MAX_ROWS]:
-            yield _row(entry.name, "" if value is None else entry.text(value))
+        value, unit = float(number[1]), number[2] or number[3] or ""
+        low, high = sorted((0.0, 2 * value)) if value else (-1.0, 1.0)
+        slider = gui.add_slider(
+            f"{name} ({unit})" if unit else name,
+            min=low,
+            max=high,
+            step=(high - low) / 200,
+            initial_value=value,
+        )
+        slider.on_update(lambda event, n=name, u=unit: on_change(n, f"{event.target.value:.6g} {u}".strip()))
+    gui.add_html(panel_html.hint("A change restarts the episode with the new value and the same seed."))
 
 
-def notice(title: str, text: str, color: str) -> str:
-    return (
-        "<div style='margin:0.4em 0.8em;padding:0.4em 0.7em;border-left:0.35em solid"
-        f" {color};background:rgba(128,128,128,0.12)'>"
-        f"<b>{html.escape(title)}</b><div style='font-size:0.85em'>{text}</div></div>"
-    )
+def add_drive(gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
+    """Buttons and sliders for the action, beside the keys that drive."""
+    hand = playback.manual_input
+
+    def command(name: str, value: float) -> None:
+        playback.manual_input.base_values[name], playback.waiting = float(value), False
+
+    gui.add_html(panel_html.hint(f"Keys: {hand.help()}. A gamepad works too."))
+    if playback.by_hand and playback.driven is None:
+        keep = gui.add_button(
+            "record this episode",
+            hint="write the episode so far as a recording (.mcap) into the current folder",
+        )
+        keep.on_click(lambda event: queue(lambda: _record(playback, event.client)))
+    for field in playback.worlds[0].player.reader.layout.action:
+        if field.options:
+            group = gui.add_button_group(field.name, field.options)
+            group.on_click(lambda event, f=field: command(f.name, f.options.index(event.target.value)))
+        else:
+            low, high, value = map(field.to_shown, (field.low, field.high, hand.base_values[field.name]))
+            slider = gui.add_slider(
+                field.label, min=low, max=high, step=(high - low) / 200, initial_value=value
+            )
+            slider.on_update(lambda event, f=field: command(f.name, f.from_shown(event.target.value)))
+    for name, bindings in list(hand.bindings.items())[:2]:
+        for keys, sign in ((bindings[0].positive_keys, "+"), (bindings[0].negative_keys, "−")):
+            gui.add_button(f"press and hold: {name} {sign}").on_hold(
+                lambda _, keys=keys: playback.manual_input.hold(frozenset(keys[:1]), ()), callback_hz=10
+            )
 
 
-def heading(text: str) -> str:
-    return f"<div style='padding:0.2em 1em 0;font-size:0.8em;font-weight:600'>{html.escape(text)}</div>"
-
-
-def _head(text: str) -> str:
-    return f"<tr><td colspan='3' style='padding-top:0.5em;font-weight:600'>{html.escape(text)}</td></tr>"
-
-
-def _row(name: str, value: str, bar: str = "") -> str:
-    parts = (
-        html.escape(name).replace(".", ".<wbr>").replace("_", "_<wbr>")
-    )  # a long name breaks, and leaves room for the bar
-    cells = f"<td style='overflow-wrap:anywhere'>{parts}</td><td style='{_NUMBER}'>{html.escape(value)}</td>"
-    return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
-
-
-def _wide_row(name: str, value: str) -> str:
-    """A row without a bar, which leaves the words whole."""
-    return (
-        f"<tr><td>{html.escape(name)}</td><td colspan='2'"
-        f" style='text-align:right'>{html.escape(value)}</td></tr>"
-    )
-
-
-def _bar(field: PlottedField, value: float) -> str:
-    """A number with a mark where it is in its range."""
-    share = (value - field.low) / (field.high - field.low) if field.high > field.low else 0.5
-    at = 100 * min(1.0, max(0.0, share if math.isfinite(share) else 0.5))
-    color = "#0072B2" if -1e-6 <= share <= 1 + 1e-6 else "#D55E00"
-    mark = (
-        f"<div style='position:absolute;left:calc({at:.0f}% -"
-        f" 2px);width:4px;height:0.7em;background:{color}'></div>"
-    )
-    tip = html.escape(f"{field.text(field.low)} .. {field.text(field.high)}", quote=True)
-    rail = (
-        f"<div title='{tip}'"
-        f" style='position:relative;margin-left:0.6em;height:0.7em;background:rgba(128,128,128,0.25)'>{mark}</div>"
-    )
-    return _row(field.name, field.text(value), rail)
+def _record(playback: Playback, client: Any) -> None:
+    """Record the episode so far, and notify the browser that asked for it."""
+    path = playback.record()
+    if client is None:
+        return
+    if path is None:
+        client.add_notification(
+            "not recorded", f"this page has written {MAX_RECORDINGS} recordings; start `deepbots play` again"
+        )
+    else:
+        client.add_notification(f"{path} written", f"deepbots view {path}", loading=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from io import BytesIO
 from itertools import pairwise, product
@@ -27,6 +27,7 @@ from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Color, Line, WorldModel
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
+from deepbots_cli.runtime.overview import view_around
 from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
 
 if TYPE_CHECKING:
@@ -133,6 +134,43 @@ def aim_camera(server: viser.ViserServer, view: View) -> float:
     server.scene.set_up_direction("+z")
     server.scene.configure_default_lights(cast_shadow=False)
     return size
+
+
+class SceneCameras:
+    """Fits the camera of each browser to the scene when it is opened or resized."""
+
+    def __init__(self, server: viser.ViserServer, queue: Callable[[Callable[[], None]], None]) -> None:
+        """`queue` runs a function in the thread of the page."""
+        self._server = server
+        self._boxes: Sequence[tuple[Triple, Triple]] = ()
+        self._fitted: dict[int, dict[tuple[int, int], Triple]] = {}
+        server.on_client_connect(
+            lambda client: client.camera.on_update(lambda _: queue(lambda: self._fit(client)))
+        )
+        server.on_client_disconnect(lambda client: self._fitted.pop(client.client_id, None))
+
+    def aim(self, boxes: Sequence[tuple[Triple, Triple]]) -> float:
+        """Look at the scene within these boxes (lowest and highest corner, m); how far away (m) that is."""
+        self._boxes = boxes
+        return aim_camera(self._server, view_around(boxes, 480, 400))  # a usual window beside the panel
+
+    def _fit(self, client: Any) -> None:
+        """Show the whole scene in a browser that has been opened or resized, unless a person has moved its
+        camera."""
+        camera = client.camera
+        size = (camera.image_width, camera.image_height)
+        framed = self._fitted.setdefault(client.client_id, {})
+        # A slow browser may report an earlier position: the initial one, or one that was set here.
+        initial = self._server.initial_camera.position
+        moved = framed and all(
+            math.dist(camera.position, eye) > 0.01 * math.hypot(*eye) for eye in (initial, *framed.values())
+        )
+        if not self._boxes or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
+            return
+        view = view_around(self._boxes, *size)
+        camera.position, camera.look_at = view.eye, view.target
+        framed.pop(size, None)
+        framed[size] = view.eye
 
 
 class WorldScene:

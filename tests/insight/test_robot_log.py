@@ -272,9 +272,9 @@ def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(shown: Path
         page.seek(99)
         assert page.player is not None
         assert page.player.frame.ended_by == "end of the log"
-        assert "safe posture: no new value of cart.pole_angle" in page._banner.content
-        assert "return" not in page._banner.content
-        assert "reported by the robot" in page._values.content
+        assert "safe posture: no new value of cart.pole_angle" in page.banner.content
+        assert "return" not in page.banner.content
+        assert "reported by the robot" in page.panel.values.content
 
 
 def test_a_log_with_damaged_content_is_refused_in_one_sentence(

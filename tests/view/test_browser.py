@@ -150,7 +150,7 @@ def test_worlds_of_a_batch_are_chosen(new_tab):
         tab.wait("document.body.innerText.includes('world 0 of 4')")
         _soon(lambda: _is_world(_world(tab), (215, 200, 80), 60))
         first = _world(tab)
-        page._tasks.put(lambda: page._choose_world(2))
+        page._tasks.put(lambda: page.playback.choose_world(2))
         tab.wait("document.body.innerText.includes('world 2 of 4')")
         _soon(lambda: (np.abs(_world(tab) - first).sum(axis=2) > 60).sum() > 20)  # the robot stands elsewhere
         assert tab.errors == []

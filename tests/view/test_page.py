@@ -88,26 +88,26 @@ def test_time_goes_on_stands_still_and_begins_again():
         assert page.player.frame.step == step
         page.step_once()
         assert page.player.frame.step == step + 1
-        page._begin()
+        page.playback.begin()
         first = page.player.frame
-        page._begin(1)
+        page.playback.begin(1)
         assert first.step == page.player.frame.step == 0
         assert first.links != page.player.frame.links
         page.play(True)
         _run(page, lambda: page.player.frame.ended_by is not None)
-        assert "failure: fallen" in page._banner.content
+        assert "failure: fallen" in page.banner.content
 
 
 def test_keys_drive_and_let_go():
     with closing(Page(Showing("find_ball"), port=0, playing=True)) as page:
         assert page.player.driver_name == HAND
-        page._manual_input.hold(frozenset({"KeyW", "KeyD"}), ())
+        page.playback.manual_input.hold(frozenset({"KeyW", "KeyD"}), ())
         page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((1.0, 1.0))
         time.sleep(0.3)
         page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((0.625, 0.0))
-        assert "onward" in page._banner.content or page._compared_player.driver_name == "onward"
+        assert "onward" in page.banner.content or page.playback.rival.driver_name == "onward"
 
 
 @pytest.mark.parametrize(
@@ -119,10 +119,10 @@ def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, nam
     with closing(Page(Showing(name), port=0, playing=True)) as page:
         yaws = []
         for key in ("ArrowRight", "ArrowLeft"):
-            page._begin()
+            page.playback.begin()
             (robot,), before = page.player.env.world.robots, page.player.frame.links
             for _ in range(5):
-                page._manual_input.hold(frozenset({key}), ())
+                page.playback.manual_input.hold(frozenset({key}), ())
                 page.step_once()
             one, other = (
                 roll_pitch_yaw(links[robot.name, robot.model.root][1])[2]
@@ -175,12 +175,12 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
     pytest.importorskip("mcap")
     monkeypatch.chdir(tmp_path)
     with closing(Page(Showing("find_ball"), port=0, playing=True, seed=4)) as page:
-        assert "press a key to begin" in page._banner.content
+        assert "press a key to begin" in page.banner.content
         for keys in ({"KeyW"}, {"KeyW", "KeyD"}, {"KeyA"}):
-            page._manual_input.hold(frozenset(keys), ())
+            page.playback.manual_input.hold(frozenset(keys), ())
             page.step_once()
-        page._record(None)
-        page._record(None)
+        page.playback.record()
+        page.playback.record()
         driven = page.player.frame
     with closing(Showing("find_ball-4-0-played1.mcap").open().player()) as replayed:
         *_, last = replayed.episode(4, 0, 3)
@@ -188,9 +188,14 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
         assert replayed.recording.metadata["driver"] == HAND
 
 
+def _banner(page):
+    page.panel.update_texts()
+    return page.banner.content
+
+
 def _drive_to_the_end(page):
     while page.player.frame.ended_by is None:
-        page._manual_input.hold(frozenset({"KeyD"}), ())
+        page.playback.manual_input.hold(frozenset({"KeyD"}), ())
         page.step_once()
 
 
@@ -199,23 +204,23 @@ def test_only_whole_episodes_of_the_person_are_recorded(tmp_path, monkeypatch, c
     path = tmp_path / "drive.mcap"
     with closing(Page(Showing("cartpole"), port=0, playing=True, seed=4, output=path)) as page:
         page.step_once()
-        page._begin()  # which leaves out the episode before
+        page.playback.begin()  # which leaves out the episode before
         assert not path.exists()
         _drive_to_the_end(page)
         first = path.read_bytes()
-        assert "1 episode recorded in drive.mcap<" in page._score() + "<"
-        page._drive("zero")
+        assert "1 episode recorded in drive.mcap<" in _banner(page)
+        page.playback.set_driver("zero")
         _drive_to_the_end(page)
         assert path.read_bytes() == first
-        assert "not this one, which zero drives" in page._score()
-        page._drive(HAND)
-        page._set_seed(5)
+        assert "not this one, which zero drives" in _banner(page)
+        page.playback.set_driver(HAND)
+        page.playback.set_seed(5)
         _drive_to_the_end(page)
         monkeypatch.setattr("deepbots_cli.view.recordings.MAX_DRIVEN_BYTES", len(path.read_bytes()))
         second = path.read_bytes()
-        page._begin(1)
+        page.playback.begin(1)
         _drive_to_the_end(page)
-        assert "it takes no more, since the next one goes beyond" in page._score()
+        assert "it takes no more, since the next one goes beyond" in _banner(page)
         assert path.read_bytes() == second
     recording = Recording.read(path)
     seeds = [Start.of_evaluation(seed, 0).seed for seed in (4, 5)]
@@ -268,15 +273,15 @@ def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, cap
 
 def test_a_page_to_play_in_asks_for_its_token_on_loopback_and_records_up_to_a_limit(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("deepbots_cli.view.page.MAX_RECORDINGS", 2)
-    monkeypatch.setattr("deepbots_cli.view.page.record", lambda player, path, *_, **__: path.touch())
+    monkeypatch.setattr("deepbots_cli.view.playback.MAX_RECORDINGS", 2)
+    monkeypatch.setattr("deepbots_cli.view.playback.record", lambda player, path, *_, **__: path.touch())
     with closing(Page(Showing("cartpole"), port=0, playing=True)) as page:
         address, _, token = page.address.partition("?token=")
         assert len(token) > 16
         with pytest.raises(InvalidStatus, match="403"):  # a program of another user of the machine
             connect(address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"])
         for _ in range(30):
-            page._record(None)
+            page.playback.record()
     assert len(list(tmp_path.iterdir())) == 2
 
 
@@ -302,9 +307,9 @@ def test_a_value_that_no_control_offers_changes_nothing_and_prints_nothing(capfd
                     msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": uuid, "updates": update})
                 )
             end = time.monotonic() + 30.0
-            page.run(lambda: page.seed == 7 or time.monotonic() > end)
-        assert page.seed == 7  # all of them have arrived, and the last one counts
-        assert (page.speed, page.player.driver_name) == (1.0, "onward")
+            page.run(lambda: page.playback.seed == 7 or time.monotonic() > end)
+        assert page.playback.seed == 7  # all of them have arrived, and the last one counts
+        assert (page.playback.speed, page.player.driver_name) == (1.0, "onward")
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -326,15 +331,15 @@ def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
         _run(page, lambda: page.player.frame.step > 1)
         world = page.player
         file.write_text(CARTPOLE.replace("fall_angle", "fall_angel", 1))
-        _run(page, lambda: "mine.yaml" in page._message)
+        _run(page, lambda: "mine.yaml" in page.banner.content)
         assert page.player is world
-        assert page.paused
-        assert "fall_ang" in page._banner.content
+        assert page.playback.paused
+        assert "fall_ang" in page.banner.content
         began = time.monotonic()
         file.write_text(CARTPOLE.replace("timestep: ", "timestep:  ", 1))
         _run(page, lambda: page.player is not world)
         assert time.monotonic() - began < 2.0 or os.getloadavg()[0] > 4
-        assert (page.seed, page._message, page.paused) == (3, "", False)
+        assert (page.playback.seed, page.playback.stopped, page.playback.paused) == (3, None, False)
 
 
 def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path):
@@ -351,7 +356,7 @@ def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path):
         page._show = show_and_save
         file.write_text("")
         _run(page, lambda: page.player is not world)
-        assert page._message == ""
+        assert page.playback.stopped is None
 
 
 def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
@@ -359,8 +364,8 @@ def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
     file.write_text(CARTPOLE.replace("velocity_motor", "velocity_moto<b>r", 1))
     with closing(Page(Showing(str(file)), port=0, watch=True)) as page:
         assert page.player is None
-        assert "mine.yaml" in page._banner.content
-        assert "<b>r" not in page._banner.content
+        assert "mine.yaml" in page.banner.content
+        assert "<b>r" not in page.banner.content
         file.write_text(CARTPOLE)
         _run(page, lambda: page.player is not None)
 
@@ -393,27 +398,27 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
     with closing(Page(Showing(str(path)), port=0)) as page:
         page.play(False)
         page.seek(7)
-        assert [frame.step for frame in page.panels[0].frames] == list(range(8))
-        assert "step 7," in page._banner.content
-        page._update_texts()
-        assert page._slider.value == 7
+        assert [frame.step for frame in page.playback.worlds[0].frames] == list(range(8))
+        assert "step 7," in page.banner.content
+        page.panel.update_texts()
+        assert page.panel.slider.value == 7
         page.play(True)
         _run(page, lambda: page.player.frame.ended_by is not None)
-        page._begin(1)
-        assert page.episode == 1
-        page._begin(1)
-        assert page.episode == 0
+        page.playback.begin(1)
+        assert page.playback.episode == 1
+        page.playback.begin(1)
+        assert page.playback.episode == 0
 
 
 def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
     with closing(Page(Showing("cartpole"), compare=Showing("cartpole"), port=0, driver="zero")) as page:
-        one, other = page.panels
-        page.speed = 5.0
+        one, other = page.playback.worlds
+        page.playback.speed = 5.0
         assert one.player.frame.links == other.player.frame.links
         assert one.player.seed == other.player.seed
         _run(page, lambda: one.has_ended and other.has_ended)
-        assert "A: cartpole" in page._banner.content
-        assert "B: cartpole" in page._banner.content
+        assert "A: cartpole" in page.banner.content
+        assert "B: cartpole" in page.banner.content
 
 
 def test_a_page_shows_one_world_of_a_batch_after_another():
@@ -422,39 +427,39 @@ def test_a_page_shows_one_world_of_a_batch_after_another():
         closing(Page(batch, port=0, driver="zero", world=3)) as page,
         closing(Page(Showing("cartpole", engine="mujoco"), port=0)) as single,
     ):
-        single.episode = 3
-        single._begin()
+        single.playback.episode = 3
+        single.playback.begin()
         assert page.player.frame.links == single.player.frame.links
-        assert "episode 3, step 0" in page._banner.content
-        assert "world 3 of 4 (running 4)" in page._banner.content
+        assert "episode 3, step 0" in page.banner.content
+        assert "world 3 of 4 (running 4)" in page.banner.content
         third = page.player.frame
-        page._choose_world(1)
+        page.playback.choose_world(1)
         assert page.player.frame.links != third.links
-        assert len(page.panels[0].frames) == 1
+        assert len(page.playback.worlds[0].frames) == 1
         _run(page, lambda: page.player.frame.step > 3)
         assert page.player.batch.step_count.min() > 3
-        page._begin(1)
-        assert "episode 5, step 0" in page._banner.content
+        page.playback.begin(1)
+        assert "episode 5, step 0" in page.banner.content
 
 
 def test_a_changed_parameter_counts_at_the_same_seed():
     with closing(Page(Showing("find_ball"), port=0)) as page:
-        start, panel = page.player.frame.links, page._values
-        page._change("goal", "31 cm")
+        start, panel = page.player.frame.links, page.panel.values
+        page.change_parameter("goal", "31 cm")
         old = page.player
         _run(page, lambda: page.player is not old)
-        assert page.panels[0].frames[0].links == start
-        assert page._values is panel  # and the panel stays as it is
+        assert page.playback.worlds[0].frames[0].links == start
+        assert page.panel.values is panel  # and the panel stays as it is
         assert "0.31" in deepbots_cli.codegen.generate_module(page.player.program)
-        page._change("goal", "31 kg")
-        _run(page, lambda: "DB503" in page._banner.content)
-        page._change("goal", "20 cm")
-        _run(page, lambda: "DB503" not in page._banner.content)
+        page.change_parameter("goal", "31 kg")
+        _run(page, lambda: "DB503" in page.banner.content)
+        page.change_parameter("goal", "20 cm")
+        _run(page, lambda: "DB503" not in page.banner.content)
 
 
 def test_messages_are_shown_with_their_age():
     with closing(Page(Showing("cartpole_wireless"), port=0)) as page:
         page.step_once()
-        page._update_texts()
-        assert "message to cart" in page._values.content
-        assert "32 ms old" in page._values.content or "64 ms old" in page._values.content
+        page.panel.update_texts()
+        assert "message to cart" in page.panel.values.content
+        assert "32 ms old" in page.panel.values.content or "64 ms old" in page.panel.values.content

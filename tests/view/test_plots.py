@@ -21,7 +21,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.learning.curriculum import CompletedStage
 from deepbots_cli.learning.records import FORMAT, RunRecord, RunResult, write_record
 from deepbots_cli.view import plots
-from deepbots_cli.view.panel import training_rows
+from deepbots_cli.view.panel_html import training_rows
 
 
 def _events(folder, **scalars):

@@ -75,7 +75,7 @@ def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
     run.update(status="running")
     with closing(Page(Showing(str(run.path)), port=0)) as page:
         assert page.player.note == "policy after 64 steps, the training is in stage usual"
-        text = page._training.content
+        text = page.panel.training.text.content
     (done,) = run.record.result.stages
     assert text.index("1. wide") < text.index(">0<") < text.index("2. usual") < text.index(f">{done.steps}<")
 
@@ -87,7 +87,7 @@ def test_a_run_whose_log_is_damaged_is_still_shown(tmp_path):
     run = Run.open(_trained(tmp_path, "cartpole"))
     run.monitor.write_text("#\nr,l,steps,is_success,ended_by\nx,1,1,0,fallen\n")
     with closing(Page(Showing(str(run.path)), port=0)) as page:
-        assert "one of its logs cannot be read" in page._training.content
+        assert "one of its logs cannot be read" in page.panel.training.text.content
         assert page.player.driver_name == POLICY
 
 

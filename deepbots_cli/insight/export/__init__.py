@@ -6,6 +6,8 @@ trees.py      expressions of a scenario, and the memories of stateful functions,
 network.py    the networks of a policy as nodes, and whether they act as the learner does
 readings.py   the inputs: sensors, readings of the world, goals
 actuators.py  the outputs: the command of each actuator, its limits, its safe posture
+memories.py   what a control step passes to the next one
+names.py      what names mean while the policy observes, and on board of a robot
 control.py    a whole control step as one graph
 recording.py  steps of a simulation as an exported policy sees them
 parity.py     whether an exported policy acts as the scenario does, and the recorded steps of a bundle

@@ -1,0 +1,257 @@
+"""The worlds of a page in time: their players, the present episode, and how fast it goes on."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+
+from deepbots_cli.rollout.drivers import HAND, ZERO, sequence_driver
+from deepbots_cli.rollout.source import RECORDING_SUFFIX
+from deepbots_cli.view.batch import BatchPlayer
+from deepbots_cli.view.episodes import Player
+from deepbots_cli.view.frames import WorldFrame
+from deepbots_cli.view.manual_input import ManualInput
+from deepbots_cli.view.recordings import DrivenEpisodes, record
+from deepbots_cli.view.replay import ReplayPlayer
+from deepbots_cli.view.scene import WorldScene
+
+MAX_PLOTTED_STEPS = 600  # steps in a plot
+MAX_STEPPING_S = 0.1
+"""Seconds; a world that is slower than real time still answers."""
+MAX_RECORDINGS = 100
+"""What one page writes: a person drives for hours until then, and a program that presses the button does not
+fill the disk."""
+_PAUSE_AT_END_S = 1.5  # s of real time between the end of an episode and the next
+
+
+@dataclass(eq=False)
+class ShownWorld:
+    """One world of the page: its player, its scene, and the frames that are plotted.
+
+    `title` names the world where there are two. `elapsed_s` is the time (s) since its last step.
+    """
+
+    player: Player
+    scene: WorldScene
+    title: str = ""
+    frames: list[WorldFrame] = field(default_factory=list)
+    elapsed_s: float = 0.0
+
+    def show_newest(self, *, after_reset: bool = False) -> None:
+        """Show the newest frame of the player."""
+        if after_reset:
+            self.frames.clear()
+            self.elapsed_s = 0.0
+        self.scene.set_frame(self.player.frame, after_reset=after_reset)
+        self.frames.append(self.player.frame)
+        del self.frames[:-MAX_PLOTTED_STEPS]
+
+    @property
+    def has_ended(self) -> bool:
+        return self.player.frame.ended_by is not None
+
+
+class Playback:
+    """Which episode the worlds of a page are in, at which step, and whether time goes on.
+
+    Attributes:
+        worlds: What is shown; empty until a scenario without errors is opened.
+        rival: A player that drives the same episodes unseen, for comparison with a person.
+        driver: The name of the driver that was chosen, None for the default.
+        manual_input: What a person commands.
+        driven: The recording of the episodes that a person drives.
+        seed, episode: Which episode is shown.
+        batch_world: The world of a batch that is shown.
+        paused: Whether time stands still.
+        waiting: Whether an episode waits for the first key of the person who drives.
+        speed: Seconds of the episode per second of real time.
+        stopped: The title and the text (HTML) of an error that ended the episode.
+        ended_at: The time (`time.monotonic`, s) at which the episode ended; 0 before.
+        played, successes, best_return: The results of the page so far.
+    """
+
+    def __init__(
+        self,
+        *,
+        seed: int,
+        episode: int,
+        batch_world: int,
+        driver: str | None,
+        by_hand: bool,
+        on_begin: Callable[[], None],
+        on_change: Callable[[], None],
+    ) -> None:
+        """`by_hand` is for a person who drives; `on_begin` is called with each episode, `on_change` with
+        other changes of the state."""
+        self.worlds: list[ShownWorld] = []
+        self.rival: Player | None = None
+        self.driver, self.by_hand = driver, by_hand
+        self.manual_input = ManualInput(())
+        self.driven: DrivenEpisodes | None = None
+        self.seed, self.episode, self.batch_world = seed, episode, batch_world
+        self.paused, self.waiting, self.speed = False, by_hand, 1.0
+        self.stopped: tuple[str, str] | None = None
+        self.ended_at = 0.0
+        self.played, self.successes, self.best_return = 0, 0, -math.inf
+        self._on_begin, self._on_change = on_begin, on_change
+        self._recorded = 0
+
+    @property
+    def player(self) -> Player | None:
+        """The player of the first world; None where the scenario has errors."""
+        return self.worlds[0].player if self.worlds else None
+
+    @property
+    def _players(self) -> list[Player]:
+        return [*(world.player for world in self.worlds), *([self.rival] if self.rival else [])]
+
+    def close_players(self) -> None:
+        for player in self._players:
+            player.close()
+        self.worlds, self.rival = [], None
+
+    # Episodes
+
+    def begin(self, further: int = 0) -> None:
+        """Begin the present episode anew, or one further on."""
+        if self.player is None:
+            return
+        if further:
+            self.episode = self.player.next_episode(self.episode)
+        for player in self._players:
+            player.begin(self.seed, self.episode)
+        self.show_first_frame()
+
+    def show_first_frame(self) -> None:
+        """Show the beginning of an episode that the players have begun."""
+        self.ended_at, self.stopped, self.waiting = 0.0, None, self.by_hand
+        for world in self.worlds:
+            world.show_newest(after_reset=True)
+            world.scene.draw(1.0)
+        if self.driven is not None:
+            self.driven.begin()
+        self._on_begin()
+
+    def set_seed(self, seed: int) -> None:
+        self.seed, self.episode = seed, 0
+        self.begin()
+
+    def set_driver(self, name: str) -> None:
+        assert self.player is not None
+        self.driver = name
+        self.player.set_driver(name)
+        self.begin()
+
+    def choose_world(self, number: int) -> None:
+        """Show another world of a batch."""
+        self.batch_world = number
+        for world in self.worlds:
+            if isinstance(world.player, BatchPlayer):
+                world.player.choose(number)
+        self.show_first_frame()
+
+    def record(self) -> Path | None:
+        """Write the episode so far as a recording: the same actions from the same seed are the same episode.
+
+        Returns:
+            The file, or None after `MAX_RECORDINGS` of them.
+        """
+        assert self.player is not None
+        if self._recorded >= MAX_RECORDINGS:
+            return None
+        self._recorded += 1
+        opened, actions = self.player.opened, self.player.actions
+        with closing(opened.player(ZERO)) as again:
+            again.driver, again.driver_name = sequence_driver(actions), HAND
+            name = f"{Path(opened.shown.reference).stem}-{self.seed}-{self.episode}-played"
+            numbered = (Path(f"{name}{number or ''}{RECORDING_SUFFIX}") for number in count())
+            path = next(path for path in numbered if not path.exists())
+            record(again, path, self.seed, [self.episode], steps=len(actions))
+        return path
+
+    # Time
+
+    def play(self, playing: bool) -> None:
+        """Go on, or pause."""
+        self.paused, self.waiting = not playing, False
+        if self.worlds:
+            self._on_change()
+
+    def stop(self, title: str, text: str) -> None:
+        """Pause with an error (`text` is HTML), until an episode begins."""
+        self.paused, self.stopped = True, (title, text)
+
+    def step_once(self) -> None:
+        """Pause, and make one step."""
+        self.paused = True
+        if self.ended_at:
+            self.begin(1)
+            return
+        for world in self.worlds:
+            self._step(world)
+            world.elapsed_s = 0.0
+
+    def seek(self, place: int) -> None:
+        """Pause at a frame of a recording."""
+        self.paused, self.ended_at = True, 0.0
+        for world in self.worlds:
+            if isinstance(world.player, ReplayPlayer):
+                world.player.seek(place)
+                frames = world.player.last_frames(MAX_PLOTTED_STEPS)
+                world.scene.set_frame(frames[0], after_reset=True)
+                for frame in frames[1:]:
+                    world.scene.set_frame(frame)
+                world.frames[:] = frames
+        self._on_change()
+
+    def advance(self, period: float, *, continues: bool) -> None:
+        """Make the steps of the next `period` (s of real time); after the end, begin the next episode if it
+        `continues`."""
+        self.waiting = (
+            self.waiting and self.worlds[0].player.driver_name == HAND and not self.manual_input.is_held
+        )
+        if self.paused or self.waiting:
+            return
+        if self.ended_at:
+            if continues and time.monotonic() - self.ended_at > _PAUSE_AT_END_S:
+                self.begin(1)
+            return
+        began = time.perf_counter()
+        for world in self.worlds:
+            timestep = world.player.program.period
+            world.elapsed_s += period * self.speed
+            while world.elapsed_s >= timestep and not world.has_ended and not self.paused:
+                world.elapsed_s -= timestep
+                self._step(world)
+                if time.perf_counter() - began > MAX_STEPPING_S:
+                    world.elapsed_s = 0.0
+
+    def _step(self, world: ShownWorld) -> None:
+        player = world.player
+        if world.has_ended or self.stopped:
+            return
+        player.manual_values = self.manual_input.values()
+        player.step(by_hand=world is self.worlds[0] and self.manual_input.is_held)
+        if self.rival is not None and self.rival.frame.ended_by is None:
+            self.rival.step()
+        world.show_newest()
+        if world.has_ended and all(each.has_ended for each in self.worlds):
+            frame = self.worlds[0].player.frame
+            self.ended_at = time.monotonic()
+            self.played, self.successes = self.played + 1, self.successes + frame.is_success
+            self.best_return = max(self.best_return, next(iter(frame.agents.values())).episode_return)
+            self._on_change()
+        if self.driven is not None:
+            self.driven.step()
+
+    def draw(self, *, follows: bool) -> None:
+        """Move the worlds to the present time; `follows` keeps the robot in the middle."""
+        for world in self.worlds:
+            world.scene.follows = follows
+            still = self.paused or world.has_ended
+            world.scene.draw(1.0 if still else min(1.0, world.elapsed_s / world.player.program.period))
