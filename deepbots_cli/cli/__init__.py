@@ -13,6 +13,7 @@ retries.py     the attempts of `train --retry`
 studies.py     the display and the table of a study of `tune`
 throughput.py  the speed of engines, as commands print it
 exploits.py    what `lint --exploits` keeps: recordings, and which tasks were searched
+help/          the text of `--help` of each command, without its options
 starters/      the scenarios that `new` writes
 glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds
 project/       templates of `compile --project`

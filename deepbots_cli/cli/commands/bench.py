@@ -90,30 +90,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Measure how long a step takes, and the physics in it.
-
-    The command steps a world with random actions, and times the steps, the physics in them and the resets. It
-    prints a ratio: the CPU time of a step divided by that of its physics, both without resets. The difference
-    is the cost of messages, observation, reward and endings. If another engine steps this world at least 1.5
-    times as fast, a line names it.
-
-    With several engines, or with `--engine batch` (many worlds in MuJoCo), a table compares them.
-
-    --shards trains for a few seconds with each number of shards, and prints steps per second and where the
-    time goes: steps of the worlds, the policy, transfer between the processes, waiting for the slowest one,
-    and updates. Efficiency is the gain in speed per process.
-
-    By default, the measurement takes at most 20 s. With several engines, each is measured at least once, even
-    if that takes more than 20 s. With --steps or --pairs, this limit does not apply. Larger numbers take
-    longer, and the ratio varies less between measurements.
-
-    \b
-      deepbots bench cartpole
-      deepbots bench quadruped --quick
-      deepbots bench cartpole --set messages.format=csv --pairs 15
-      deepbots bench cartpole --engine pybullet,mujoco,batch --worlds 16,256
-      deepbots bench pit_escape --shards 1,2
-    """
+    """Run `deepbots bench`."""
     names = [] if engine is None else engine.split(",")
     for name in names:
         known_engine("mujoco" if name == speed.BATCH else name)

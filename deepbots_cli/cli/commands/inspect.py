@@ -74,25 +74,7 @@ def command(
     as_json: Annotated[bool, option("--json", "Print all tables as JSON.")] = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Show robots, messages, observation and reward as tables.
-
-    The tables of a scenario show its robots, messages, observation, action, reward, endings and training, in
-    the units of the file; --json has SI units. With --full, they also show joints, sensors, actuators,
-    resets, cases, stages, every hyperparameter, the physics step in which an action takes effect, the age of
-    each observation, and the poses at the start, which need the simulator. A run shows its scenario and the
-    progress of its training. A robot file shows its links, joints and findings.
-
-    \b
-      deepbots inspect cartpole
-      deepbots inspect cartpole --full
-      deepbots inspect cartpole --full --set messages.timing=delayed
-      deepbots inspect find_ball_random --stage few
-      deepbots inspect quadruped --ros
-      deepbots inspect runs/cartpole-0-1
-      deepbots inspect package://pybullet_data/husky/husky.urdf
-
-    Next: `deepbots try SCENARIO` runs random actions, and `deepbots render SCENARIO` draws a picture.
-    """
+    """Run `deepbots inspect`."""
     if is_robot(scenario):
         _inspect_robot(scenario, permissions.folders, as_json)
         return

@@ -64,25 +64,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run the tests of scenarios.
-
-    A scenario lists its tests under `tests`: who acts (a script, random or zero actions, or a sequence of
-    actions), for how many episodes, and the expected result. A failed test shows what was expected and
-    measured, and a command that shows the episode.
-
-    With --workers N, N scenarios are tested at a time, with the same results.
-
-    The exit code is 0 if all tests pass, 1 if a test fails or a scenario has errors, and 2 if there is no
-    test to run.
-
-    \b
-      deepbots test
-      deepbots test cartpole
-      deepbots test scenarios/ --junit tests.xml --workers 4
-      deepbots test cartpole.yaml -k fails --engine mujoco
-
-    Next: a failed test prints a command after `show it`. Run this command to see the episode.
-    """
+    """Run `deepbots test`."""
     if junit is not None:
         check_output(junit, force=force)
     began, names = time.perf_counter(), scenario_names(scenarios or ["."], settings())
