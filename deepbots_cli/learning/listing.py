@@ -18,7 +18,7 @@ from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.campaign import Campaign
 from deepbots_cli.learning.decline import Decline, decline_of
-from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
+from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log_tail
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import (
     DEMONSTRATIONS_NAME,
@@ -122,8 +122,10 @@ def _listed_run(path: Path) -> ListedRun:
     evaluation = verdict.evaluation
     steps, episodes = recent[-1][:2] if recent else (result.steps, result.episodes) if result else (0, 0)
     if evaluation is not None:
-        mean = evaluation.mean_return
-        success = evaluation.success_rate if evaluation.success_defined else None
+        mean, success = (
+            evaluation.mean_return,
+            evaluation.success_rate if evaluation.success_defined else None,
+        )
     elif recent:
         mean, success = fmean(total for _, _, total, _ in recent), fmean(won for *_, won in recent)
     else:
@@ -244,7 +246,7 @@ def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
 def _recent(log: Path) -> list[tuple[int, int, float, bool]]:
     """Steps, number, return and success of the last episodes in a log; nothing where it cannot be read."""
     try:
-        rows = read_log(log, tail=_TAIL_BYTES)[-WINDOW_EPISODES:]
+        rows = read_log_tail(log, _TAIL_BYTES)[-WINDOW_EPISODES:]
         return [
             (int(row["steps"]), int(row["episode"]), float(row["r"]), row["is_success"] == "1")
             for row in rows

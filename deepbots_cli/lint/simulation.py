@@ -34,9 +34,11 @@ from deepbots_cli.robots.model import RobotModel
 HOLD_STEPS = 8
 """Steps for which a random action is held. Actions that are new in every step cancel each other, and move
 little."""
-RANDOM = "random actions"
-HELD_RANDOM = f"random actions held for {HOLD_STEPS} steps each"
-IDLE = "doing nothing"
+RANDOM, HELD_RANDOM, IDLE = (
+    "random actions",
+    f"random actions held for {HOLD_STEPS} steps each",
+    "doing nothing",
+)
 
 _RESETS = 24
 _RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH_STEPS = 24, 250, 1500
@@ -129,6 +131,9 @@ End = Literal["success", "failure", "limit", "left"]
 """How an episode ended: by the task, by truncation, or left after enough steps."""
 ARENA = "arena walls"
 """Holds a blank, which no name of an object does."""
+TOPPLING_S = 2.0
+"""s after a reset in which a robot that topples does so: a published arm, an xArm 6, has tilted by 40 deg
+after 1 s."""
 MAX_SINK = 0.001
 """m; engines let bodies sink in by less, and round what rays meet."""
 
@@ -305,8 +310,9 @@ class SimulationReport:
     `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and
     `zero_terms` are the places of the numbers that never changed and of the terms that were always 0.
     `clearances` and `depths` are about sensors whose rays met nothing: how high they passed over all bodies,
-    and how far below the ground (m) they began. `rolling` is about robots on driven wheels. `done` says
-    whether the plan was completed, `fault` which exception of deepbots ended it.
+    and how far below the ground (m) they began. `rolling` is about robots on driven wheels, and `tilts` (rad)
+    about robots with a free base: how far each tilts at least within `TOPPLING_S` of doing nothing. `done`
+    says whether the plan was completed, `fault` which exception of deepbots ended it.
     """
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)
@@ -322,6 +328,7 @@ class SimulationReport:
     clearances: dict[tuple[str, str], Clearance] = field(default_factory=dict)
     depths: dict[tuple[str, str], float] = field(default_factory=dict)
     rolling: dict[str, Rolling] = field(default_factory=dict)
+    tilts: Mapping[str, float] = field(default_factory=dict)
     stop: Mapping[str, Any] | None = None
     halt: Halt | None = None
     fault: str | None = None
@@ -353,8 +360,10 @@ class SimulationReport:
                 self.driven.append(DrivenEpisode(**row))
             case {"measured": Mapping() as policies}:
                 for by, (steps, rows, numbers, terms) in policies.items():
-                    numbers = [NumberStatistics(*row) for row in numbers]
-                    terms = [TermStatistics(*row) for row in terms]
+                    numbers, terms = (
+                        [NumberStatistics(*row) for row in numbers],
+                        [TermStatistics(*row) for row in terms],
+                    )
                     self.measured[by] = PolicyStatistics(steps, rows, numbers, terms)
             case {"still": still, "silent": silent}:
                 self.constant_numbers, self.zero_terms = still, silent
@@ -365,6 +374,8 @@ class SimulationReport:
                 self.depths = {(robot, sensor): depth for robot, sensor, depth in depths}
             case {"rolling": Mapping() as robots}:
                 self.rolling = {robot: Rolling(*counts) for robot, counts in robots.items()}
+            case {"tilts": Mapping() as tilts}:
+                self.tilts = tilts
             case {"stop": Mapping() as stop}:
                 self.stop = stop
             case {"fault": str(fault)}:
