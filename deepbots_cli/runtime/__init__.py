@@ -1,14 +1,16 @@
 """What generated code runs on.
 
-supervisor.py  bases of the generated classes: the supervisor, a Gymnasium environment, and the robot
-controllers
+supervisor.py  base of the generated supervisors, a Gymnasium environment
+controllers.py base of the generated robot controllers; what a supervisor has of its robots
+failures.py    why an episode cannot go on, in words
 copies.py      copies of a robot in one world: a supervisor for each, and that of all; the engine of a batch
                of such worlds
-spaces.py      action and observation spaces, actions in their forms, frame stacks, rewards for other goals
+spaces.py      action and observation spaces, actions in their forms, observed frames, rewards for other goals
 observing.py   observations from named values, without a world
 formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python
 messages.py    channels of messages, and their formats
-streams.py     named random streams under one root seed, and values that `reset` is given in place of draws
+streams.py     named random streams under one root seed, what an episode draws, and values that `reset` is
+               given in place of draws
 placement.py   where bodies stand when an episode begins
 paths.py       shortest paths around solid objects; painted lines: places beside and along them, light
 overview.py    a camera that sees the whole scene
@@ -23,6 +25,7 @@ Nothing here reads YAML or knows an engine beyond the port.
 
 from deepbots_cli.frames import quaternion
 from deepbots_cli.runtime.actuation import Cartesian, Motor, Push, Thrust
+from deepbots_cli.runtime.controllers import RobotController
 from deepbots_cli.runtime.copies import make_environment
 from deepbots_cli.runtime.formulas import (
     Accumulate,
@@ -54,4 +57,4 @@ from deepbots_cli.runtime.formulas import (
 )
 from deepbots_cli.runtime.paths import Follower, Ways
 from deepbots_cli.runtime.placement import Arrangement
-from deepbots_cli.runtime.supervisor import RobotController, Supervisor
+from deepbots_cli.runtime.supervisor import Supervisor

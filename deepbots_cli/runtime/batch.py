@@ -23,11 +23,12 @@ from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.port import BatchEngine
 from deepbots_cli.program.robots import Direction, Sensor
 from deepbots_cli.runtime.columns import BatchMemory, stacked
+from deepbots_cli.runtime.controllers import RobotController
 from deepbots_cli.runtime.copies import CopyResult, result_of_all
 from deepbots_cli.runtime.devices import BatchDevice, stack_worlds
 from deepbots_cli.runtime.messages import LossyChannel
 from deepbots_cli.runtime.spaces import by_part, frame_indices, joined, mask_of_space
-from deepbots_cli.runtime.supervisor import RobotController, Supervisor
+from deepbots_cli.runtime.supervisor import Supervisor
 
 Column = NDArray[Any]
 NOT_FINITE = "not_finite"

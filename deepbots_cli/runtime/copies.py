@@ -22,7 +22,7 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from deepbots_cli.frames import Quaternion, Triple, add
-from deepbots_cli.port import ZERO_VECTOR, BatchEngine, Engine, EngineProxy, MotorWriter, Part, Pusher
+from deepbots_cli.port import ZERO_VECTOR, BatchEngine, Engine, EngineProxy, MotorWriter, Part, Pusher, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
@@ -249,12 +249,13 @@ class CopiesSupervisor(Supervisor):
         self._shared = [entry for entry in scenario.draws.noted if not entry.is_of_copy]
         self.world = world_with_copies(scenario.world, copies)
         self.agents = {copy_name(copies, number): member for number, member in enumerate(members, start=1)}
+        self.copy_names = tuple(self.agents)
         self.observation_space = batch_space(members[0].observation_space, copies.count)
         self.action_space = batch_space(members[0].action_space, copies.count)
 
-    def begin_robots(self) -> None:
+    def begin_robots(self, streams: Streams) -> None:
         for agent in self.agents.values():
-            agent.begin_robots()
+            agent.begin_robots(agent.streams)
 
     def _begin(self) -> None:
         if self._streams_of_agents is not self.streams:
@@ -268,32 +269,24 @@ class CopiesSupervisor(Supervisor):
             agent.streams.begin({**self._chosen.get(name, NOTHING_CHOSEN), **shared})
             agent.streams.is_follower = number > 0
             agent._begin()
-            agent._drawn = agent._noted()
+            agent.note_draws()
             if number == 0:
-                shared = {
-                    entry.key: agent._drawn[entry.name]
-                    for entry in self._shared
-                    if entry.name in agent._drawn
-                }
+                drawn = agent.drawn()
+                shared = {entry.key: drawn[entry.name] for entry in self._shared if entry.name in drawn}
         if self._engines[0].settling:
             self.engine.step(self._engines[0].settling)
 
-    def _copies(self) -> Sequence[str]:
-        return tuple(self.agents)
-
-    def _choose(self, chosen: Mapping[str, Mapping[str, Any]] | None) -> None:
+    def choose_values(self, chosen: Mapping[str, Mapping[str, Any]] | None) -> None:
         self._chosen = chosen or {}
 
-    def _noted(self) -> Drawn:
-        """The draws that all copies share, by name, and those of each copy after its name."""
+    def note_draws(self) -> None:
+        """Keep the draws that all copies share, by name, and those of each copy after its name."""
         shared = {entry.name for entry in self._shared}
         first = next(iter(self.agents.values()))
-        drawn = {place: value for place, value in first._drawn.items() if place in shared}
+        self._drawn = {place: value for place, value in first.drawn().items() if place in shared}
         for name, agent in self.agents.items():
-            drawn |= {
-                f"{name}.{place}": value for place, value in agent._drawn.items() if place not in shared
-            }
-        return drawn
+            own = {place: value for place, value in agent.drawn().items() if place not in shared}
+            self._drawn |= {f"{name}.{place}": value for place, value in own.items()}
 
     def present_values(self) -> Drawn:
         first = next(iter(self.agents.values()))
@@ -318,10 +311,10 @@ class CopiesSupervisor(Supervisor):
     def _start(self) -> None:
         for agent in self.agents.values():
             agent._start()
-            agent._fill_frames()
+            agent.fill_frames()
         self._gather()
 
-    def _fill_frames(self) -> None:
+    def fill_frames(self) -> None:
         """The agents have frames of their own."""
 
     def _advance(self, action: Any) -> None:
@@ -374,8 +367,8 @@ class CopiesSupervisor(Supervisor):
     def get_info(self) -> Info:
         return dict(self._info)
 
-    def _view_shift(self) -> Triple:
-        return next(iter(self.agents.values()))._view_shift()
+    def view(self, width: int = 480, height: int = 320) -> View:
+        return next(iter(self.agents.values())).view(width, height)
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         return tuple(mask for agent in self.agents.values() for mask in agent.allowed())

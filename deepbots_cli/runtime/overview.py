@@ -9,7 +9,7 @@ from dataclasses import replace
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
 from deepbots_cli.footprint import Bounds, bounds_of_shape, box_around, robot_bounds
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
-from deepbots_cli.port import ZERO_VECTOR, View
+from deepbots_cli.port import ZERO_VECTOR, Engine, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
@@ -259,6 +259,32 @@ def moved_view(view: View, by: Iterable[float]) -> View:
     """The view shifted by `by` (m) along x, y and z."""
     x, y, z = by
     return replace(view, eye=add(view.eye, (x, y, z)), target=add(view.target, (x, y, z)))
+
+
+class FollowingView:
+    """The view of `Supervisor.render`: it shows the whole scene, and follows a robot that may leave it."""
+
+    def __init__(self, scenario: Program, engine: Engine) -> None:
+        self._scenario, self._engine = scenario, engine
+        self._origin: tuple[float, float] | None = None
+
+    def restart(self) -> None:
+        """Begin an episode: the robot is where it shall be seen."""
+        self._origin = None
+
+    def view(self, width: int, height: int) -> View:
+        return moved_view(overview(self._scenario, width, height), self._shift())
+
+    def _shift(self) -> Triple:
+        """How far the view follows: nowhere within an arena or on terrain, else as far as the first free
+        robot went."""
+        world = self._scenario.world
+        if not follows_robot(world):
+            return ZERO_VECTOR
+        robot = next(robot.name for robot in world.robots if not robot.fixed_base)
+        x, y, _ = self._engine.pose(robot)()[0]
+        self._origin = self._origin or (x, y)
+        return x - self._origin[0], y - self._origin[1], 0.0
 
 
 def _unit(v: Triple) -> Triple:

@@ -4,6 +4,7 @@ for other goals."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from struct import Struct
 from typing import Any, cast
 
 import gymnasium as gym
@@ -14,6 +15,7 @@ from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.program.task import Agent, Goal
+from deepbots_cli.runtime.formulas import clip
 
 Goals = NDArray[np.floating[Any]]
 
@@ -172,6 +174,93 @@ class FrameStack:
 
 
 # Goals
+
+
+class ObservedFrames:
+    """What the policy of an agent sees: the numbers and pictures of the last steps, and the goal.
+
+    Attributes:
+        frames: The numbers of all frames in a row, float32; the newest ones are in frame `newest`.
+        frame_stacks: The frames of each image, by its key.
+        goal: What is achieved and what is desired, each in [-1, 1].
+    """
+
+    newest: int
+
+    def __init__(self, agent: Agent) -> None:
+        self.agent = agent
+        self.views = frame_indices(agent)
+        self.depth = len(self.views)
+        self.frame_stacks = {
+            entry.key: FrameStack(entry.shape, entry.ages(agent.frame_stack), self.depth)
+            for entry in agent.images
+        }
+        self.frames = np.zeros(self.depth * len(agent.numbers), np.float32)
+        self._buffer = self.frames.data
+        self._width = 4 * len(agent.numbers)
+        self._pack = Struct(f"{len(agent.numbers)}f").pack_into
+        self.goal = np.zeros(2 * len(agent.goal.low) if agent.goal else 0, np.float32)
+
+    def set_observation(self, *numbers: float) -> None:
+        """Let the policy see these numbers, in the newest frame, as float32; a truth value is 0 or 1."""
+        self._pack(self._buffer, self._width * self.newest, *numbers)
+
+    def next_frame(self) -> None:
+        """Make room for what the policy sees after this step, where it sees several steps."""
+        self.newest = (self.newest + 1) % self.depth
+
+    def fill_frames(self) -> None:
+        """Let every frame be as the newest, which is in place 0: before an episode there was nothing else."""
+        width = len(self.agent.numbers)
+        self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
+        for stack in self.frame_stacks.values():
+            stack.frames[1:] = stack.frames[0]
+
+    def seen(self) -> NDArray[np.float32]:
+        """The numbers that the policy sees; a copy."""
+        return self.frames.copy() if self.depth == 1 else self.frames.take(self.views[self.newest])
+
+    def set_goal_observation(
+        self, achieved: Sequence[float], desired: Sequence[float]
+    ) -> tuple[list[float], list[float]]:
+        """Let the policy see what is achieved and desired, and give both back as it sees them.
+
+        Both are mapped to [-1, 1], clipped and rounded to float32, and mapped back: a reward that is
+        recomputed from what was seen is then the same reward.
+
+        Raises:
+            FloatingPointError: A number is not a number.
+        """
+        goal = self.agent.goal
+        assert goal is not None
+        halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
+        middles = [(high + low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
+        size = len(halves)
+        mapped = [
+            (value - middle) / half
+            for value, middle, half in zip((*achieved, *desired), middles * 2, halves * 2, strict=True)
+        ]
+        self.goal[:] = [x if -1.0 <= x <= 1.0 else clip(x) for x in mapped]
+        meant = [
+            middle + half * seen
+            for middle, half, seen in zip(middles * 2, halves * 2, self.goal.tolist(), strict=True)
+        ]
+        return meant[:size], meant[size:]
+
+    def reward_for(self, achieved_goal: Any, desired_goal: Any) -> Any:
+        """The reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays (k,) a
+        number.
+
+        Where a scenario has a goal, `compute_reward` gives it; others do not have that method, by which a
+        learner tells them.
+
+        Raises:
+            UsageError: The scenario has no goal, or the arrays do not fit it.
+        """
+        achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
+        if achieved.ndim == 1:
+            return recompute_rewards(self.agent, achieved[None], np.atleast_2d(desired)).item()
+        return recompute_rewards(self.agent, achieved, desired)
 
 
 def recompute_rewards(agent: Agent, achieved: Goals, desired: Goals) -> NDArray[np.float64]:

@@ -125,6 +125,68 @@ class Streams:
         return self.take(name, options[int(self[name].integers(len(options)))])
 
 
+class EpisodeDraws:
+    """What a supervisor draws in an episode, or takes from `options` of `reset` in place of a draw.
+
+    Attributes:
+        streams: The random numbers.
+        fixed: The names of parameters that no episode draws.
+        copy_names: The names of the copies of a robot; none without copies.
+        episode_values: The present values, in SI units, of what `options` of `reset` can set, by its names.
+    """
+
+    def __init__(self, scenario: Program) -> None:
+        self.scenario = scenario
+        self.streams = Streams(None)
+        self.fixed: tuple[str, ...] = ()
+        self.copy_names: tuple[str, ...] = ()
+        self.episode_values: dict[str, float] = {}
+        self._drawn: Drawn = {}
+
+    def choose_values(self, chosen: Mapping[str, Mapping[str, Any]] | None) -> None:
+        """Begin the streams of an episode, with what `options` of `reset` chose."""
+        self.streams.begin(chosen[""] if chosen else NOTHING_CHOSEN)
+
+    def episode_value(self, name: str, drawn: float) -> float:
+        """The value of this episode: what `options` of `reset` set, or else what was drawn."""
+        value = self.episode_values[name] = self.streams.take(name, drawn)
+        return value
+
+    def note_draws(self) -> None:
+        """Keep what the streams have drawn since the episode began, for `drawn`."""
+        drawn = self.streams.drawn
+        self._drawn = {
+            entry.name: drawn[entry.key] for entry in self.scenario.draws.noted if entry.key in drawn
+        }
+
+    def drawn(self) -> Drawn:
+        """What the last reset drew, by name; see `reset`."""
+        return dict(self._drawn)
+
+    def present_values(self) -> Drawn:
+        """What the last reset drew, and the present values of parameters that change within the episode."""
+        return self._drawn | self.episode_values
+
+    def require_drawable(self, options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        """The values of `options` of `reset`, for each copy of a robot.
+
+        Raises:
+            UsageError: They hold an unknown name, or a value that an episode could not have drawn.
+        """
+        return chosen_values(self.scenario, options, self.fixed, self.copy_names)
+
+    def random_state(self) -> dict[str, Any]:
+        """The states of all random streams, as values for JSON.
+
+        The same states and the same actions give the same episode.
+        """
+        return self.streams.state()
+
+    def set_random_state(self, state: Mapping[str, Any]) -> None:
+        """Restore the result of `random_state`; the next reset begins from it."""
+        self.streams = Streams.restored(state)
+
+
 def chosen_values(
     scenario: Program, options: Mapping[str, Any], fixed: Collection[str] = (), copies: Collection[str] = ()
 ) -> dict[str, dict[str, Any]]:

@@ -1,0 +1,210 @@
+"""The robots of a world: their controllers, which read their sensors and act on messages, and the paths of
+messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeVar
+
+from deepbots_cli.errors import MessageError
+from deepbots_cli.port import Engine, MotorWriter
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Actuator, CustomActuator, Direction, MessageLayout, Motor, Robot
+from deepbots_cli.runtime.actuation import CustomMotor, Site
+from deepbots_cli.runtime.formulas import Memories, Memory, memory_of_vector
+from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel, layout_error
+from deepbots_cli.runtime.readers import sees
+from deepbots_cli.runtime.sensing import Device, instrument
+from deepbots_cli.runtime.streams import Streams
+
+C = TypeVar("C", bound="RobotController")
+M = TypeVar("M", bound=Memory)
+
+
+class WithMemories:
+    """Memories of stateful functions, which a new episode clears; `timestep` is in s."""
+
+    def __init__(self, timestep: float) -> None:
+        self._timestep = timestep
+        self._memories: list[Memory | Memories] = []
+
+    def memory(self, kind: type[M], *, on_message: bool = False) -> M:
+        """A memory that begins at the reset, or else with the first message (`on_message`)."""
+        memory = kind(self._timestep, on_message=on_message)
+        self._memories.append(memory)
+        return memory
+
+    def memories(self, kind: type[Memory], count: int, *, on_message: bool = False) -> Memory | Memories:
+        """One memory for each component of a vector."""
+        memory = memory_of_vector(kind, count, self._timestep, on_message=on_message)
+        self._memories.append(memory)
+        return memory
+
+    def clear_memories(self) -> None:
+        for memory in self._memories:
+            memory.reset()
+
+
+class RobotController(WithMemories):
+    """Base of the generated robot classes.
+
+    A generated class adds `bind`, which takes its readers and writers from the engine, and the paper's
+    pair: `use_message_data(message)` drives the actuators by the fields of a message, and `create_message()`
+    reads the sensors into the fields of one. Channels encode and decode.
+    """
+
+    def __init__(self, spec: Robot, scenario: Program, engine: Engine) -> None:
+        super().__init__(scenario.world.timestep)
+        self.spec = spec
+        self.devices: dict[str, Device] = {}
+        self._world, self._engine = scenario.world, engine
+        self.bind(engine)
+        drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
+        driven = [(actuator, drive) for actuator, drive in drives if drive is not None]
+        self._holds: list[Callable[[], object]] = [
+            drive.hold if hasattr(drive, "hold") else partial(_hold, engine, spec.name, actuator, drive)
+            for actuator, drive in driven
+        ]
+        self._releases = [
+            drive.reset for _, drive in driven if hasattr(drive, "hold")
+        ]  # actuators with a state of their own
+
+    def bind(self, engine: Engine) -> None:
+        """Take readers and writers from the engine; called once."""
+
+    def device(self, name: str) -> Device:
+        """The device behind a sensor, made when it is first asked for."""
+        if name not in self.devices:
+            sensor = next(sensor for sensor in self.spec.sensors if sensor.name == name)
+            device = instrument(sensor, self.spec.name, self._world, self._engine)
+            self.devices[name] = Device(sensor, self.spec.name, device, self._world.timestep)
+        return self.devices[name]
+
+    def actuator(self, name: str) -> CustomMotor:
+        """An actuator of a plug-in's kind."""
+        actuator = next(actuator for actuator in self.spec.actuators if actuator.name == name)
+        assert isinstance(actuator, CustomActuator)  # generated code asks for no other
+        return CustomMotor(
+            Site(self._engine, self.spec.name, actuator, self._world.timestep / self._world.substeps)
+        )
+
+    def sees(self, sensor: str, body: str) -> Callable[[], bool]:
+        """Whether the newest picture of a camera shows the body."""
+        return sees(self.device(sensor), body)
+
+    def begin(self, streams: Streams) -> None:
+        """Begin an episode: discard earlier readings and take the first ones."""
+        for device in self.devices.values():
+            device.reset(streams)
+        self.clear_memories()
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin what is computed on board with the first readings, and with actions of zeros."""
+
+    def observe(self) -> None:
+        """Sample what is sampled once per timestep."""
+
+    def release(self) -> None:
+        """Set the values of the actuators for this episode and discard their commands: they exert nothing
+        until `hold`."""
+        for release in self._releases:
+            release()
+
+    def hold(self) -> None:
+        """Hold all driven joints in their reset state until the first command takes effect."""
+        for hold in self._holds:
+            hold()
+
+
+def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter) -> None:
+    """Keep what a plain motor drives where it is; one that commands torques lets its joints go."""
+    if isinstance(actuator, Motor) and actuator.kind == "velocity_motor":
+        drive((0.0,) * len(actuator.joints))
+    elif isinstance(actuator, Motor) and actuator.kind == "position_motor":
+        drive([state[0] for state in engine.joint_states(robot, actuator.joints)()])
+
+
+class SupervisedRobots(WithMemories):
+    """The robots of a supervisor, which `bind` makes: their controllers, and the paths of messages."""
+
+    step_count: int
+
+    def __init__(self, scenario: Program, engine: Engine) -> None:
+        super().__init__(scenario.world.timestep)
+        self.scenario, self.engine = scenario, engine
+        self.controllers: dict[str, RobotController] = {}
+        self.channels: dict[tuple[str, Direction], Channel | LossyChannel] = {}
+        """The paths of messages, by robot and direction."""
+
+    def bind(self, engine: Engine) -> None:
+        """Take readers from the engine."""
+
+    def robot(self, name: str, controller: type[C]) -> C:
+        """The controller of a robot."""
+        robot_controller = controller(self._spec(name), self.scenario, self.engine)
+        self.controllers[name] = robot_controller
+        return robot_controller
+
+    def channel(self, name: str, direction: Direction) -> Channel:
+        """The path of messages to or from a robot, where it is direct."""
+        spec = self._spec(name)
+        channel = Channel(
+            FieldCodec(
+                spec.to_robot if direction == "to_robot" else spec.from_robot,
+                self.scenario.format,
+                self._rejected,
+            )
+        )
+        self.channels[name, direction] = channel
+        return channel
+
+    def lossy_channel(self, name: str, direction: Direction) -> LossyChannel:
+        """The path of messages to or from a robot, where messages come late or may be lost."""
+        robot, to_robot = self._spec(name), direction == "to_robot"
+        route, layout = (robot.to_route, robot.to_robot) if to_robot else (robot.from_route, robot.from_robot)
+        channel = LossyChannel(
+            f"{name}.{direction}",
+            route,
+            self.scenario.world.timestep,
+            1 if self.scenario.timing == "delayed" else 0,
+            self.engine.pose(name),
+            FieldCodec(layout, self.scenario.format, self._rejected),
+            first_at_once=not to_robot,
+        )
+        self.channels[name, direction] = channel
+        return channel
+
+    def _spec(self, name: str) -> Robot:
+        return next(robot for robot in self.scenario.robots if robot.name == name)
+
+    def begin_robots(self, streams: Streams) -> None:
+        """Controllers, channels and memories forget the last episode."""
+        for part in (*self.controllers.values(), *self.channels.values()):
+            part.begin(streams)
+        self.clear_memories()
+
+    def vary_sensor(self, robot: str, sensor: str, fault: str, values: Sequence[float]) -> None:
+        """Set the values of a sensor fault for this episode. A sensor that nothing reads has no device."""
+        controller = self.controllers[robot]
+        if sensor in controller.devices:
+            controller.devices[sensor].vary(fault, values)
+
+    def set_joints(
+        self, robot: str, joints: Sequence[str], positions: Sequence[float], velocities: Sequence[float] = ()
+    ) -> None:
+        """Let joints start at positions (rad or m) and velocities (rad/s or m/s), at rest without them."""
+        for joint, position, velocity in zip(
+            joints, positions, velocities or (0.0,) * len(joints), strict=True
+        ):
+            self.engine.set_joint(robot, joint, position, velocity)
+
+    def set_walls(self, bodies: Sequence[str], friction: float) -> None:
+        """Let several bodies, such as the walls around an arena, have the same coefficient of friction."""
+        for body in bodies:
+            self.engine.set_parameter("lateral_friction", (body, ""), friction)
+
+    def _rejected(self, layout: MessageLayout, message: Any) -> MessageError:
+        self.engine.require_finite()  # not every format can carry what a world that blew up gives
+        return layout_error(layout, self.scenario.format, message, self.step_count)

@@ -1,0 +1,40 @@
+"""Why an episode cannot go on, in words: an expression without a value, a reward that is not finite, a choice
+without an option."""
+
+from __future__ import annotations
+
+import math
+import re
+import traceback
+from collections.abc import Mapping
+
+from deepbots_cli.errors import EvaluationError
+from deepbots_cli.port import Engine
+from deepbots_cli.program.task import Agent
+
+
+def without_value(error: Exception, engine: Engine, step: int) -> Exception:
+    """An `EvaluationError` that shows the generated line, or the error itself where it is a fault of ours."""
+    frames = [
+        frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.startswith("<deepbots")
+    ]
+    if not frames or not isinstance(error, (ArithmeticError, ValueError, NameError)):
+        return error
+    engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
+    # Without the text of the scenario, which the comment repeats; the scenario has names without a prefix.
+    statement = re.sub(r"\bself\.(term_)?", "", (frames[-1].line or "").partition("  # ")[0])
+    return EvaluationError(f"step {step}: no value for `{statement}`: {error}")
+
+
+def infinite_reward(terms: Mapping[str, float]) -> str:
+    """Which of the terms makes a reward infinite or NaN."""
+    culprit = next(
+        (f"the reward term '{name}'" for name, value in terms.items() if not math.isfinite(value)), None
+    )
+    return f"{culprit or 'the sum of the reward terms'} is not finite"
+
+
+def without_option(agent: Agent, choice: str) -> str:
+    """That the conditions of the scenario forbid all options of a choice."""
+    options = next(part.options for part in agent.choices if part.name == choice)
+    return f"every option of '{choice}' is forbidden: {', '.join(option.name for option in options)}"
