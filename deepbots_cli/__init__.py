@@ -15,6 +15,7 @@ arrays.py     expressions over arrays
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree   files.py      files read up to a limit, or written whole
+display.py    what a command shows while it works
 plugins.py    what other packages add     message_formats.py  how messages may be written
 processes.py  further processes of Python
 

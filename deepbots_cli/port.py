@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
+from functools import partialmethod
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
 
 from deepbots_cli.frames import Frame, Quaternion, Triple
 
@@ -305,9 +306,15 @@ class Engine(Bindable, Protocol):
         """
 
 
+_PARTS = frozenset({"body", "robot", "part", "one", "other", "others"})
+"""The parameters of the port that are bodies or parts."""
+
+
 class EngineProxy:
-    """An `Engine` that passes each call on to another one. A method that is added to the port is added
-    here."""
+    """An `Engine` that passes each call on to another one. A method that is added to the port is added here.
+
+    In the table below, each method has the number of its first arguments that are bodies or parts.
+    """
 
     name: str
     capabilities: frozenset[Capability]
@@ -328,22 +335,33 @@ class EngineProxy:
         """The other engine, to change this body or the world; None where this engine leaves it alone."""
         return self.engine
 
-    def _part(self, part: Part) -> Part:
-        return self.body(part[0]), part[1]
+    @property
+    def gravity(self) -> Triple:
+        return self.engine.gravity
 
-    def reset(self) -> None:
-        self.engine.reset()
+    def close(self) -> None:
+        """Nothing: whoever made the other engine closes it."""
 
-    def place(
-        self,
-        body: str,
-        position: Triple,
-        orientation: Quaternion,
-        velocity: Triple = ZERO_VECTOR,
-        angular_velocity: Triple = ZERO_VECTOR,
-    ) -> None:
+    def _renamed(self, value: Any) -> Any:
+        """A body, a part or several parts, as the other engine calls them."""
+        if not value:
+            return value
+        if isinstance(value, str):
+            return self.body(value)
+        if isinstance(value[0], str):
+            return self.body(value[0]), *value[1:]
+        return tuple(map(self._renamed, value))
+
+    def _pass(self, method: str, parts: int, *given: Any, **named: Any) -> Any:
+        own = {name: self._renamed(value) if name in _PARTS else value for name, value in named.items()}
+        return getattr(self.engine, method)(*map(self._renamed, given[:parts]), *given[parts:], **own)
+
+    def _reader(self, method: str, parts: int, *given: Any, **named: Any) -> Any:
+        return self.bound(self._pass(method, parts, *given, **named))
+
+    def place(self, body: str, *given: Any, **named: Any) -> None:
         if engine := self.changing(body):
-            engine.place(self.body(body), position, orientation, velocity, angular_velocity)
+            engine.place(self.body(body), *given, **named)
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         if engine := self.changing(robot):
@@ -355,85 +373,33 @@ class EngineProxy:
 
     def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
         if engine := self.changing(*owner[:1]):
-            engine.set_parameter(parameter, (*map(self.body, owner[:1]), *owner[1:]), *values)
+            engine.set_parameter(parameter, self._renamed(owner), *values)
 
-    @property
-    def gravity(self) -> Triple:
-        return self.engine.gravity
+    contact = partialmethod(_reader, "contact", 2)
+    contact_force = partialmethod(_reader, "contact_force", 1)
+    clearance = partialmethod(_reader, "clearance", 2)
+    rays = partialmethod(_reader, "rays", 1)
+    camera = partialmethod(_reader, "camera", 1)
+    inverse_kinematics = partialmethod(_reader, "inverse_kinematics", 1)
+    joint_states = partialmethod(_reader, "joint_states", 1)
+    joint_torques = partialmethod(_reader, "joint_torques", 1)
+    pose = partialmethod(_reader, "pose", 1)
+    velocity = partialmethod(_reader, "velocity", 1)
+    motion = partialmethod(_reader, "motion", 1)
 
-    def before_substep(self, act: Callable[[], object]) -> None:
-        self.engine.before_substep(act)
+    velocity_motor = partialmethod(_pass, "velocity_motor", 1)
+    position_motor = partialmethod(_pass, "position_motor", 1)
+    torque_motor = partialmethod(_pass, "torque_motor", 1)
+    pusher = partialmethod(_pass, "pusher", 1)
 
-    def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        return self.engine.pusher(self._part(part), frame)
-
-    def contact(
-        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
-    ) -> ContactReader:
-        met = None if others is None else [self._part(other) for other in others]
-        return self.bound(self.engine.contact(self._part(one), met, ground=ground))
-
-    def contact_force(self, one: Part) -> ForceReader:
-        return self.bound(self.engine.contact_force(self._part(one)))
-
-    def clearance(self, one: Part, other: Part) -> ClearanceReader:
-        return self.bound(self.engine.clearance(self._part(one), self._part(other)))
-
-    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
-        return self.bound(self.engine.rays(self._part(part), rays, reach))
-
-    def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
-        return self.bound(self.engine.camera(self._part(part), mount, width, height, fov))
-
-    def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        return self.bound(self.engine.inverse_kinematics(self._part(part), joints))
-
-    def step(self, substeps: int) -> None:
-        self.engine.step(substeps)
-
-    def snapshot(self) -> object:
-        return self.engine.snapshot()
-
-    def restore(self, snapshot: object) -> None:
-        self.engine.restore(snapshot)
-
-    def overlaps(self) -> Sequence[Overlap]:
-        return self.engine.overlaps()
-
-    def require_finite(self) -> None:
-        self.engine.require_finite()
-
-    def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
-        return self.bound(self.engine.joint_states(self.body(robot), joints))
-
-    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
-        return self.bound(self.engine.joint_torques(self.body(robot), joints))
-
-    def pose(self, body: str, link: str | None = None) -> PoseReader:
-        return self.bound(self.engine.pose(self.body(body), link))
-
-    def velocity(self, body: str, link: str | None = None) -> VelocityReader:
-        return self.bound(self.engine.velocity(self.body(body), link))
-
-    def motion(self, body: str, link: str | None = None) -> MotionReader:
-        return self.bound(self.engine.motion(self.body(body), link))
-
-    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self.engine.velocity_motor(self.body(robot), joints, max_torque)
-
-    def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
-    ) -> MotorWriter:
-        return self.engine.position_motor(self.body(robot), joints, max_torque, stiffness, damping)
-
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self.engine.torque_motor(self.body(robot), joints, max_torque)
-
-    def render(self, view: View) -> Image:
-        return self.engine.render(view)
-
-    def close(self) -> None:
-        """Nothing: whoever made the other engine closes it."""
+    reset = partialmethod(_pass, "reset", 0)
+    step = partialmethod(_pass, "step", 0)
+    before_substep = partialmethod(_pass, "before_substep", 0)
+    snapshot = partialmethod(_pass, "snapshot", 0)
+    restore = partialmethod(_pass, "restore", 0)
+    overlaps = partialmethod(_pass, "overlaps", 0)
+    require_finite = partialmethod(_pass, "require_finite", 0)
+    render = partialmethod(_pass, "render", 0)
 
 
 class BatchEngine(Bindable, Protocol):

@@ -16,9 +16,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deepbots_cli.cli.inspection import Tables, scenario_tables
 from deepbots_cli.cli.sources import open_source
 from deepbots_cli.document import Permissions
+from deepbots_cli.insight.inspection import Tables, scenario_tables
 from deepbots_cli.program import Program
 from tests.results.experiment import experiments
 from tests.results.measure import Places, read

@@ -9,10 +9,10 @@ import re
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 
-from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, walk
+from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, names_in
 from deepbots_cli.program import Program
+from deepbots_cli.program.dependencies import Definitions, Node
 from deepbots_cli.program.robots import Robot, Sensor
-from deepbots_cli.program.values import Expression
 
 _OF_CHANNEL = frozenset({"age", "message_received"})
 
@@ -27,13 +27,7 @@ class Deployment:
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        self._signals = {signal.name: signal for signal in program.signals}
-        self._parameters = {value.name for value in program.parameters}
-        self._fields = {
-            f"{robot.name}.{entry.name}": (robot, entry)
-            for robot in program.robots
-            for entry in robot.emitted
-        }
+        self.definitions = Definitions(program)
         self._roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
         self.joints = {
             f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints
@@ -78,27 +72,19 @@ class Deployment:
     @cached_property
     def unmeasured(self) -> tuple[str, ...]:
         """The readings that a tracker or an estimator must supply, in order of first use."""
-        return tuple(
-            dict.fromkeys(
-                self.name(read)
-                for read in self._leaves
-                if isinstance(read, EngineRead) and not self.is_measured(read)
-            )
-        )
+        reads = (node for _, node in self.nodes if isinstance(node, EngineRead))
+        return tuple(dict.fromkeys(self.name(read) for read in reads if not self.is_measured(read)))
 
     @cached_property
     def goals(self) -> tuple[str, ...]:
         """The parameters that somebody must set."""
-        return tuple(
-            dict.fromkeys(
-                leaf.name for leaf in self._leaves if isinstance(leaf, Name) and leaf.name in self._parameters
-            )
-        )
+        names = (node.name for _, node in self.nodes if isinstance(node, Name))
+        return tuple(dict.fromkeys(name for name in names if name in self.definitions.parameters))
 
     @cached_property
-    def _leaves(self) -> tuple[Name | EngineRead, ...]:
-        """The names and readings that a policy and its robots need, through all definitions."""
-        return tuple(self._of([*self._needed()], set()))
+    def nodes(self) -> tuple[Node, ...]:
+        """What the policy and the commands of its robots are computed from, through all definitions."""
+        return tuple(self.definitions.nodes(self._needed()))
 
     def _needed(self) -> Iterator[Scalar]:
         agent = self._program.agent
@@ -110,31 +96,12 @@ class Deployment:
             yield from (option.forbidden.scalar for option in part.options if option.forbidden is not None)
         for robot in self._program.robots:
             if robot.name in agent.robots:
-                own = {sensor.name for sensor in robot.sensors}
                 sent = {entry.name: entry for entry in robot.receive}
-                leaves = [
-                    leaf for command in robot.commands for tree in command.scalars for leaf in walk(tree)
+                names = [
+                    leaf.name
+                    for command in robot.commands
+                    for tree in command.scalars
+                    for leaf in names_in(tree)
                 ]
-                received = [
-                    sent[leaf.name]
-                    for leaf in leaves
-                    if isinstance(leaf, Name) and leaf.name in sent and leaf.name not in own
-                ]
-                for value in dict.fromkeys(received):
+                for value in dict.fromkeys(sent[name] for name in names if name in sent):
                     yield from value.scalars
-
-    def _of(self, trees: list[Scalar], seen: set[str]) -> Iterator[Name | EngineRead]:
-        for tree in trees:
-            for leaf in walk(tree):
-                if isinstance(leaf, EngineRead):
-                    yield leaf
-                elif isinstance(leaf, Name):
-                    yield leaf
-                    if leaf.name not in seen:
-                        seen.add(leaf.name)
-                        yield from self._of(self._defined(leaf.name), seen)
-
-    def _defined(self, name: str) -> list[Scalar]:
-        """The trees behind a name; those of a robot's own values hold its sensors, which it measures."""
-        signal: Expression | None = self._signals.get(name)
-        return [] if signal is None else [*signal.scalars]

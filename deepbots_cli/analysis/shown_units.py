@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Mapping
 from functools import cached_property
 
-from deepbots_cli.document.nodes import Node, ScalarNode, inline_text, node_at, walk
+from deepbots_cli.document.nodes import Node, ScalarNode, inline_text, node_at, text_at, walk
 from deepbots_cli.expressions.dimensions import Unit
 from deepbots_cli.expressions.written import MAX_TEXT, unit_named, units_in, usual_unit, written_unit
 
@@ -40,25 +40,19 @@ class ShownUnits:
         Anything else has its usual unit.
         """
         names = [name for text in texts for name in _NAME.findall(text[:MAX_TEXT])]
-        nodes = [node_at(self._root, section, name) for name in names for section in _DEFINITIONS]
-        definitions = [inline_text(node) for node in nodes if node is not None]
+        definitions = [text_at(self._root, section, name) for name in names for section in _DEFINITIONS]
         return written_unit(unit, *texts, *definitions) or self._of_angles.get(unit) or self._usual(unit)
 
     def of_entry(self, name: str, unit: str) -> Unit:
         """The unit of a number of the observation, the action or the goal, such as `robot.sensor.x`."""
         section, _, rest = name.partition(".")
         if section in _GOALS and node_at(self._root, "goal") is not None:
-            return self.of(unit, *self._text("goal", "range"))
+            return self.of(unit, text_at(self._root, "goal", "range"))
         for key in (name, name.rpartition(".")[0], rest, rest.rpartition(".")[0]):
-            texts = [text for each in _RANGES for text in self._text(each, key)] if key else []
-            if texts:
+            texts = [text_at(self._root, section, key) for section in _RANGES] if key else []
+            if any(texts):
                 return self.of(unit, *texts)
         return self.of(unit)
-
-    def _text(self, *path: str) -> list[str]:
-        """The text at a path of the scenario; none where there is nothing."""
-        node = node_at(self._root, *path)
-        return [] if node is None else [inline_text(node)]
 
     def _usual(self, unit: str) -> Unit:
         """The usual unit; radians where the file writes all of its angles in radians."""

@@ -7,13 +7,13 @@ processes.py   the processes of `--workers` and `--cluster`
 exits.py       exceptions to exit codes
 terminal.py    output, color, progress
 tables.py      tables as text
-inspection.py  the tables of `inspect`
-records.py     results of trainings and evaluations as text, JSON, CSV and JUnit
+records.py     results of trainings and evaluations as text, JSON and CSV
 trainings.py   the results of `train` and `resume`, and training_page.py the page beside them
 retries.py     the attempts of `train --retry`
 studies.py     the display and the table of a study of `tune`
-throughput.py  the measurements of `bench` for several engines and batches
+throughput.py  the speed of engines, as commands print it
 exploits.py    what `lint --exploits` keeps: recordings, and which tasks were searched
+help/          the text of `--help` of each command, without its options
 starters/      the scenarios that `new` writes
 glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds
 project/       templates of `compile --project`

@@ -320,6 +320,18 @@ EngineOrRun = Annotated[
 # The command
 
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+_HELP = Path(__file__).with_name("help")
+
+
+def help_text(name: str) -> str:
+    """The help of a command, or of `deepbots`: its line in `COMMANDS`, and the text of `help/NAME.txt`.
+
+    In the file, blank lines separate paragraphs, which are wrapped, and indented blocks, which are shown as
+    they are.
+    """
+    blocks = (_HELP / f"{name}.txt").read_text(encoding="utf-8").rstrip("\n").split("\n\n")
+    marked = [f"\b\n{block}" if block.startswith(" ") else block for block in blocks]
+    return "\n\n".join([COMMANDS[name][1], *marked] if name in COMMANDS else marked)
 
 
 class Command(TyperCommand):
@@ -353,9 +365,8 @@ def _command(name: str) -> Any:
     read its annotations."""
     module, _, function = COMMANDS[name][0].partition(".")
     app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-    app.command(name, cls=Command)(
-        _with_permission_options(getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function))
-    )
+    run = getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)
+    app.command(name, cls=Command, help=help_text(name))(_with_permission_options(run))
     return typer.main.get_command(app)
 
 
@@ -438,7 +449,7 @@ def run_command(arguments: Sequence[str] | None) -> None:
         subcommand_metavar="COMMAND ...",
         context_settings=_SETTINGS,
     )
-    app.callback()(_deepbots)
+    app.callback(help=help_text("deepbots"))(_deepbots)
     words = sys.argv[1:] if arguments is None else arguments
     typer.main.get_command(app).main(args=without_old_spelling(list(words)), prog_name="deepbots")
 
@@ -475,15 +486,4 @@ def _deepbots(
         bool, option("--version", "Show the version and exit.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Train robot policies from one YAML scenario and one URDF robot.
-
-    The first three commands:
-
-    \b
-      deepbots new mine --template cartpole     write the scenario mine.yaml, with comments
-      deepbots try mine.yaml                    run three episodes with random actions
-      deepbots train mine.yaml                  train a policy, and evaluate it
-
-    A scenario is the path of a file, or the name of a scenario that comes with deepbots: `deepbots train
-    cartpole` needs no file. `deepbots COMMAND --help` shows the options and examples of a command.
-    """
+    """The options of the program itself."""

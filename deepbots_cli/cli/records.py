@@ -1,4 +1,4 @@
-"""Records as text, JSON, CSV and JUnit XML.
+"""Records as text, JSON and CSV.
 
 A record is what has statistics of episodes: an evaluation, also one that a run keeps, a group, a listed run,
 a level of robustness, a part of the range of a drawn value. `scores` is its columns in every table,
@@ -8,11 +8,10 @@ a level of robustness, a part of the range of a drawn value. `scores` is its col
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, NamedTuple
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
@@ -562,47 +561,3 @@ def evaluated_in(result: EvaluationResult) -> dict[str, str]:
         "deterministic": str(int(result.deterministic)),
         "remarks": "; ".join(result.remarks),
     }
-
-
-class JUnitCase(NamedTuple):
-    """A requirement or a test: its text, whether it is met, the reason, and the wall time."""
-
-    name: str
-    met: bool
-    reason: str
-    seconds: float | None = None
-
-
-def write_junit(
-    path: Path,
-    command: str,
-    suites: Mapping[str, Sequence[JUnitCase]],
-    properties: Mapping[str, str] | None = None,
-) -> None:
-    """The cases of each suite, as a document of JUnit; a single suite is its root. `properties` are those of
-    each suite, by name."""
-    elements = []
-    for suite, cases in suites.items():
-        failures = sum(not case.met for case in cases)
-        root = ElementTree.Element(
-            "testsuite", name=f"deepbots {command} {suite}", tests=str(len(cases)), failures=str(failures)
-        )
-        if properties:
-            listed = ElementTree.SubElement(root, "properties")
-            for name, value in properties.items():
-                ElementTree.SubElement(listed, "property", name=name, value=value)
-        for case in cases:
-            element = ElementTree.SubElement(root, "testcase", classname=suite, name=case.name)
-            if case.seconds is not None:
-                element.set("time", f"{case.seconds:.3f}")
-            if case.met:
-                ElementTree.SubElement(element, "system-out").text = case.reason
-            else:
-                ElementTree.SubElement(element, "failure", message=f"not met: {case.name} ({case.reason})")
-        elements.append(root)
-    if len(elements) > 1:
-        root = ElementTree.Element("testsuites")
-        root.extend(elements)
-    ElementTree.indent(root)
-    with atomic_write(path) as draft:
-        draft.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")

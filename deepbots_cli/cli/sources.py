@@ -11,8 +11,7 @@ from deepbots_cli import api
 from deepbots_cli.analysis.changes import WrittenScenario
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.document import Node, Permissions, files, inline_text, shipped
-from deepbots_cli.document.nodes import node_at
+from deepbots_cli.document import Permissions, files, shipped
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
@@ -33,12 +32,6 @@ class OpenedSource(WrittenScenario):
     model: ModelName = "best"
     findings: Sequence[Finding] = ()
     learner: Sequence[str] = ()
-
-
-def text_at(root: Node | None, *path: str | int) -> str:
-    """What is written at `path`, on one line; empty where nothing is."""
-    node = node_at(root, *path)
-    return inline_text(node) if node is not None else ""
 
 
 def open_source(

@@ -12,6 +12,7 @@ from deepbots_cli.cli import processes, terminal
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.records import interval_text
 from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.display import Display
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.study import Study, StudyReporter, StudyTrial, TrialProgress
 from deepbots_cli.learning.trials import run_study
@@ -44,7 +45,7 @@ class StudyDisplay(StudyReporter):
 
     def __init__(self, study: Study, *, quiet: bool) -> None:
         self._study, self._quiet, self._best = study, quiet, ""
-        self._line = terminal.LiveLine() if not quiet else None
+        self._display = Display(transient=True)
         self._begun: dict[int, StudyTrial] = {}
         self._at_work: dict[int, TrialProgress] = {}
         self._noted: set[str] = set()
@@ -67,16 +68,15 @@ class StudyDisplay(StudyReporter):
     def note(self, text: str) -> None:
         if not self._quiet and text not in self._noted:  # all trainings may have the same
             self._noted.add(text)
-            self.stop()
-            terminal.note(f"note: {text}")
+            self._display.print(terminal.printable(f"note: {text}"))
 
     def begin_trial(self, trial: StudyTrial) -> None:
         self._begun[trial.number] = trial
 
     def update(self, number: int, progress: TrialProgress) -> None:
         self._at_work[number] = progress
-        if self._line is not None:
-            self._line.show("  ".join(filter(None, [self._work(), self._best])))
+        if not self._quiet:
+            self._display.show_line(terminal.printable("  ".join(filter(None, [self._work(), self._best]))))
 
     def _work(self) -> str:
         """How far the trials at work are."""
@@ -92,18 +92,16 @@ class StudyDisplay(StudyReporter):
         )
 
     def stop(self) -> None:
-        if self._line is not None:
-            self._line.clear()
+        self._display.close()
 
     def end_trial(self, trial: StudyTrial) -> None:
         self._at_work.pop(trial.number, None)
-        if self._line is None:
+        if self._quiet:
             return
-        self._line.clear()
         best = next(iter(self._study.ranked(self._study.trials())), None)
         self._best = f"best so far: trial {best.number}, score {best.score:.4g}" if best else ""
         result = trial.reason or trial.state if trial.score is None else _result(trial)
-        terminal.note(f"trial {trial.number}: {_settings(trial.values)}: {result}")
+        self._display.print(terminal.printable(f"trial {trial.number}: {_settings(trial.values)}: {result}"))
 
 
 _OBJECTIVES: Mapping[str, str] = {

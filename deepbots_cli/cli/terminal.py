@@ -19,9 +19,10 @@ from pydantic import BaseModel
 
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import escape_log_commands, render, summary
+from deepbots_cli.display import Display
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.console import RenderableType
 
 
 def print_result(text: str = "") -> None:
@@ -46,30 +47,13 @@ def transient_line(text: str) -> Iterator[Callable[[str], None]]:
 
     Yields a function that rewrites the line.
     """
-    line = LiveLine()
-    line.show(text)
+    display = Display(transient=True)
+    if text:
+        display.show_line(printable(text))
     try:
-        yield line.show
+        yield lambda further: display.show_line(printable(further))
     finally:
-        line.clear()
-
-
-class LiveLine:
-    """A line on stderr that is rewritten, at most five times a second; on a terminal only."""
-
-    def __init__(self) -> None:
-        self._length, self._shown = 0, 0.0
-
-    def show(self, text: str) -> None:
-        now = time.perf_counter()
-        if sys.stderr.isatty() and now - self._shown > _PAUSE:
-            shown = printable(text)[: width() - 1]
-            print(f"\r{shown:<{self._length}}", end="", file=sys.stderr, flush=True)
-            self._length, self._shown = len(shown), now
-
-    def clear(self) -> None:
-        print(f"\r{'':<{self._length}}\r" if self._length else "", end="", file=sys.stderr, flush=True)
-        self._length = 0
+        display.close()
 
 
 @contextmanager
@@ -171,9 +155,8 @@ def json_compatible(data: object) -> object:
 
 # Progress on standard error: a bar on a terminal, a line for every tenth of the way elsewhere
 
-_PAUSE = 0.2
-"""Seconds between two refreshes of the bar. It has no thread of its own: `bench` measures the CPU time of the
-process."""
+_MIN_TIMED_S = 0.5
+"""Seconds before a speed is shown."""
 _LINE_INTERVAL_S = 30.0
 """Seconds between two lines of a work that need not be followed."""
 
@@ -187,27 +170,33 @@ class ProgressBar:
 
     def __init__(self, total: int, unit: str, *, stream: TextIO | None = None) -> None:
         self._total, self._unit = max(1, total), unit
-        self._stream = sys.stderr if stream is None else stream
-        self._began, self._shown, self._tenth = time.perf_counter(), 0.0, 0
-        self._bar = _bar(self._stream) if self._stream.isatty() else None
-        if self._bar is not None:
-            self._task = self._bar.add_task("", total=self._total)
-            self._bar.start()
+        self._display = Display(stream, transient=True)
+        self._began, self._tenth = time.perf_counter(), 0
 
     def update(self, done: int) -> None:
         """Show that `done` of the total is done."""
-        now = time.perf_counter()
-        if self._bar is not None:
-            if now - self._shown > _PAUSE or done >= self._total:
-                self._bar.update(self._task, completed=done, description=self._line(done, now), refresh=True)
-                self._shown = now
+        line = self._line(done, time.perf_counter())
+        if self._display.is_terminal:
+            self._display.show(lambda _height: self._bar(done, line), at_once=done >= self._total)
         elif 10 * done // self._total > self._tenth:
             self._tenth = 10 * done // self._total
-            print(self._line(done, now), file=self._stream, flush=True)
+            self._display.print(line)
+
+    def _bar(self, done: int, line: str) -> RenderableType:
+        from rich.progress_bar import ProgressBar as Bar
+        from rich.table import Table
+        from rich.text import Text
+
+        row = Table.grid(padding=(0, 1))
+        row.add_row(Bar(self._total, done, width=20), Text(line, no_wrap=True, overflow="ellipsis"))
+        return row
 
     def _line(self, done: int, now: float) -> str:
         parts = [f"{done:,} of {self._total:,} {self._unit}"]
-        speed = done / max(1e-9, now - self._began)
+        elapsed = now - self._began
+        if elapsed < _MIN_TIMED_S:
+            return parts[0]
+        speed = done / elapsed
         if speed >= 1.0:
             parts.append(f"{speed:,.0f} {self._unit}/s")
         if speed > 0.0 and done < self._total:
@@ -216,18 +205,4 @@ class ProgressBar:
 
     def close(self) -> None:
         """Leave the terminal as it was."""
-        if self._bar is not None:
-            self._bar.stop()
-
-
-def _bar(stream: TextIO) -> Progress:
-    from rich.console import Console  # 60 ms, which only a terminal pays
-    from rich.progress import BarColumn, Progress, TextColumn
-    from rich.table import Column
-
-    text = TextColumn(
-        "{task.description}", table_column=Column(no_wrap=True, overflow="ellipsis"), markup=False
-    )
-    return Progress(
-        BarColumn(bar_width=20), text, console=Console(file=stream), auto_refresh=False, transient=True
-    )
+        self._display.close()

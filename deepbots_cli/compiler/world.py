@@ -112,7 +112,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
     path = locate_file(reference, values.span(place), namespace.document, values)
     if path is None or factors is None:
         return None
-    loaded = meshes.MeshReader(lambda _reference: path).load(reference)
+    loaded = meshes.MeshReader(lambda _reference: path).load(reference, factors)
     if isinstance(loaded, meshes.UnusableMesh):
         values.add("DB301", place, loaded.headline, loaded.help)
         return None

@@ -155,6 +155,13 @@ _CATALOG = (
         deep="only",
     ),
     Rule("DB323", "falls-without-end", "warning", "a robot with a free base that falls through the ground"),
+    Rule(
+        "DB324",
+        "topples",
+        "warning",
+        "a robot with a free base that topples while nothing is done",
+        deep="only",
+    ),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value instead of a number, or the reverse"),

@@ -1,5 +1,5 @@
 """Findings as text: `full` with source lines for people, `concise` for logs, `json`, and the formats of
-GitHub, JUnit and SARIF.
+GitHub and SARIF.
 
 Files are untrusted, so their text is escaped before it reaches a terminal, a log or an XML report.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 import unicodedata
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
@@ -244,15 +244,14 @@ class _Line:
         return sum(map(display_width, self.cells[: max(0, column - self.first)]))
 
 
-# Findings for other programs: workflow commands of GitHub, reports of tests (JUnit), code scanning (SARIF
-# 2.1.0)
+# Findings for other programs: workflow commands of GitHub, code scanning (SARIF 2.1.0)
 
 JsonObject = dict[str, object]
 ExplainRule = Callable[[str], tuple[str, str]]
 """The explanation of a code as plain text and as Markdown."""
 
 
-def _relative(name: str) -> str:
+def relative_name(name: str) -> str:
     """The file `name`, relative to the working directory if it lies below it, with slashes."""
     path, here = Path(name), Path.cwd()
     return (path.relative_to(here) if path.is_relative_to(here) else path).as_posix()
@@ -272,7 +271,9 @@ def github(findings: Iterable[Finding]) -> str:
 
 def _command(finding: Finding) -> str:
     begin, finish = finding.span.start_position, finding.span.end_position
-    file = _percent(shortened(_relative(finding.span.source.name))).replace(":", "%3A").replace(",", "%2C")
+    file = (
+        _percent(shortened(relative_name(finding.span.source.name))).replace(":", "%3A").replace(",", "%2C")
+    )
     place = f"file={file},line={begin.line},endLine={finish.line}"
     if begin.line == finish.line:  # GitHub refuses columns for two lines
         place += f",col={begin.column},endColumn={finish.column}"
@@ -281,68 +282,6 @@ def _command(finding: Finding) -> str:
 
 def _percent(text: str) -> str:
     return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-
-# JUnit
-
-
-def junit(findings: Sequence[Finding], files: Sequence[str], failing: Collection[Severity]) -> str:
-    """The report as XML: a suite for each file, a case for each finding, and one case that passes for a file
-    without findings.
-
-    `files` are the names of the linted scenarios. A finding is a failure if its severity is in `failing`,
-    else a case that passes with output; a DB903 is an error.
-    """
-    from xml.etree import ElementTree
-
-    names = sorted({*files, *(finding.span.source.name for finding in findings)})
-    suites = {
-        _relative(name): [finding for finding in findings if finding.span.source.name == name]
-        for name in names
-    }
-    root = ElementTree.Element(
-        "testsuites", {"name": "deepbots lint"} | _case_counts(suites.values(), failing)
-    )
-    for file, of_file in suites.items():
-        suite = ElementTree.SubElement(
-            root, "testsuite", {"name": escaped(file)} | _case_counts([of_file], failing)
-        )
-        if not of_file:
-            ElementTree.SubElement(suite, "testcase", name="no findings", classname=escaped(file), time="0")
-        for finding in of_file:
-            line, column = finding.span.start_position
-            headline = shortened(finding.headline)
-            # Programs merge cases that have the same name.
-            name = f"{finding.code} {finding.name} at {line}:{column}: {headline}"
-            case = ElementTree.SubElement(
-                suite,
-                "testcase",
-                name=name,
-                classname=escaped(file),
-                file=escaped(file),
-                line=str(line),
-                time="0",
-            )
-            if finding.severity in failing or finding.is_internal_error:
-                outcome = "error" if finding.is_internal_error else "failure"
-                inner = ElementTree.SubElement(case, outcome, type=finding.code, message=headline)
-            else:
-                inner = ElementTree.SubElement(case, "system-out")
-            inner.text = message(finding)
-    ElementTree.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
-
-
-def _case_counts(suites: Collection[list[Finding]], failing: Collection[Severity]) -> dict[str, str]:
-    findings = [finding for suite in suites for finding in suite]
-    faults = sum(finding.is_internal_error for finding in findings)
-    failed = sum(finding.severity in failing and not finding.is_internal_error for finding in findings)
-    return {
-        "tests": str(sum(len(suite) or 1 for suite in suites)),
-        "failures": str(failed),
-        "errors": str(faults),
-        "time": "0",
-    }
 
 
 # SARIF
@@ -424,7 +363,7 @@ def _region(span: Span) -> JsonObject:
 
 def _file(source: Source) -> JsonObject:
     """A relative path starts from `%SRCROOT%`, whichever folder that is on another machine."""
-    path = _relative(source.name)
+    path = relative_name(source.name)
     if Path(path).is_absolute():
         return {"uri": f"file://{quote(path, errors='replace')}"}
     return {"uri": quote(path, errors="replace"), "uriBaseId": "%SRCROOT%"}

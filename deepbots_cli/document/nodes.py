@@ -191,6 +191,12 @@ def node_at(root: Node | None, *path: str | int) -> Node | None:
     return node if reached == len(path) else None
 
 
+def text_at(root: Node | None, *path: str | int) -> str:
+    """What is written at `path`, on one line; empty where nothing is."""
+    node = node_at(root, *path)
+    return "" if node is None else inline_text(node)
+
+
 def entries_at(root: Node | None, *path: str | int) -> dict[str, Entry]:
     """The entries of the mapping at `path`; none where there is no mapping."""
     node = node_at(root, *path)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.insight.rewards import rising_term
-from deepbots_cli.insight.statements import Numbers
+from deepbots_cli.insight.statements import Numbers, statement
 from deepbots_cli.insight.training import TrainingEvidence, usual_settings
 from deepbots_cli.learning.decline import Decline
 from deepbots_cli.program.task import Schedule
@@ -84,11 +84,12 @@ _OFF_POLICY: Mapping[str, _Scale] = {
 }
 
 
+@statement(
+    "fell_apart",
+    "{fall}. {reasons}",
+    advice="{advice} The best model is from before the fall: `deepbots view`, `eval` and `export` use it.",
+)
 def fell_apart(t: TrainingEvidence) -> Numbers | None:
-    """{fall}. {reasons}
-
-    Try: {advice} The best model is from before the fall: `deepbots view`, `eval` and `export` use it.
-    """
     fall = t.decline
     if fall is None:
         return None

@@ -68,6 +68,7 @@ from deepbots_cli.insight.statements import (
     StatementRule,
     SuccessRate,
     list_text,
+    statement,
     statements_about,
 )
 from deepbots_cli.insight.teachers import script_succeeds, teacher_fails, teacher_sees_more
@@ -204,7 +205,7 @@ def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[St
         return (
             causes
             if training.verdict.solved is False
-            else [cause for cause in causes if cause.cause == fell_apart.__name__]
+            else [cause for cause in causes if cause.cause == fell_apart.name]
         )
     run_probes(training, permissions=permissions, seconds=QUICK_SECONDS)
     return diagnose(training)
@@ -301,12 +302,13 @@ def _met_while_exploring(t: TrainingEvidence) -> bool:
 # Faults
 
 
+@statement(
+    "ending_at_reset",
+    "An episode cannot start after {steps} steps of training: {error}.",
+    advice="Change the start under `reset` or the threshold of the ending. `deepbots lint --deep SCENARIO`"
+    " counts the starts that end at once.",
+)
 def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
-    """An episode cannot start after {steps} steps of training: {error}.
-
-    Try: Change the start under `reset` or the threshold of the ending. `deepbots lint --deep SCENARIO` counts
-    the starts that end at once.
-    """
     return (
         {"likelihood": 1.0, "steps": t.steps, "error": t.failure.rstrip(".")}
         if TRUE_AT_RESET in t.failure
@@ -314,25 +316,27 @@ def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
     )
 
 
+@statement(
+    "not_finite",
+    "The training stopped with an error after {steps} steps: {error}.",
+    advice="Use max(...) to keep divisors and arguments of sqrt and log above 0, or lower"
+    " `train.learning_rate`. `deepbots diagnose RUN/failures/NNNN.json` explains the episode.",
+)
 def not_finite(t: TrainingEvidence) -> Numbers | None:
-    """The training stopped with an error after {steps} steps: {error}.
-
-    Try: Use max(...) to keep divisors and arguments of sqrt and log above 0, or lower `train.learning_rate`.
-    `deepbots diagnose RUN/failures/NNNN.json` explains the episode.
-    """
     if not t.has_failed or TRUE_AT_RESET in t.failure:
         return None
     reason = t.failure.rstrip(".") or "the last value in its log is not a number (NaN)"
     return {"likelihood": 1.0, "steps": t.steps, "error": reason, "episodes": len(t.episodes)}
 
 
+@statement(
+    "action_without_effect",
+    "{count} of {of} action parts have no effect ({parts}): from the same start, all tested values give the"
+    " same observations for {steps} steps.",
+    advice="Check `apply` of the robot, the limits of its motors (`deepbots inspect RUN`), and the wheels or"
+    " joints that it drives.",
+)
 def action_without_effect(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} action parts have no effect ({parts}): from the same start, all tested values give the
-    same observations for {steps} steps.
-
-    Try: Check `apply` of the robot, the limits of its motors (`deepbots inspect RUN`), and the wheels or
-    joints that it drives.
-    """
     own = [place for place, number in enumerate(t.program.agent.numbers) if number.name != "previous_action"]
     dead, steps = [], 0
     for part, traces in t.constant_actions.items():
@@ -366,13 +370,14 @@ def _difference(one: Trace, other: Trace, numbers: Sequence[int]) -> float:
     return float(max(seen, *kept, 0.0)) if kept else float(seen)
 
 
+@statement(
+    "ending_at_once",
+    "Episodes end before the policy can act: '{ending}' ends {share} of them. Half of all episodes end"
+    " within {length} steps and 90% within {long}, of {longest} possible steps.",
+    advice="Loosen the threshold of '{ending}', or start farther away from it: `deepbots diagnose RUN"
+    " --episode failed` shows the value and the threshold.",
+)
 def ending_at_once(t: TrainingEvidence) -> Numbers | None:
-    """Episodes end before the policy can act: '{ending}' ends {share} of them. Half of all episodes end
-    within {length} steps and 90% within {long}, of {longest} possible steps.
-
-    Try: Loosen the threshold of '{ending}', or start farther away from it: `deepbots diagnose RUN --episode
-    failed` shows the value and the threshold.
-    """
     lengths, longest = t.episodes.lengths, t.program.truncation.max_episode_steps(t.program.period)
     if len(lengths) < MIN_EPISODES:
         return None
@@ -389,11 +394,12 @@ def ending_at_once(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "lint_warns",
+    "{meaning}: {finding} ({code}).{others}",
+    advice="{help}: `deepbots lint {path}` shows the lines.{copy}",
+)
 def lint_warns(t: TrainingEvidence) -> Numbers | None:
-    """{meaning}: {finding} ({code}).{others}
-
-    Try: {help}: `deepbots lint {path}` shows the lines.{copy}
-    """
     linted = linted_scenario(t.run)
     meanings = {
         code: text for code, text in _UNLEARNABLE.items() if not (code in _REFUTED and _REFUTED[code](t))
@@ -425,12 +431,14 @@ def lint_warns(t: TrainingEvidence) -> Numbers | None:
 # Learning
 
 
+@statement(
+    "learning_rate_too_high",
+    "The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples of an"
+    " update are clipped, the largest KL divergence is {kl}, and the mean return went from {first} to"
+    " {last}.",
+    advice="Set `train.learning_rate` to {usual}.",
+)
 def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
-    """The learning rate is {rate}, {times} times the usual {usual}: up to {clipped} of the samples of an
-    update are clipped, the largest KL divergence is {kl}, and the mean return went from {first} to {last}.
-
-    Try: Set `train.learning_rate` to {usual}.
-    """
     rate, usual = t.number_setting("learning_rate"), _usual_rate(t)
     if rate is None or _names_rate(t):
         return None
@@ -474,12 +482,13 @@ def _usual_rate(t: TrainingEvidence) -> float:
     return float(rate) if isinstance(rate, int | float) else 3e-4  # of the library
 
 
+@statement(
+    "learning_rate_too_low",
+    "The learning rate is {rate}, {times} times lower than the usual {usual}: after {steps} steps, the mean"
+    " return went only from {first} to {last}{divergence}.",
+    advice="Set `train.learning_rate` to {usual}.",
+)
 def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
-    """The learning rate is {rate}, {times} times lower than the usual {usual}: after {steps} steps, the mean
-    return went only from {first} to {last}{divergence}.
-
-    Try: Set `train.learning_rate` to {usual}.
-    """
     rate, usual, kl = t.number_setting("learning_rate"), _usual_rate(t), t.curve("train/approx_kl")
     if not rate or len(t.episodes) < 2 * MIN_EPISODES or returns_rise(t) is not None:
         return None
@@ -505,14 +514,15 @@ def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "rewards_too_large",
+    "The rewards are too large for the critic: the mean return of late episodes is {late}, and the critic"
+    " explains {explained} of the variance of the returns. The norm of a gradient is limited, and the part of"
+    " the critic leaves hardly any for the policy.",
+    advice="Set `train.normalize` to `reward`, which divides rewards by their standard deviation for"
+    " learning only, or scale all terms down.",
+)
 def rewards_too_large(t: TrainingEvidence) -> Numbers | None:
-    """The rewards are too large for the critic: the mean return of late episodes is {late}, and the critic
-    explains {explained} of the variance of the returns. The norm of a gradient is limited, and the part of
-    the critic leaves hardly any for the policy.
-
-    Try: Set `train.normalize` to `reward`, which divides rewards by their standard deviation for learning
-    only, or scale all terms down.
-    """
     training, explained = t.program.agent.training, t.curve("train/explained_variance")
     if (
         training is None
@@ -529,12 +539,13 @@ def rewards_too_large(t: TrainingEvidence) -> Numbers | None:
             "settings": {"train.normalize": "reward"}}  # fmt: skip
 
 
+@statement(
+    "horizon_too_short",
+    "The discount factor {gamma} hides what comes late: after {length} steps, {of}, a reward has {weight} of"
+    " its weight.",
+    advice="Set `train.gamma` to {wanted}.",
+)
 def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
-    """The discount factor {gamma} hides what comes late: after {length} steps, {of}, a reward has {weight} of
-    its weight.
-
-    Try: Set `train.gamma` to {wanted}.
-    """
     gamma, won = t.number_setting("gamma"), t.episodes.lengths[t.episodes.successes > 0]
     if gamma is None or gamma >= 1.0:
         return None
@@ -562,13 +573,14 @@ def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "exploration_hides_success",
+    "Without exploration, the policy succeeds in {without}{where} at the end of the training. With"
+    " exploration, it succeeds in {with}. Exploration prevents success.",
+    advice="{remedy}, or loosen the condition for success. You can already use the policy: `deepbots view`,"
+    " `eval` and `export` run it without exploration.",
+)
 def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
-    """Without exploration, the policy succeeds in {without}{where} at the end of the training. With
-    exploration, it succeeds in {with}. Exploration prevents success.
-
-    Try: {remedy}, or loosen the condition for success. You can already use the policy: `deepbots view`,
-    `eval` and `export` run it without exploration.
-    """
     hidden, until = hides_success(t), criterion(t)
     if hidden is None:
         return None
@@ -587,13 +599,14 @@ def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "success_needs_exploration",
+    "With exploration, the policy succeeds in {with} at the end of the training. Without it, it succeeds in"
+    " {without}{where}: it seems to stand still or to repeat itself in some states, and only the noise on its"
+    " actions leads out of them.",
+    advice="{advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}",
+)
 def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
-    """With exploration, the policy succeeds in {with} at the end of the training. Without it, it succeeds in
-    {without}{where}: it seems to stand still or to repeat itself in some states, and only the noise on its
-    actions leads out of them.
-
-    Try: {advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}
-    """
     needed = needs_exploration(t)
     if needed is None:
         return None
@@ -610,13 +623,14 @@ def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "exploration_delays_stage",
+    "Stage '{stage}' continued for {delay} steps after its evaluations reached {criterion}, because training"
+    " episodes with exploration stayed below it. In these evaluations, without exploration, the policy"
+    " succeeds in {success}.",
+    advice="Let evaluations end the stage, with `in evaluation` in its `until`.",
+)
 def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
-    """Stage '{stage}' continued for {delay} steps after its evaluations reached {criterion}, because training
-    episodes with exploration stayed below it. In these evaluations, without exploration, the policy succeeds
-    in {success}.
-
-    Try: Let evaluations end the stage, with `in evaluation` in its `until`.
-    """
     worst: dict[str, Any] = {}
     for place, stage in enumerate(t.stages[: t.stage_index]):
         until, after = stage.until, t.episodes_of(t.stages[place + 1].name)
@@ -695,12 +709,13 @@ def _exploration_changes(t: TrainingEvidence, factor: float) -> list[Change]:
     return [change for change in changes if change.after != change.before]
 
 
+@statement(
+    "exploration_too_large",
+    "The policy is still random: after {updates} updates it has {randomness} its initial randomness (entropy"
+    " {entropy}), with `ent_coef` {weight}. The mean return of late training episodes is {late}{evaluated}.",
+    advice="Lower `train.ent_coef` from {weight} to {wanted}.",
+)
 def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
-    """The policy is still random: after {updates} updates it has {randomness} its initial randomness (entropy
-    {entropy}), with `ent_coef` {weight}. The mean return of late training episodes is {late}{evaluated}.
-
-    Try: Lower `train.ent_coef` from {weight} to {wanted}.
-    """
     weight, random = t.number_setting("ent_coef"), _random_entropy(t)
     entropy, spread = -t.curve("train/entropy_loss"), t.curve("train/std")
     if not weight or not len(entropy) or (random is None and not len(spread)):
@@ -733,12 +748,13 @@ def _random_entropy(t: TrainingEvidence) -> float | None:
     return None if agent.ranges else float(np.log([len(part.options) for part in agent.choices]).sum())
 
 
+@statement(
+    "exploration_collapsed",
+    "The policy hardly explores: {measure} is {value} after {steps} steps. Below {least}, a policy finds"
+    " hardly anything new.",
+    advice="{remedy}.",
+)
 def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
-    """The policy hardly explores: {measure} is {value} after {steps} steps. Below {least}, a policy finds
-    hardly anything new.
-
-    Try: {remedy}.
-    """
     rate, more = t.number_setting("learning_rate"), _exploration_changes(t, 10.0)
     slower = (
         []

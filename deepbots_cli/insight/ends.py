@@ -10,7 +10,7 @@ from statistics import fmean
 from typing import Any
 
 from deepbots_cli.insight.stages import needs_exploration, plateau
-from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate
+from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
 from deepbots_cli.learning.order import measure_of
 from deepbots_cli.learning.report import longer_goal
@@ -22,12 +22,13 @@ _CLEARLY_MORE = 0.2
 with 20 starts, which both have, the standard deviation of one rate is 0.11 at most."""
 
 
+@statement(
+    "one_ending",
+    "'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.",
+    advice="Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this"
+    " ending in one of these episodes.",
+)
 def one_ending(t: TrainingEvidence) -> Numbers | None:
-    """'{ending}' ends {share} of the last {episodes} episodes, after {length} steps on average.
-
-    Try: Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this ending in
-    one of these episodes.
-    """
     late = t.episodes_between(0.75, 1.0)
     if len(late) < MIN_EPISODES:
         return None
@@ -45,11 +46,12 @@ def one_ending(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "stopped_early",
+    "The training stopped after {steps} of {planned} steps, {reason}. {verdict}: {result}.",
+    advice="{advice}",
+)
 def stopped_early(t: TrainingEvidence) -> Numbers | None:
-    """The training stopped after {steps} of {planned} steps, {reason}. {verdict}: {result}.
-
-    Try: {advice}
-    """
     result, evaluation = t.run.record.result, t.verdict.evaluation
     if (
         result is None
@@ -76,13 +78,14 @@ def stopped_early(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "kept_by_return",
+    "The kept model is not the one that succeeds most: after {kept_at} steps it succeeded in {kept} of its"
+    " evaluation, and the model after {best_at} steps in {best}. It was chosen by its return, {kept_return}"
+    " against {best_return}.",
+    advice="{remedy}",
+)
 def kept_by_return(t: TrainingEvidence) -> Numbers | None:
-    """The kept model is not the one that succeeds most: after {kept_at} steps it succeeded in {kept} of its
-    evaluation, and the model after {best_at} steps in {best}. It was chosen by its return, {kept_return}
-    against {best_return}.
-
-    Try: {remedy}
-    """
     agent, result = t.run.program.agent, t.run.record.result
     model = None if result is None else result.best_model
     if (
@@ -122,12 +125,13 @@ def _mean_return(evaluation: Mapping[str, Any]) -> float:
     return fmean(evaluation["returns"])
 
 
+@statement(
+    "too_few_steps",
+    "{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets {planned}"
+    " steps.",
+    advice="{advice}",
+)
 def too_few_steps(t: TrainingEvidence) -> Numbers | None:
-    """{finding}. The training has made {steps} steps in {episodes} episodes; the scenario sets {planned}
-    steps.
-
-    Try: {advice}
-    """
     length = training_length(t)
     rise = returns_rise(t)
     what = f"stage '{t.stage}'" if t.stage else "the training"

@@ -26,6 +26,7 @@ from deepbots_cli.insight.statements import (
     StatementRule,
     list_text,
     quantity_text,
+    statement,
     statements_about,
 )
 from deepbots_cli.insight.trace import Trace
@@ -68,8 +69,8 @@ def _seconds(time: float) -> str:
 _WORDS = {"success": "succeeded", "failure": "failed", "time limit": "reached its time limit"}
 
 
+@statement("ending", "{what} {outcome}: '{ending}' ended it after {steps} steps, at {seconds}.")
 def ending(trace: Trace) -> Numbers | None:
-    """{what} {outcome}: '{ending}' ended it after {steps} steps, at {seconds}."""
     if trace.outcome not in _WORDS:
         return None
     of = f" (agent {trace.agent})" if trace.agent else ""
@@ -83,8 +84,8 @@ def ending(trace: Trace) -> Numbers | None:
     }
 
 
+@statement("error", "After {steps} steps, at {seconds}, {what} stopped with an error: {error}.")
 def error(trace: Trace) -> Numbers | None:
-    """After {steps} steps, at {seconds}, {what} stopped with an error: {error}."""
     return (
         {"what": trace.title, "error": trace.error, "steps": trace.steps, "seconds": _seconds(trace.time)}
         if trace.error
@@ -92,14 +93,17 @@ def error(trace: Trace) -> Numbers | None:
     )
 
 
+@statement(
+    "not_ended",
+    "The actions of {what} end after {steps} steps ({seconds}), but the episode has not ended.",
+)
 def not_ended(trace: Trace) -> Numbers | None:
-    """The actions of {what} end after {steps} steps ({seconds}), but the episode has not ended."""
     evidence = {"what": trace.title, "steps": trace.steps, "seconds": _seconds(trace.time)}
     return evidence if trace.outcome == "not ended" else None
 
 
+@statement("margin", "{side} was {shown}: {by} {where} the threshold of {limit}.")
 def margin(trace: Trace) -> Numbers | None:
-    """{side} was {shown}: {by} {where} the threshold of {limit}."""
     end = trace.end
     if end is None or end.margin is None or end.bound is None:
         return None
@@ -121,16 +125,19 @@ def margin(trace: Trace) -> Numbers | None:
     }
 
 
+@statement(
+    "truth_ending",
+    "`{condition}` became {truth} in step {step}. It is true or false, so there is no margin.",
+)
 def truth_ending(trace: Trace) -> Numbers | None:
-    """`{condition}` became {truth} in step {step}. It is true or false, so there is no margin."""
     end = trace.end
     if end is None or end.bound is not None:
         return None
     return {**end.as_json(), "step": trace.steps, "truth": "true" if end.value else "false"}
 
 
+@statement("truncation_limit", "The episode reached {shown} of at most {limit} ({condition}).")
 def truncation_limit(trace: Trace) -> Numbers | None:
-    """The episode reached {shown} of at most {limit} ({condition})."""
     limits = trace.program.truncation
     if trace.outcome not in ("time limit", "success") or trace.ended_by not in ("max_steps", "max_time"):
         return None
@@ -151,9 +158,12 @@ def truncation_limit(trace: Trace) -> Numbers | None:
     }
 
 
+@statement(
+    "approach",
+    "Starting at {seconds} (step {step}, {side} = {from}), it came nearer to the threshold in each of the"
+    " last {steps} steps.",
+)
 def approach(trace: Trace) -> Numbers | None:
-    """Starting at {seconds} (step {step}, {side} = {from}), it came nearer to the threshold in each of the
-    last {steps} steps."""
     if trace.end is None or trace.end.bound is None:
         return None
     leaf = trace.end.condition
@@ -174,8 +184,8 @@ def approach(trace: Trace) -> Numbers | None:
     }
 
 
+@statement("nearest", "'{ending}' requires {needed}; {best}, at {seconds} (step {step}).")
 def nearest(trace: Trace) -> Numbers | None:
-    """'{ending}' requires {needed}; {best}, at {seconds} (step {step})."""
     name, condition = missed_success(trace)
     if condition is None or not any(leaf.bound is not None for leaf in comparisons_in(condition)):
         return None
@@ -208,8 +218,8 @@ def nearest(trace: Trace) -> Numbers | None:
     }
 
 
+@statement("conditions", "Of the conditions in '{ending}', {parts}.")
 def conditions(trace: Trace) -> Numbers | None:
-    """Of the conditions in '{ending}', {parts}."""
     name, missed = missed_success(trace)
     outer, inner = ([], []) if missed is None else (comparisons_in(missed), inner_comparisons(missed))
     if len(inner) < 2 and not any(leaf.lasting for leaf in outer):
@@ -243,8 +253,8 @@ def conditions(trace: Trace) -> Numbers | None:
     return {"ending": name, "conditions": measured, "parts": "; ".join(texts)}
 
 
+@statement("terms", "The return is {total}: {parts}. Percentages are shares of the sum of absolute values.")
 def terms(trace: Trace) -> Numbers | None:
-    """The return is {total}: {parts}. Percentages are shares of the sum of absolute values."""
     if not trace.steps:
         return None
     sums = {name: float(np.nansum(values)) for name, values in trace.terms.items()}
@@ -262,8 +272,11 @@ def terms(trace: Trace) -> Numbers | None:
     }
 
 
+@statement(
+    "concentrated_rewards",
+    "At least 80% of a large reward term came from a part of the episode: {parts}.",
+)
 def concentrated_rewards(trace: Trace) -> Numbers | None:
-    """At least 80% of a large reward term came from a part of the episode: {parts}."""
     whole, concentrated = sum(abs(float(np.nansum(values))) for values in trace.terms.values()), {}
     for name, values in trace.terms.items():
         total = float(np.nansum(values))
@@ -279,9 +292,12 @@ def concentrated_rewards(trace: Trace) -> Numbers | None:
     return {"spans": concentrated, "parts": list_text(parts)} if concentrated else None
 
 
+@statement(
+    "critic",
+    "The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {left} steps before"
+    " the end.",
+)
 def critic(trace: Trace) -> Numbers | None:
-    """The critic's value fell most at {seconds} (step {step}), from {before} to {after}, {left} steps before
-    the end."""
     if trace.critic is None or len(trace.critic) < 2 or np.diff(trace.critic).min() >= 0:
         return None
     step = int(np.argmin(np.diff(trace.critic))) + 1
@@ -297,17 +313,20 @@ def critic(trace: Trace) -> Numbers | None:
     }
 
 
+@statement(
+    "unforeseen",
+    "The critic did not predict this failure: its value did not fall in any of {steps} steps, and rose from"
+    " {first} to {last}.",
+)
 def unforeseen(trace: Trace) -> Numbers | None:
-    """The critic did not predict this failure: its value did not fall in any of {steps} steps, and rose from
-    {first} to {last}."""
     critic = trace.critic
     if trace.outcome != "failure" or critic is None or len(critic) < 2 or np.diff(critic).min() < 0:
         return None
     return {"steps": trace.steps, "first": float(critic[0]), "last": float(critic[-1])}
 
 
+@statement("saturation", "Observations at an end of their range, as a fraction of steps: {parts}.")
 def saturation(trace: Trace) -> Numbers | None:
-    """Observations at an end of their range, as a fraction of steps: {parts}."""
     numbers = trace.program.agent.numbers
     at_end = (np.abs(trace.observations) >= 1.0).mean(axis=0)
     return _shares(
@@ -315,8 +334,8 @@ def saturation(trace: Trace) -> Numbers | None:
     )
 
 
+@statement("action_limits", "Actions at an end of their range, as a fraction of steps: {parts}.")
 def action_limits(trace: Trace) -> Numbers | None:
-    """Actions at an end of their range, as a fraction of steps: {parts}."""
     at_limit = np.abs(trace.action_array("ranges")) >= 0.999
     return _shares(
         {
@@ -338,8 +357,8 @@ def _shares(by_name: Mapping[str, float]) -> Numbers | None:
     )
 
 
+@statement("choices", "Actions, as a fraction of steps: {parts}.")
 def choices(trace: Trace) -> Numbers | None:
-    """Actions, as a fraction of steps: {parts}."""
     parts = trace.program.agent.choices
     if not parts or not trace.steps:
         return None
@@ -358,8 +377,8 @@ def choices(trace: Trace) -> Numbers | None:
     return {"options": options, "parts": list_text(sentences, len(sentences))}
 
 
+@statement("further_endings", "Further endings that were also true in step {step} ({count}): {names}.")
 def further_endings(trace: Trace) -> Numbers | None:
-    """Further endings that were also true in step {step} ({count}): {names}."""
     held = [
         name
         for name, condition in trace.instrumented.conditions.items()

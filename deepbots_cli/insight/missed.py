@@ -16,7 +16,7 @@ from deepbots_cli.insight.conditions import (
     comparisons_in,
     measure,
 )
-from deepbots_cli.insight.statements import Numbers, list_text, quantity_text
+from deepbots_cli.insight.statements import Numbers, list_text, quantity_text, statement
 from deepbots_cli.insight.trace import Trace
 from deepbots_cli.insight.training import TrainingEvidence
 
@@ -131,13 +131,14 @@ def _without_clocks(leaves: Sequence[Comparison]) -> list[Comparison]:
     return [leaf for leaf in leaves if not any(_CLOCKS.fullmatch(side) for side in leaf.sides)]
 
 
+@statement(
+    "missed_condition",
+    "Episodes without success miss the same condition of '{ending}': in {episodes} of {of}, `{condition}` is"
+    " true least often, in {true} of {moments} moments{nearest}. {others}.",
+    advice="{remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of these"
+    " episodes.",
+)
 def missed_condition(t: TrainingEvidence) -> Numbers | None:
-    """Episodes without success miss the same condition of '{ending}': in {episodes} of {of}, `{condition}` is
-    true least often, in {true} of {moments} moments{nearest}. {others}.
-
-    Try: {remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of these
-    episodes.
-    """
     failed = t.failed or [trace for trace in t.policy if trace.outcome in ("failure", "time limit")]
     miss = common_miss(failed)
     if miss is None or not t.is_mature:

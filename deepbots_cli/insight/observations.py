@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepbots_cli.insight.statements import Numbers, Percentage, list_text
+from deepbots_cli.insight.statements import Numbers, Percentage, list_text, statement
 from deepbots_cli.insight.trace import Array
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence
 from deepbots_cli.program.task import Observation
@@ -13,12 +13,13 @@ SAME_TOLERANCE = 1e-6
 """Numbers of the observation, from -1 to 1, that differ by less are equal."""
 
 
+@statement(
+    "sensor_without_reading",
+    "{count} of {of} numbers of the observation never changed in {moments} moments ({values}): {guess}.",
+    advice="Check the position and direction of these sensors, and that something is in their range:"
+    " `deepbots view RUN` draws the rays of sensors. Or remove the values from `observation`.",
+)
 def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation never changed in {moments} moments ({values}): {guess}.
-
-    Try: Check the position and direction of these sensors, and that something is in their range: `deepbots
-    view RUN` draws the rays of sensors. Or remove the values from `observation`.
-    """
     spans = _spans(t)
     still = [name for name, (span, _) in spans.items() if span < SAME_TOLERANCE]
     if not still:
@@ -64,13 +65,14 @@ def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
     return t.facts.range_text(number, number.low + (value + 1) / 2 * (number.high - number.low))
 
 
+@statement(
+    "constant_observation",
+    "{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments, after mapping"
+    " to [-1, 1], they vary by at most {span}.",
+    advice="Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists"
+    " the ranges.",
+)
 def constant_observation(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation hardly change ({names}): in {moments} moments, after mapping
-    to [-1, 1], they vary by at most {span}.
-
-    Try: Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists the
-    ranges.
-    """
     spans = _spans(t)
     names = [name for name, (span, _) in spans.items() if SAME_TOLERANCE <= span < 0.01]
     if not names:
@@ -86,12 +88,13 @@ def constant_observation(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "saturated_observation",
+    "{count} of {of} numbers of the observation are outside their range in {share} of the moments ({names})."
+    " The clipped values differ by up to {lost} times the range.",
+    advice="Widen their ranges under `observation`: the policy cannot distinguish values outside a range.",
+)
 def saturated_observation(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} numbers of the observation are outside their range in {share} of the moments ({names}).
-    The clipped values differ by up to {lost} times the range.
-
-    Try: Widen their ranges under `observation`: the policy cannot distinguish values outside a range.
-    """
     if t.probe_moments < 2 * MIN_EPISODES:
         return None
     beyond = {

@@ -25,7 +25,7 @@ from deepbots_cli import api, rollout
 from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, walk
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar
 from deepbots_cli.insight.export.actuators import output
 from deepbots_cli.insight.export.readings import Reading
 from deepbots_cli.insight.export.recording import Watch
@@ -94,8 +94,6 @@ class Measurable:
 
     def __init__(self, program: Program, readings: Sequence[Reading]) -> None:
         self._deployment = Deployment(program)
-        self._signals = {signal.name: signal.scalars for signal in program.signals}
-        self._endings = {ending.name: ending.scalars for ending in program.endings}
         self._changing = {value.name for value in program.parameters if value.redraw is not None}
         self._facts = {fact for reading in readings for fact in self.facts_of(reading)}
 
@@ -108,18 +106,15 @@ class Measurable:
     def fact(self, read: EngineRead) -> Fact:
         return read.function, self._deployment.subjects(read), read.component
 
-    def missing(self, trees: Sequence[Scalar], seen: frozenset[str] = frozenset()) -> dict[str, None]:
+    def missing(self, trees: Sequence[Scalar]) -> list[str]:
         """The names of the facts behind expressions that nothing measures, in order of first use."""
         missing: dict[str, None] = {}
-        for leaf in (node for tree in trees for node in walk(tree)):
-            if isinstance(leaf, EngineRead) and not self._is_measured(leaf):
-                missing[self._deployment.name(leaf)] = None
-            elif isinstance(leaf, Name) and leaf.name in self._changing:
-                missing[f"{leaf.name} after it changes"] = None
-            elif isinstance(leaf, Name) and leaf.name not in seen:
-                behind = self._signals.get(leaf.name) or self._endings.get(leaf.name) or ()
-                missing |= self.missing(behind, seen | {leaf.name})
-        return missing
+        for robot, node in self._deployment.definitions.nodes(trees):
+            if isinstance(node, EngineRead) and robot is None and not self._is_measured(node):
+                missing[self._deployment.name(node)] = None
+            elif isinstance(node, Name) and node.name in self._changing:
+                missing[f"{node.name} after it changes"] = None
+        return [*missing]
 
     def _is_measured(self, read: EngineRead) -> bool:
         if read.function in ("age", "message_received"):
@@ -159,9 +154,7 @@ def scored(program: Program, readings: Sequence[Reading]) -> tuple[Program, list
         reward=rewards,
         success=tuple(name for name in program.agent.success if name in names),
     )
-    notes = [
-        f"{name} is left out: nothing measures {_listed([*lacking])}" for name, lacking in dropped.items()
-    ]
+    notes = [f"{name} is left out: nothing measures {_listed(lacking)}" for name, lacking in dropped.items()]
     return replace(program, endings=kept), notes
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.insight.conditions import comparisons_in, measure
 from deepbots_cli.insight.stages import hides_success, plateau
-from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
+from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.trace import Trace
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
 
@@ -25,12 +25,13 @@ def _per_step(traces: Sequence[Trace]) -> float:
     return sum(trace.returns for trace in traces) / max(1, sum(trace.steps for trace in traces))
 
 
+@statement(
+    "term_dominates",
+    "The reward term '{term}' dominates: it is {share} of the reward. With random actions it gives {mean}"
+    " per step, and all other terms together give {others}.",
+    advice="Scale '{term}' down until the other terms outweigh it, for example by a factor of 10.",
+)
 def term_dominates(t: TrainingEvidence) -> Numbers | None:
-    """The reward term '{term}' dominates: it is {share} of the reward. With random actions it gives {mean}
-    per step, and all other terms together give {others}.
-
-    Try: Scale '{term}' down until the other terms outweigh it, for example by a factor of 10.
-    """
     names = [term.name for term in t.program.agent.reward]
     sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in t.random)) for name in names}
     whole = sum(map(abs, sums.values()))
@@ -58,12 +59,13 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "reward_exploited",
+    "The reward pays for something other than the success: the mean return of {what} is {gained}, more than"
+    " the {by_example} of {example}, but the policy succeeds in {policy}{and_example}.{paying}",
+    advice="{remedy}",
+)
 def reward_exploited(t: TrainingEvidence) -> Numbers | None:
-    """The reward pays for something other than the success: the mean return of {what} is {gained}, more than
-    the {by_example} of {example}, but the policy succeeds in {policy}{and_example}.{paying}
-
-    Try: {remedy}
-    """
     for example in _examples(t):
         outcome = _exploiting_outcome(t, example)
         if outcome is not None:
@@ -197,12 +199,13 @@ def _term_means(t: TrainingEvidence, share: float = 0.75) -> dict[str, float]:
     }
 
 
+@statement(
+    "ending_early_pays",
+    "Failing early pays: a step earns {reward} on average, {failed} of the late episodes"
+    " fail{correlated}.{sooner}{saving}{going_on}",
+    advice="Make good steps earn a positive reward (check the signs of the terms), or {price}.",
+)
 def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
-    """Failing early pays: a step earns {reward} on average, {failed} of the late episodes
-    fail{correlated}.{sooner}{saving}{going_on}
-
-    Try: Make good steps earn a positive reward (check the signs of the terms), or {price}.
-    """
     late = t.episodes_between(0.75, 1.0)
     if len(late) < MIN_EPISODES or np.ptp(t.episodes.lengths) == 0:
         return None
@@ -307,12 +310,13 @@ def _going_on(t: TrainingEvidence) -> Numbers:
     return {**returns, "going_on": f"{text}."}
 
 
+@statement(
+    "standing_still_pays",
+    "Standing still pays: zero actions earn {still} per step, the policy earns {policy}, and {rate} of the"
+    " late episodes succeed.",
+    advice="{progress}, and make each step cost something instead of earning something.",
+)
 def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
-    """Standing still pays: zero actions earn {still} per step, the policy earns {policy}, and {rate} of the
-    late episodes succeed.
-
-    Try: {progress}, and make each step cost something instead of earning something.
-    """
     late = t.episodes_between(0.75, 1.0)
     if not t.idle or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
         return None
@@ -341,14 +345,15 @@ def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "loitering",
+    "Staying near success pays more than success: {share} of the late episodes reach the time limit. In the"
+    " second half of such episodes, '{term}' gives {per_step} per step, which is {whole} for {steps} steps."
+    " {compared}",
+    advice="{nearer}nd the episode where it pays, or scale it down until an episode of it earns less than"
+    " success.",
+)
 def loitering(t: TrainingEvidence) -> Numbers | None:
-    """Staying near success pays more than success: {share} of the late episodes reach the time limit. In the
-    second half of such episodes, '{term}' gives {per_step} per step, which is {whole} for {steps} steps.
-    {compared}
-
-    Try: {nearer}nd the episode where it pays, or scale it down until an episode of it earns less than
-    success.
-    """
     if not t.program.defines_success or not t.is_mature or not t.policy:
         return None
     late = t.episodes_between(0.5, 1.0)
@@ -421,12 +426,13 @@ def _stays_near(trace: Trace) -> bool:
     return False
 
 
+@statement(
+    "reward_apart_from_success",
+    "A higher return does not mean more success: {how}.{rising}",
+    advice="Make a success earn more than an episode without success can collect, and scale down the terms"
+    " that reward something else.",
+)
 def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
-    """A higher return does not mean more success: {how}.{rising}
-
-    Try: Make a success earn more than an episode without success can collect, and scale down the terms that
-    reward something else.
-    """
     if not t.program.defines_success or not t.is_mature:
         return None
     late = t.episodes_by_steps(0.5, 1.0)
@@ -486,12 +492,13 @@ _FLAT_EVALUATIONS = 3
 """Evaluations from which on their mean returns show whether the return still grows."""
 
 
+@statement(
+    "return_at_ceiling",
+    "The return is at its ceiling: it is {mean} in all of {episodes} {what} (from {low} to {high}), it no"
+    " longer grows, and no episode of the training returned more than {most}.{bounded}{asked}",
+    advice="{remedy}",
+)
 def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
-    """The return is at its ceiling: it is {mean} in all of {episodes} {what} (from {low} to {high}), it no
-    longer grows, and no episode of the training returned more than {most}.{bounded}{asked}
-
-    Try: {remedy}
-    """
     solved, late = t.run.program.agent.solved, t.episodes_between(0.75, 1.0)
     required = None if solved is None else solved.mean_return
     if len(t.episodes) < 4 * MIN_EPISODES or (solved is not None and required is None) or not t.is_last_stage:
@@ -559,11 +566,12 @@ def _is_flat(t: TrainingEvidence, mean: float) -> bool:
     return bool(abs(last - third) <= 2 * _CEILING * mean and abs(last - mean) <= 2 * _CEILING * mean)
 
 
+@statement(
+    "silent_terms",
+    "{count} of {of} reward terms are 0 in all {steps} steps of short episodes and in the logs: {names}.",
+    advice="Check the condition of each such term: `deepbots try SCENARIO` shows the terms of an episode.",
+)
 def silent_terms(t: TrainingEvidence) -> Numbers | None:
-    """{count} of {of} reward terms are 0 in all {steps} steps of short episodes and in the logs: {names}.
-
-    Try: Check the condition of each such term: `deepbots try SCENARIO` shows the terms of an episode.
-    """
     names = [term.name for term in t.program.agent.reward]
     sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.probes) for name in names}
     silent = [

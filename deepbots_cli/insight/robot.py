@@ -24,7 +24,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen.robot import sampled_sensors
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State, walk
+from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State
 from deepbots_cli.insight.export.actuators import output
 from deepbots_cli.insight.export.readings import Reading, Readings
 from deepbots_cli.insight.export.recording import Watch, with_probes
@@ -39,7 +39,7 @@ from deepbots_robot.intake import Input, Intake
 from deepbots_robot.link import Link
 from deepbots_robot.model import Output
 from deepbots_robot.serving import ServeError, Transport, field_of, mapped, outputs_of_entries
-from deepbots_robot.topics import ACTION, Field, Topic, action_field
+from deepbots_robot.topics import ACTION
 
 AGAIN = 0.25
 """Seconds without an answer after which a robot that waits sends its sensors again."""
@@ -80,102 +80,54 @@ def sent_readings(program: Program) -> list[Reading]:
     Raises:
         UsageError: A policy needs values between two actions.
     """
-    collector = _Collector(program)
-    agent = program.agent
-    for robot in program.robots:
-        if robot.name in agent.robots:
-            sampled = sampled_sensors(program, robot)
-            for sensor in robot.sensors:
-                if sensor.is_direct or sensor.name in sampled:
-                    collector.add(collector.describe.sensor(robot, sensor))
-            for value in robot.receive:
-                collector.supervised(value.scalars)
-    for entry in agent.observation:
-        collector.supervised(entry.value.scalars)
-    if agent.goal is not None:
-        collector.supervised(agent.goal.achieved.scalars)
-        collector.supervised(agent.goal.targets)
-    for part in agent.choices:
-        collector.supervised(
-            [option.forbidden.scalar for option in part.options if option.forbidden is not None]
-        )
-    if collector.remembers and program.action_repeat > 1:
+    describe = Readings(program)
+    moved = [robot for robot in program.robots if robot.name in program.agent.robots]
+    sampled = {robot.name: sampled_sensors(program, robot) for robot in moved}
+    sensors = ((robot, sensor) for robot in moved for sensor in robot.sensors)
+    readings = [
+        describe.sensor(robot, sensor)
+        for robot, sensor in sensors
+        if sensor.is_direct or sensor.name in sampled[robot.name]
+    ]
+    nodes = describe.deployment.nodes
+    if program.action_repeat > 1 and any(isinstance(node, State) for _, node in nodes):
         raise UsageError(
             f"{program.name} has `action_repeat: {program.action_repeat}` and an observation with a memory:"
             " its bundle needs values in"
             " every timestep, and a simulated robot sends them once per action"
         )
-    return list(collector.readings.values())
+    readings += [
+        reading for robot, node in nodes if (reading := _reading(program, describe, robot, node)) is not None
+    ]
+    return [*{reading.info.name: reading for reading in readings}.values()]
 
 
-class _Collector:
-    """Follows names to what is measured."""
-
-    def __init__(self, program: Program) -> None:
-        self.describe = Readings(program)
-        self.readings: dict[str, Reading] = {}
-        self._signals = {signal.name: signal for signal in program.signals}
-        self._parameters = {value.name: value for value in program.parameters}
-        self._fields = {
-            f"{robot.name}.{entry.name}": (robot, entry)
-            for robot in program.robots
-            for entry in robot.emitted
-        }
-        self._followed: set[str] = set()
-        self._robots = program.robots
-        self.remembers = False
-        """Whether a value has a memory, which advances in every timestep."""
-
-    def add(self, reading: Reading) -> None:
-        self.readings.setdefault(reading.info.name, reading)
-
-    def supervised(self, trees: Sequence[Scalar]) -> None:
-        """What values of the supervisor are made of."""
-        self.remembers |= any(isinstance(node, State) for tree in trees for node in walk(tree))
-        for leaf in _leaves(trees):
-            if isinstance(leaf, EngineRead):
-                self._of_world(leaf)
-            elif leaf.name in self._parameters:
-                self.add(self.describe.parameter(self._parameters[leaf.name]))
-            elif leaf.name not in self._followed:
-                self._followed.add(leaf.name)
-                if leaf.name in self._signals:
-                    self.supervised(self._signals[leaf.name].scalars)
-                elif leaf.name in self._fields:
-                    robot, entry = self._fields[leaf.name]
-                    self._on_board(robot, entry.scalars)
-
-    def _on_board(self, robot: Robot, trees: Sequence[Scalar]) -> None:
-        self.remembers |= any(isinstance(node, State) for tree in trees for node in walk(tree))
-        sensors = {sensor.name: sensor for sensor in robot.sensors}
-        for leaf in _leaves(trees):
-            if isinstance(leaf, EngineRead):
-                self._of_world(leaf)
-            elif leaf.name in sensors:
-                self.add(self.describe.sensor(robot, sensors[leaf.name]))
-
-    def _of_world(self, leaf: EngineRead) -> None:
-        if leaf.function in ("age", "message_received"):
-            self.add(replace(self.describe.of_world(leaf)[0], trees=(self._of_channel(leaf),)))
-        elif leaf in self.describe.direct:
-            robot, sensor, _ = self.describe.direct[leaf]
-            self.add(self.describe.sensor(robot, sensor))
-        else:
-            self.add(self.describe.of_world(leaf)[0])
-
-    def _of_channel(self, leaf: EngineRead) -> Scalar:
-        """The age of a sensor, as its robot sends it; what is sent is new in every step."""
-        robot, _, sensor = leaf.subjects[0].partition(".")
-        fields = {
-            f"{each.name}.{name}": f"{each.name}.{field}"
-            for each in self._robots
-            for name, field in each.ages
-        }
-        return Name(fields[f"{robot}.{sensor}"]) if sensor else Const(leaf.function == "message_received")
+def _reading(program: Program, describe: Readings, robot: Robot | None, node: Scalar) -> Reading | None:
+    """The reading that a robot sends for a node of an expression, of its own or of the supervisor."""
+    parameters = describe.deployment.definitions.parameters
+    match node:
+        case EngineRead("age" | "message_received"):
+            return replace(describe.of_world(node)[0], trees=(_of_channel(program, node),))
+        case EngineRead() if node in describe.direct:
+            return describe.sensor(*describe.direct[node][:2])
+        case EngineRead():
+            return describe.of_world(node)[0]
+        case Name(name) if robot is not None:
+            return next(
+                (describe.sensor(robot, sensor) for sensor in robot.sensors if sensor.name == name), None
+            )
+        case Name(name) if name in parameters:
+            return describe.parameter(parameters[name])
+    return None
 
 
-def _leaves(trees: Sequence[Scalar]) -> Iterator[Name | EngineRead]:
-    return (node for tree in trees for node in walk(tree) if isinstance(node, Name | EngineRead))
+def _of_channel(program: Program, leaf: EngineRead) -> Scalar:
+    """The age of a sensor, as its robot sends it; what is sent is new in every step."""
+    robot, _, sensor = leaf.subjects[0].partition(".")
+    fields = {
+        f"{each.name}.{name}": f"{each.name}.{field}" for each in program.robots for name, field in each.ages
+    }
+    return Name(fields[f"{robot}.{sensor}"]) if sensor else Const(leaf.function == "message_received")
 
 
 # The robot
@@ -377,10 +329,6 @@ def _without_limits(entry: Output) -> Input:
     """A command as an input of the robot, which takes any finite one and keeps it within its limits."""
     free = np.full(entry.shape, np.inf)
     return Input(field_of(entry), "float64", -free, free, np.inf)
-
-
-def _action_field(program: Program) -> tuple[Field, Topic]:
-    return action_field(len(program.agent.choices) or len(program.agent.range_names))
 
 
 def serve_robot(

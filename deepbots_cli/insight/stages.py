@@ -12,7 +12,7 @@ import numpy as np
 
 from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
+from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
 from deepbots_cli.learning.draws import DrawLabel, DrawnBin, by_drawn_value, draw_labels
 from deepbots_cli.program.task import Criterion
@@ -30,9 +30,12 @@ _CHANCE = 1e-4  # of a value that has nothing to do with success to be named, ov
 # The present stage
 
 
+@statement(
+    "present_stage",
+    "The training is in stage '{stage}' ({number} of {count}), which began at step {since} of {steps}."
+    " {evaluated}{ends}",
+)
 def present_stage(t: TrainingEvidence) -> Numbers | None:
-    """The training is in stage '{stage}' ({number} of {count}), which began at step {since} of {steps}.
-    {evaluated}{ends}"""
     if not t.stages:
         return None
     late = t.late_success
@@ -130,13 +133,14 @@ def stage_changes(t: TrainingEvidence) -> str:
     )
 
 
+@statement(
+    "stage_too_hard",
+    "Stage '{stage}' is too hard after stage '{before}'. At the end of '{before}', the policy succeeded in"
+    " {success_before}; in the second half of the {steps} steps of '{stage}', it succeeds in {success}.",
+    advice="Add a stage between the two, with values between theirs{changes}, or let episodes of '{stage}'"
+    " start nearer to success.",
+)
 def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
-    """Stage '{stage}' is too hard after stage '{before}'. At the end of '{before}', the policy succeeded in
-    {success_before}; in the second half of the {steps} steps of '{stage}', it succeeds in {success}.
-
-    Try: Add a stage between the two, with values between theirs{changes}, or let episodes of '{stage}' start
-    nearer to success.
-    """
     if not t.stage_index or not t.program.defines_success or not t.is_mature:
         return None
     before = t.stages[t.stage_index - 1].name
@@ -165,12 +169,13 @@ def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "easy_stage_counted",
+    "The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of {count})."
+    " In this stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.",
+    advice="{remedy}",
+)
 def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
-    """The policy has learned only an easy stage: the training ended in stage '{stage}' ({number} of {count}).
-    In this stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.
-
-    Try: {remedy}
-    """
     until, late = criterion(t), t.late_success
     if until is None or t.is_running or (t.steps < 0.5 * t.planned and not t.final_episodes):
         return None
@@ -217,13 +222,14 @@ def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "stuck_in_stage",
+    "The training is stuck in stage '{stage}' ({number} of {count}), which began at step {since}: the"
+    " {metric} was {before} in the third quarter of the stage and {late} in the last quarter, but the stage"
+    " ends at {threshold}.",
+    advice="{remedy}. Also check the causes below: they apply to this stage.",
+)
 def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
-    """The training is stuck in stage '{stage}' ({number} of {count}), which began at step {since}: the
-    {metric} was {before} in the third quarter of the stage and {late} in the last quarter, but the stage ends
-    at {threshold}.
-
-    Try: {remedy}. Also check the causes below: they apply to this stage.
-    """
     until = criterion(t)
     if until is None or until.metric == "steps" or t.stage_steps < t.planned / len(t.stages):
         return None
@@ -332,13 +338,15 @@ def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
     return round(t.first_step + first / _BINS * t.stage_steps), min(levels), max(levels)
 
 
+@statement(
+    "success_plateau",
+    "The success rate no longer rises: it was between {low} and {high} from step {since} to {steps}{where}."
+    " In the second half of {half_of}, the policy succeeds in {success}.",
+    advice="Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots"
+    " diagnose RUN --episode failed` shows which condition they miss. More steps alone are unlikely"
+    " to help.",
+)
 def success_plateau(t: TrainingEvidence) -> Numbers | None:
-    """The success rate no longer rises: it was between {low} and {high} from step {since} to {steps}{where}.
-    In the second half of {half_of}, the policy succeeds in {success}.
-
-    Try: Look at episodes without success: `deepbots eval RUN --details` shows their starts, `deepbots
-    diagnose RUN --episode failed` shows which condition they miss. More steps alone are unlikely to help.
-    """
     level = plateau(t)
     if (
         level is None
@@ -361,13 +369,14 @@ def success_plateau(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "some_starts_fail",
+    "{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with `{drawn}`"
+    " {best}, it succeeds in {succeeding} ({source}; by value: {parts}).",
+    advice="Check that these starts can succeed, with a script or by hand (`deepbots play`){observed}. Then"
+    " train more on these starts, for example with a curriculum that draws them more often at first.",
+)
 def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
-    """{flat} depends on the start: with `{drawn}` {worst}, the policy succeeds in {failing}; with `{drawn}`
-    {best}, it succeeds in {succeeding} ({source}; by value: {parts}).
-
-    Try: Check that these starts can succeed, with a script or by hand (`deepbots play`){observed}. Then train
-    more on these starts, for example with a curriculum that draws them more often at first.
-    """
     is_flat = plateau(t) is not None or stuck_in_stage(t) is not None
     if not is_flat and not t.final_episodes:  # they may still be learned
         return None
@@ -481,12 +490,13 @@ def needs_exploration(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | 
     return explored, without
 
 
+@statement(
+    "success_never_seen",
+    "{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns differ by"
+    " {spread} (standard deviation).",
+    advice="{remedy} start nearer to success, or loosen its condition; a curriculum can do the latter two.",
+)
 def success_never_seen(t: TrainingEvidence) -> Numbers | None:
-    """{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns differ by
-    {spread} (standard deviation).
-
-    Try: {remedy} start nearer to success, or loosen its condition; a curriculum can do the latter two.
-    """
     if not t.program.defines_success or len(t.episodes) < MIN_EPISODES or not is_rare(t):
         return None
     flat, count = float(np.ptp(t.episodes.returns)) < 1e-9, int(t.episodes.successes.sum())

@@ -1,33 +1,52 @@
 """Sentences with their evidence: the form of every row in the two tables.
 
-A row is a function that finds numbers, and whose docstring is the sentence that shows them. There is no
-sentence without its numbers.
+A row is a sentence with fields for numbers, and the function that finds these numbers. There is no sentence
+without its numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from deepbots_cli.expressions.dimensions import ONE, Unit
 
 Numbers = Mapping[str, Any]
 T = TypeVar("T")
-T_contra = TypeVar("T_contra", contravariant=True)
 
 
-class StatementRule(Protocol[T_contra]):
-    """A row: its name is the cause, its docstring the sentence, with a field in braces for each number, then
-    `Try:` and what to try.
+@dataclass(frozen=True)
+class StatementRule(Generic[T]):
+    """A row of a table.
 
-    It returns None where it does not apply. Evidence may hold more than the sentence shows; its entry
-    `likelihood` (0 to 1) orders causes, and `settings` become those of the statement.
+    Attributes:
+        name: The cause.
+        text: The sentence, with a field in braces for each number.
+        advice: What to try, with the same fields; may be empty.
+        finder: Returns the numbers, or None where the row does not apply. The numbers may be more than the
+            sentence shows; the entry `likelihood` (0 to 1) orders causes, and `settings` become those of the
+            statement.
     """
 
-    __name__: str
+    name: str
+    text: str
+    advice: str
+    finder: Callable[[T], Numbers | None]
 
-    def __call__(self, about: T_contra, /) -> Numbers | None: ...
+    def __call__(self, about: T) -> Numbers | None:
+        return self.finder(about)
+
+
+def statement(
+    name: str, text: str, advice: str = ""
+) -> Callable[[Callable[[T], Numbers | None]], StatementRule[T]]:
+    """A decorator that makes a row of the function that finds its numbers."""
+
+    def with_text(finder: Callable[[T], Numbers | None]) -> StatementRule[T]:
+        return StatementRule(name, text, advice, finder)
+
+    return with_text
 
 
 @dataclass(frozen=True)
@@ -113,15 +132,14 @@ class EvaluationRate(SuccessRate):
 def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Statement]:
     """The statements of the rows that apply, in the order of the table."""
     statements = []
-    for finder in rules:
-        evidence = finder(subject)
+    for rule in rules:
+        evidence = rule.finder(subject)
         if evidence is not None:
             shown = {key: _number_text(value) for key, value in evidence.items()}
-            text, _, advice = " ".join((finder.__doc__ or "").split()).partition(" Try: ")
             settings = evidence.get("settings", {})
             kept = {key: value for key, value in evidence.items() if key != "settings"}
-            sentence, remedy = (form.format(**shown).strip() for form in (text, advice))
-            statements.append(Statement(finder.__name__, sentence, remedy, kept, settings))
+            sentence, remedy = (form.format(**shown).strip() for form in (rule.text, rule.advice))
+            statements.append(Statement(rule.name, sentence, remedy, kept, settings))
     return statements
 
 

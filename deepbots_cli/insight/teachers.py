@@ -4,7 +4,7 @@ more."""
 from __future__ import annotations
 
 from deepbots_cli.analysis import unobserved_reads
-from deepbots_cli.insight.statements import Numbers, SuccessRate
+from deepbots_cli.insight.statements import Numbers, SuccessRate, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence
 
 _GOOD_TEACHER = 0.8
@@ -13,11 +13,12 @@ _AS_GOOD = 0.85
 """A pupil succeeds as often as its teacher from this share of the teacher's success rate on."""
 
 
+@statement(
+    "script_succeeds",
+    "A script is better than the policy: '{script}' succeeds in {by_script}, and the policy in {by_policy}.",
+    advice="Let the script teach the policy, with `teacher: {script}` under `train`.",
+)
 def script_succeeds(t: TrainingEvidence) -> Numbers | None:
-    """A script is better than the policy: '{script}' succeeds in {by_script}, and the policy in {by_policy}.
-
-    Try: Let the script teach the policy, with `teacher: {script}` under `train`.
-    """
     policy = policy_rate(t)
     rates = {
         name: SuccessRate([trace.outcome == "success" for trace in traces])
@@ -64,13 +65,14 @@ def teacher_rate(t: TrainingEvidence) -> SuccessRate | None:
     return SuccessRate([trace.outcome == "success" for trace in played]) if played else None
 
 
+@statement(
+    "teacher_fails",
+    "The teacher fails itself: '{script}' succeeds in {by_script}, and the policy that it teaches in"
+    " {by_policy}. A policy hardly learns from a teacher what the teacher cannot do.",
+    advice="Improve the script first: `deepbots try {scenario} --driver {script} --episodes 20` shows its"
+    " endings. Or train without it.",
+)
 def teacher_fails(t: TrainingEvidence) -> Numbers | None:
-    """The teacher fails itself: '{script}' succeeds in {by_script}, and the policy that it teaches in
-    {by_policy}. A policy hardly learns from a teacher what the teacher cannot do.
-
-    Try: Improve the script first: `deepbots try {scenario} --driver {script} --episodes 20` shows its
-    endings. Or train without it.
-    """
     training, script, policy = t.program.agent.training, teacher_rate(t), policy_rate(t)
     if training is None or training.teacher is None or script is None:
         return None
@@ -90,14 +92,15 @@ def teacher_fails(t: TrainingEvidence) -> Numbers | None:
     }
 
 
+@statement(
+    "teacher_sees_more",
+    "The teacher sees more than the policy: '{script}' reads {names}, which the policy does not observe, so"
+    " it acts differently in states that look the same to the policy. It succeeds in {by_script}, and the"
+    " policy in {by_policy}.",
+    advice="Add what the teacher reads to `observation`. If a robot could not measure it, show the policy"
+    " more of the past: {past} for the sensors that change with it.",
+)
 def teacher_sees_more(t: TrainingEvidence) -> Numbers | None:
-    """The teacher sees more than the policy: '{script}' reads {names}, which the policy does not observe, so
-    it acts differently in states that look the same to the policy. It succeeds in {by_script}, and the policy
-    in {by_policy}.
-
-    Try: Add what the teacher reads to `observation`. If a robot could not measure it, show the policy more of
-    the past: {past} for the sensors that change with it.
-    """
     training = t.program.agent.training
     if training is None or training.teacher is None or not (played := t.scripts.get(training.teacher.script)):
         return None

@@ -44,6 +44,10 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.teacher import Plan
 
 _MAX_DATA_BYTES = 8_000_000
+_STABLE = {
+    True: "deepbots_cli.learning.sb3.learner:OnPolicyLearner",
+    False: "deepbots_cli.learning.sb3.learner:OffPolicyLearner",
+}  # by whether the algorithm is on-policy; imported when it is used
 
 
 @dataclass(frozen=True)
@@ -346,11 +350,10 @@ def class_of(training: Training) -> type[Learner]:
     Raises:
         UsageError: That of another package cannot be imported, or is none.
     """
-    from deepbots_cli.learning.sb3.learner import StableLearner  # which needs this module
-
     model = ALGORITHMS.get(training.algorithm)
     if model is None or model.is_derived():
-        return StableLearner
+        stable: type[Learner] = import_attribute(_STABLE[model is None or model.on_policy])
+        return stable
     try:
         learner_class = import_attribute(model.import_path)
     except (ImportError, AttributeError) as error:

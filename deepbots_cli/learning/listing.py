@@ -19,7 +19,7 @@ from deepbots_cli.files import read_at_most
 from deepbots_cli.learning.campaign import Campaign
 from deepbots_cli.learning.decline import Decline, decline_of
 from deepbots_cli.learning.directories import is_training, numbered_files
-from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log
+from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log_tail
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import ChosenBy, EvaluationRecord, RunRecord, changed_settings
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME
@@ -249,7 +249,7 @@ def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
 def _recent(log: Path) -> list[tuple[int, int, float, bool]]:
     """Steps, number, return and success of the last episodes in a log; nothing where it cannot be read."""
     try:
-        rows = read_log(log, tail=_TAIL_BYTES)[-WINDOW_EPISODES:]
+        rows = read_log_tail(log, _TAIL_BYTES)[-WINDOW_EPISODES:]
         return [
             (int(row["steps"]), int(row["episode"]), float(row["r"]), row["is_success"] == "1")
             for row in rows

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, TextIO
 
+from deepbots_cli.display import Display
 from deepbots_cli.learning.executor import Watcher
 from deepbots_cli.learning.order import Candidate, Measure
 from deepbots_cli.learning.records import TrainingResult
@@ -18,11 +18,7 @@ from deepbots_cli.program.task import Solved
 
 if TYPE_CHECKING:
     from rich.console import Group
-    from rich.live import Live
 
-
-REFRESH_INTERVAL_S = 0.25
-"""Seconds between two refreshes of the table; it has no thread of its own."""
 LINE_INTERVAL_S, EVALUATION_INTERVAL_S = 30.0, 10.0
 """Seconds after a line without a terminal until the next one, and until one that an evaluation causes."""
 
@@ -98,46 +94,35 @@ class ProgressReporter(Reporter):
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = sys.stderr if stream is None else stream
-        self._live: Live | None = None
+        self._display = Display(stream)
         self._first, self._began, self._shown, self._tenth, self._evaluations = 0, 0.0, 0.0, 0, 0
         self._activity = ""
 
     def note(self, text: str) -> None:
-        if self._live is None:
-            print(f"note: {text}", file=self._stream)
-        else:
-            self._live.console.out(f"note: {text}", highlight=False)  # above the table
+        self._display.print(f"note: {text}")
 
     def start(self, progress: TrainingProgress) -> None:
         self._first, self._began = progress.steps, time.perf_counter()
         self._shown = self._began
         self._tenth = 10 * progress.steps // progress.total_steps
-        if self._stream.isatty():
-            from rich.console import Console  # 60 ms, which only a terminal pays
-            from rich.live import Live
-
-            self._live = Live(console=Console(file=self._stream), auto_refresh=False)
-            self._live.start()
 
     def update(self, progress: TrainingProgress) -> None:
         now = time.perf_counter()
         speed = (progress.steps - self._first) / max(1e-9, now - self._began)
         seconds_left = progress.seconds_left(self._first, now - self._began)
-        if self._live is not None:
-            is_urgent = progress.steps >= progress.total_steps or progress.activity
-            if now - self._shown >= REFRESH_INTERVAL_S or is_urgent:
-                self._live.update(_table(progress, speed, now - self._began, seconds_left), refresh=True)
-                self._shown = now
+        if self._display.is_terminal:
+            is_urgent = progress.steps >= progress.total_steps or bool(progress.activity)
+            elapsed = now - self._began
+            self._display.show(
+                lambda _height: _table(progress, speed, elapsed, seconds_left), at_once=is_urgent
+            )
             return
         tenth, since = 10 * progress.steps // progress.total_steps, now - self._shown
         if progress.activity:
             what = progress.activity.partition(":")[0]
             if what != self._activity or since >= EVALUATION_INTERVAL_S:
-                print(
-                    f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity} ...",
-                    file=self._stream,
-                    flush=True,
+                self._display.print(
+                    f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity} ..."
                 )
                 self._activity, self._shown = what, now
             return
@@ -152,17 +137,10 @@ class ProgressReporter(Reporter):
                 text if name in ("speed", "stage", "remaining") else f"{name} {text}"
                 for name, text in values.items()
             ]
-            print(
-                f"{progress.steps:,} of {progress.total_steps:,} steps",
-                *parts,
-                sep="  ",
-                file=self._stream,
-                flush=True,
-            )
+            self._display.print("  ".join([f"{progress.steps:,} of {progress.total_steps:,} steps", *parts]))
 
     def stop(self) -> None:
-        if self._live is not None:
-            self._live.stop()
+        self._display.close()
 
 
 class GroupReporter(Watcher):
@@ -185,20 +163,14 @@ class GroupProgressReporter(GroupReporter):
     """
 
     def __init__(self, group: Path, seeds: Sequence[int], stream: TextIO | None = None) -> None:
-        self._group, self._seeds, self._stream = group, seeds, sys.stderr if stream is None else stream
+        self._group, self._seeds = group, seeds
+        self._display = Display(stream)
         self._progress: dict[int, TrainingProgress] = {}
         self._states = ["waiting"] * len(seeds)
         self._first: dict[int, int] = {}
         self._notes: set[str] = set()
         self._is_stopping = False
         self._began = self._shown = time.perf_counter()
-        self._live: Live | None = None
-        if self._stream.isatty():
-            from rich.console import Console  # 60 ms, which only a terminal pays
-            from rich.live import Live
-
-            self._live = Live(console=Console(file=self._stream), auto_refresh=False)
-            self._live.start()
 
     def on_report(self, item: int, value: object) -> None:
         if isinstance(value, TrainingProgress) and self._states[item] in ("waiting", "training"):
@@ -209,10 +181,10 @@ class GroupProgressReporter(GroupReporter):
     def on_note(self, item: int, text: str) -> None:
         if text not in self._notes:  # all trainings may have the same
             self._notes.add(text)
-            self._print(f"note: seed {self._seeds[item]}: {text}")
+            self._display.print(f"note: seed {self._seeds[item]}: {text}")
 
     def on_loss(self, item: int) -> None:
-        self._print(
+        self._display.print(
             f"note: the worker of seed {self._seeds[item]} was lost; another one resumes the training"
         )
 
@@ -226,9 +198,9 @@ class GroupProgressReporter(GroupReporter):
             }
             self._progress[item] = replace(latest, **final)
         self._states[item] = state
-        if self._live is None and outcome is not None:
+        if outcome is not None and not self._display.is_terminal:
             row = self._row(item)
-            self._print(
+            self._display.print(
                 "  ".join(value if name == "state" else f"{name} {value}" for name, value in row.items())
             )
         self._show(at_once=True)
@@ -236,29 +208,20 @@ class GroupProgressReporter(GroupReporter):
     def stop(self) -> None:
         if not self._is_stopping:
             self._is_stopping = True
-            self._print(
+            self._display.print(
                 f"stopping after these rollouts; continue with: deepbots resume {quote(str(self._group))}"
             )
 
     def close(self) -> None:
         self._show(at_once=True)
-        if self._live is not None:
-            self._live.stop()
-
-    def _print(self, text: str) -> None:
-        if self._live is None:
-            print(text, file=self._stream, flush=True)
-        else:
-            self._live.console.out(text, highlight=False)  # above the table
+        self._display.close()
 
     def _show(self, *, at_once: bool = False) -> None:
         now = time.perf_counter()
-        if self._live is not None:
-            if at_once or now - self._shown >= REFRESH_INTERVAL_S:
-                self._live.update(self._table(self._live.console.height), refresh=True)
-                self._shown = now
+        if self._display.is_terminal:
+            self._display.show(self._table, at_once=at_once)
         elif now - self._shown >= LINE_INTERVAL_S:
-            self._print(self._summary())
+            self._display.print(self._summary())
             self._shown = now
 
     def _row(self, item: int) -> dict[str, str]:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
@@ -194,20 +193,3 @@ def described(timings: Sequence[ShardTiming], chosen: ShardTiming) -> str:
         else f", because more are less than {MIN_GAIN} times as fast"
     )
     return f"measured: {rates}; the training has {counted_noun(chosen.shards, 'shard')}{reason}"
-
-
-def row(timing: ShardTiming) -> dict[str, Any]:
-    """A row of the table of `deepbots bench`."""
-    return {
-        "shards": timing.shards,
-        "workers": timing.workers or "-",
-        "steps/s": round(timing.steps_per_second),
-        "times": round(timing.speedup, 2),
-        "efficiency": round(timing.efficiency, 2),
-        "us/step": round(1e6 / timing.steps_per_second, 1),
-        "worlds": round(timing.worlds_us, 1),
-        "policy": round(timing.policy_us, 1),
-        "transfer": round(timing.transfer_us, 1),
-        "waiting": round(timing.waiting_us, 1),
-        "update": round(timing.update_us, 1),
-    }

@@ -1,5 +1,5 @@
-"""Robots: commands and actuators (DB312 to DB315, DB319), wheels that do not move a robot (DB322), limits in
-degrees (DB317), and rays that pass over everything (DB615).
+"""Robots: commands and actuators (DB312 to DB315, DB319), wheels that do not move a robot (DB322), robots
+that topple (DB324), limits in degrees (DB317), and rays that pass over everything (DB615).
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.simulation import (
     ARENA,
     MAX_SINK,
+    TOPPLING_S,
     Clearance,
     SimulationPosition,
     UnreachedPose,
@@ -54,6 +55,11 @@ _MIN_WHEEL_TURN = pi
 """rad that a driven wheel has turned where its robot should have moved."""
 _MAX_STAY_M, _MAX_STAY_ANGLE = 0.01, radians(5.0)
 """m, rad; a robot that slips moves by less."""
+_TOPPLED = radians(45.0)
+"""rad by which a robot has tilted that has toppled."""
+_ATTITUDE_SENSORS = frozenset(
+    {"gyro", "accelerometer", "projected_gravity", "orientation", "angular_velocity"}
+)
 _MAX_NAMES = 4
 """Joints that a finding lists."""
 _MAX_JOINT_POSITIONS = 12
@@ -391,6 +397,46 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
                 help,
                 notes=(*_links_beside_wheels(body.model, wheels), simulation.summary),
             )
+
+
+@rule("DB324")
+def topples(simulation: Simulation) -> Iterator[Finding]:
+    """A robot with a free base topples while nothing is done, and the scenario does not measure whether it
+    falls."""
+    for name, tilt in simulation.report.tilts.items():
+        robot = next(each for each in simulation.program.robots if each.name == name)
+        if tilt <= _TOPPLED or simulation.program.disturbances or _is_watched(simulation, robot):
+            continue
+        headline = (
+            f"`{name}` topples: its base is free, and tilts by {degrees(tilt):.0f} deg within"
+            f" {TOPPLING_S:g} s of doing nothing"
+        )
+        help = (
+            f"an arm needs `base: fixed` under `{name}`, which bolts it to the world; "
+            f"for a robot that has to balance, end the episode with `tilt({name}) > 45 deg`"
+        )
+        span = simulation.values.span_of_first(("robots", name), "base", "urdf")
+        yield Finding("DB324", span, headline, help, notes=(simulation.summary,))
+
+
+def _is_watched(simulation: Simulation, robot: Robot) -> bool:
+    """Whether the scenario measures the attitude or the height of the base of a robot, or the robot flies."""
+    if any(isinstance(each, (Thrust, CustomActuator)) for each in robot.actuators):
+        return True
+    if any(sensor.kind in _ATTITUDE_SENSORS for sensor in robot.sensors):
+        return True
+    reads = (
+        node
+        for value in simulation.program.computed_expressions
+        for tree in value.scalars
+        for node in walk(tree)
+    )
+    base = f"{robot.name}.{simulation.analysis.body(robot.name).model.root}"
+    facts = (node for node in reads if isinstance(node, EngineRead) and node.subjects[0] == base)
+    return any(
+        fact.function == "orientation" or (fact.function, fact.component) == ("position", "z")
+        for fact in facts
+    )
 
 
 def _links_beside_wheels(model: RobotModel, wheels: tuple[str, ...]) -> Iterator[str]:
@@ -800,5 +846,6 @@ STATIC_RULES = (
 SIMULATED_RULES = (
     pose_out_of_reach,
     robot_stays,
+    topples,
     measured_rays_meet_nothing,
 )

@@ -14,7 +14,7 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import count, islice, repeat
-from math import atan2, dist, hypot, inf, radians, remainder, tau
+from math import acos, atan2, dist, hypot, inf, radians, remainder, tau
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +32,7 @@ from deepbots_cli.lint.simulation import (
     IDLE,
     MAX_SINK,
     RANDOM,
+    TOPPLING_S,
     Clearance,
     End,
     Rolling,
@@ -42,7 +43,7 @@ from deepbots_cli.lint.simulation import (
     simulation_plan,
     variant_plan,
 )
-from deepbots_cli.port import Engine, JointReader, MotionReader
+from deepbots_cli.port import Engine, JointReader, MotionReader, PoseReader
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Cartesian as CartesianActuator
 from deepbots_cli.program.robots import Sensor
@@ -91,6 +92,7 @@ class Simulator:
         self._counters: dict[str, Counter] = {}
         self._rays = RayWatch(program)
         self._wheels = WheelWatch(program)
+        self._tilts = TiltWatch(program)
 
     def run(self) -> None:
         """Carry out the plan, until something stops it."""
@@ -124,6 +126,7 @@ class Simulator:
             }
         )
         self._write({"rolling": self._wheels.robots})
+        self._write({"tilts": {name: tilt for name, (_, tilt) in self._tilts.tilts.items()}})
 
     def _build(self, program: Program) -> Supervisor:
         self._write({"at": ["build", 0]})
@@ -229,12 +232,15 @@ class Simulator:
         check_wheels = (
             self._wheels.watch(environment.engine) if report else lambda: None
         )  # a case may have another robot file
+        if report:
+            self._tilts.begin(environment.engine, is_idle=rollout.policy == IDLE)
         rewards: list[float] = []
         for step in taken:
             rewards.append(step.reward)
             counter.add(step.observation, step.info["reward_terms"])
             check_rays()
             check_wheels()
+            self._tilts.check(step.number * environment.scenario.period)
             violation = speeds.check(step.number * environment.scenario.period)
             if speeds.new_maximum:
                 self._write({"fast": speeds.new_maximum})
@@ -244,6 +250,7 @@ class Simulator:
             if not environment.observation_space.contains(step.observation):
                 self._write({"stop": {"kind": "space", "entries": _outside(environment, step.observation)}})
                 raise StoppedError
+        self._tilts.close()
         if report:
             result = episode_result(step, rewards, self._program.agent.discount)
             self._write({"episode": {"policy": rollout.policy, "seed": rollout.seed, **result}})
@@ -569,6 +576,55 @@ class WheelWatch:
             )
 
         return check
+
+
+class TiltWatch:
+    """Watches robots with a free base while no action moves them; there are none in teams.
+
+    `tilts` maps each to the time (s) for which it was watched, and to how far it tilted (rad) from its
+    attitude at the reset. They are those of the episode with the smallest tilt, among the longest ones: an
+    episode counts for `TOPPLING_S` at most.
+    """
+
+    def __init__(self, scenario: Program) -> None:
+        is_free = {body.name: not body.fixed_base for body in scenario.world.robots}
+        robots = [robot for robot in scenario.robots if is_free[robot.name] and scenario.agent.copies is None]
+        self._robots = {robot.name: bool(robot.variables or robot.receive) for robot in robots}
+        """Whether the action moves each."""
+        self.tilts: dict[str, tuple[float, float]] = {}
+        self._watched: dict[str, tuple[PoseReader, Triple]] = {}
+        """The pose of each, and where up was in its frame at the reset."""
+        self._time = 0.0
+        self._now: dict[str, float] = {}
+
+    def begin(self, engine: Engine, *, is_idle: bool) -> None:
+        """Watch an episode from its present state on."""
+        poses = {
+            name: engine.pose(name) for name, is_moved in self._robots.items() if is_idle or not is_moved
+        }
+        self._watched = {
+            name: (pose, frames.rotate_back(pose()[1], (0.0, 0.0, 1.0))) for name, pose in poses.items()
+        }
+        self._now = dict.fromkeys(poses, 0.0)
+
+    def check(self, time: float) -> None:
+        """Compare with the state after a step, which ended so long (s) after the reset."""
+        if time > TOPPLING_S:
+            return
+        self._time = time
+        for name, (pose, upward) in self._watched.items():
+            tilt = acos(max(-1.0, min(1.0, frames.rotate(pose()[1], upward)[2])))
+            self._now[name] = max(self._now[name], tilt)
+
+    def close(self) -> None:
+        """End the episode."""
+        for name, tilt in self._now.items():
+            longest, smallest = self.tilts.get(name, (0.0, inf))
+            if self._time == longest:
+                tilt = min(tilt, smallest)
+            if self._time >= longest:
+                self.tilts[name] = self._time, tilt
+        self._watched, self._now, self._time = {}, {}, 0.0
 
 
 # Arms

@@ -129,6 +129,9 @@ End = Literal["success", "failure", "limit", "left"]
 """How an episode ended: by the task, by truncation, or left after enough steps."""
 ARENA = "arena walls"
 """Holds a blank, which no name of an object does."""
+TOPPLING_S = 2.0
+"""s after a reset in which a robot that topples does so: a published arm, an xArm 6, has tilted by 40 deg
+after 1 s."""
 MAX_SINK = 0.001
 """m; engines let bodies sink in by less, and round what rays meet."""
 
@@ -305,8 +308,9 @@ class SimulationReport:
     `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and
     `zero_terms` are the places of the numbers that never changed and of the terms that were always 0.
     `clearances` and `depths` are about sensors whose rays met nothing: how high they passed over all bodies,
-    and how far below the ground (m) they began. `rolling` is about robots on driven wheels. `done` says
-    whether the plan was completed, `fault` which exception of deepbots ended it.
+    and how far below the ground (m) they began. `rolling` is about robots on driven wheels, and `tilts` (rad)
+    about robots with a free base: how far each tilts at least within `TOPPLING_S` of doing nothing. `done`
+    says whether the plan was completed, `fault` which exception of deepbots ended it.
     """
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)
@@ -322,6 +326,7 @@ class SimulationReport:
     clearances: dict[tuple[str, str], Clearance] = field(default_factory=dict)
     depths: dict[tuple[str, str], float] = field(default_factory=dict)
     rolling: dict[str, Rolling] = field(default_factory=dict)
+    tilts: Mapping[str, float] = field(default_factory=dict)
     stop: Mapping[str, Any] | None = None
     halt: Halt | None = None
     fault: str | None = None
@@ -365,6 +370,8 @@ class SimulationReport:
                 self.depths = {(robot, sensor): depth for robot, sensor, depth in depths}
             case {"rolling": Mapping() as robots}:
                 self.rolling = {robot: Rolling(*counts) for robot, counts in robots.items()}
+            case {"tilts": Mapping() as tilts}:
+                self.tilts = tilts
             case {"stop": Mapping() as stop}:
                 self.stop = stop
             case {"fault": str(fault)}:

@@ -6,4 +6,6 @@ model.py     links, joints, shapes; mass, volume and inertia in closed form; the
 elements.py  XML to elements that know their place; their numbers and vectors
 reader.py    elements to a checked model, every finding with its place
 meshes.py    where mesh files are, whether they may be read, what they hold
+collada.py   the triangles of a COLLADA file, and its faults
+coverage.py  how many times the triangles of a mesh cover each other
 """

@@ -23,18 +23,25 @@ from typing import NamedTuple
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.robots.collada import FaultyColladaError, collada_triangles
+from deepbots_cli.robots.coverage import MAX_LAYERS, Coverage, mesh_coverage
 from deepbots_cli.robots.elements import parse
 from deepbots_cli.robots.model import Mesh, Vector
 
 MAX_BYTES = 32 * 2**20
 MAX_TOTAL_BYTES = 256 * 2**20
-MAX_CACHED_PROBLEMS = 256
-_PROBLEMS: dict[tuple[str, str], str | None] = {}
-"""The first problem of each mesh that was checked, by suffix and sha256 digest."""
+MAX_CACHED_MESHES = 256
+_CHECKED: dict[tuple[str, str], CheckedMesh] = {}
+"""The meshes that were checked, by suffix and sha256 digest."""
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _NOT_FINITE = re.compile(rb"^[ \t]*v[ \t][^\n]*(?:nan|inf)", re.MULTILINE | re.IGNORECASE)
 _NOT_FINITE_STL = re.compile(rb"vertex[ \t][^\n]*(?:nan|inf)", re.IGNORECASE)
+_NUMBER = rb"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_NUMBERS = rb"[ \t]+" + rb"[ \t]+".join([_NUMBER] * 3) + rb"(?=\s|$)"
+_SOUND_VERTEX = re.compile(rb"^[ \t]*v" + _NUMBERS, re.MULTILINE)
+_VERTEX_STL = re.compile(rb"vertex[ \t]", re.IGNORECASE)
+_SOUND_VERTEX_STL = re.compile(rb"vertex" + _NUMBERS, re.IGNORECASE)
 _VERTEX_COORDINATES = re.compile(rb"^[ \t]*v[ \t]+([-+.0-9eE \t]+)", re.MULTILINE)
 _PLACE_STL = re.compile(rb"vertex[ \t]+([-+.0-9eE \t]+)", re.IGNORECASE)
 _FACE = re.compile(rb"^[ \t]*f([ \t][^\n]*)", re.MULTILINE)
@@ -56,6 +63,13 @@ _ARCHIVES = (
     b"Rar!",
     b"\x28\xb5\x2f\xfd",
 )
+
+
+class CheckedMesh(NamedTuple):
+    """The first problem of a mesh, and how often its triangles cover it where they are many."""
+
+    problem: str | None
+    coverage: Coverage | None = None
 
 
 @dataclass(frozen=True)
@@ -191,10 +205,11 @@ class MeshReader:
 
     def __init__(self, resolve: ResolveMesh) -> None:
         self._resolve = resolve
-        self._known: dict[Path, str | UnusableMesh] = {}
+        self._known: dict[Path, tuple[str, Coverage | None] | UnusableMesh] = {}
         self._total = 0
 
-    def load(self, reference: str) -> LoadedMesh | UnusableMesh:
+    def load(self, reference: str, scale: Vector) -> LoadedMesh | UnusableMesh:
+        """A mesh as a robot file names it, with the factors along its axes."""
         try:
             resolved = self._resolve(reference)
             if isinstance(resolved, UnusableMesh):
@@ -204,11 +219,23 @@ class MeshReader:
                 self._known[path] = self._digest(path)
         except OSError as error:
             return UnusableMesh(f"the mesh cannot be read: {error.strerror}")
-        digest = self._known[path]
+        known = self._known[path]
         better = resolved.reference if isinstance(resolved, MeshAboveRobot) else None
-        return digest if isinstance(digest, UnusableMesh) else LoadedMesh(path, digest, better)
+        if isinstance(known, UnusableMesh):
+            return known
+        digest, coverage = known
+        layers = coverage.layers(scale) if coverage is not None else 0.0
+        if layers > MAX_LAYERS:
+            headline = (
+                f"the triangles of the mesh cover each other about {layers:,.0f} times, and the limit"
+                f" is {MAX_LAYERS}"
+            )
+            return UnusableMesh(
+                headline, "remove triangles that lie in or behind others: a picture of them takes minutes"
+            )
+        return LoadedMesh(path, digest, better)
 
-    def _digest(self, path: Path) -> str | UnusableMesh:
+    def _digest(self, path: Path) -> tuple[str, Coverage | None] | UnusableMesh:
         if not str(path).isprintable():
             return UnusableMesh(
                 "the path of the mesh contains characters that cannot be printed",
@@ -235,12 +262,19 @@ class MeshReader:
         if data.startswith(_ARCHIVES):
             return UnusableMesh("the mesh is an archive", "unpack it")
         suffix, digest = path.suffix.lower(), hashlib.sha256(data).hexdigest()
-        if (suffix, digest) not in _PROBLEMS:
-            if len(_PROBLEMS) >= MAX_CACHED_PROBLEMS:
-                _PROBLEMS.clear()
-            _PROBLEMS[suffix, digest] = mesh_problem(suffix, data)
-        wrong = _PROBLEMS[suffix, digest]
-        return UnusableMesh(wrong, "export the mesh again") if wrong else digest
+        if (suffix, digest) not in _CHECKED:
+            if len(_CHECKED) >= MAX_CACHED_MESHES:
+                _CHECKED.clear()
+            wrong = mesh_problem(suffix, data)
+            _CHECKED[suffix, digest] = CheckedMesh(
+                wrong, None if wrong else mesh_coverage(suffix, data, digest)
+            )
+        checked = _CHECKED[suffix, digest]
+        return (
+            UnusableMesh(checked.problem, "export the mesh again")
+            if checked.problem
+            else (digest, checked.coverage)
+        )
 
 
 def read_verified(mesh: Mesh) -> bytes:
@@ -335,7 +369,10 @@ def mesh_size(suffix: str, data: bytes) -> MeshSize | None:
 
 def _stl(data: bytes) -> str | None:
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
-        return "the STL file contains a vertex that is not finite" if _NOT_FINITE_STL.search(data) else None
+        if _NOT_FINITE_STL.search(data):
+            return "the STL file contains a vertex that is not finite"
+        is_sound = len(_VERTEX_STL.findall(data)) == len(_SOUND_VERTEX_STL.findall(data))
+        return None if is_sound else "a vertex of the STL file is not three numbers"
     if len(data) < 84:
         return "the STL file is shorter than its header"
     triangles = int.from_bytes(data[80:84], "little")
@@ -375,6 +412,8 @@ def _obj(data: bytes) -> str | None:
     )  # two plain searches take a third of the time of the pattern, which they nearly always spare
     if (b"nan" in lower or b"inf" in lower) and _NOT_FINITE.search(data):
         return "the OBJ file contains a vertex that is not finite"
+    if len(_SOUND_VERTEX.findall(data)) != vertices:
+        return "a vertex of the OBJ file is not three numbers"
     indices: set[bytes] = set()
     corners = 0
     for face in _FACE.finditer(data):
@@ -400,4 +439,11 @@ def _dae(data: bytes) -> str | None:
     if root is None or root.tag != "COLLADA":
         return "the mesh is not a COLLADA file"
     missing = next((tag for tag in _COLLADA if not root.find_all(tag)), None)
-    return f"the COLLADA file has no <{missing}>" if missing else None
+    if missing:
+        return f"the COLLADA file has no <{missing}>"
+    try:
+        for _ in collada_triangles(data):
+            pass
+    except FaultyColladaError as error:
+        return str(error)
+    return None

@@ -426,7 +426,7 @@ def _mesh(element: Element, meshes: MeshReader) -> Mesh | None:
         element.error("a mesh cannot be scaled by 0", attribute="scale")
     if filename is None:
         return None
-    loaded = meshes.load(filename)
+    loaded = meshes.load(filename, scale)
     if isinstance(loaded, UnusableMesh):
         element.error(loaded.headline, attribute="filename", help=loaded.help)
         return None

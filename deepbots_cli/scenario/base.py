@@ -338,7 +338,7 @@ def check_kind_model(name: str, model: type[Section], place: str, key: str = "ty
     """
     if kind_of(model, key) != name:
         raise ValueError(f'{model.__name__} needs the field `{key}: Literal["{name}"]`')
-    if not model.__doc__ or not place.partition(":")[2]:
+    if not section_description(model) or not place.partition(":")[2]:
         raise ValueError(
             f"{model.__name__} needs a docstring, and the `module:attribute` of its code for the runtime"
         )
@@ -539,13 +539,18 @@ def key_description(section: type[Section], key: str) -> str:
 
 @cache
 def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
-    """The docstrings below the fields of a module, by class and field."""
+    """The docstrings below the fields of a module, by class and field, and of its classes, with an empty
+    field.
+
+    They are read from the source, which also has them under `python -OO`.
+    """
     docstrings = {}
     try:
         tree = ast.parse(inspect.getsource(sys.modules[module]))
     except OSError:  # a plug-in without source
         return {}
     for section in [node for node in tree.body if isinstance(node, ast.ClassDef)]:
+        docstrings[section.name, ""] = ast.get_docstring(section) or ""
         for entry, below in pairwise(section.body):
             match entry, below:
                 case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
@@ -555,7 +560,10 @@ def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
 
 def section_description(section: type[Section]) -> str:
     """The sentence that describes a section."""
-    return " ".join(inspect.cleandoc(section.__doc__ or "").partition("\n\n")[0].split())
+    text = inspect.cleandoc(section.__doc__ or "") or _docstrings(section.__module__).get(
+        (section.__name__, ""), ""
+    )
+    return " ".join(text.partition("\n\n")[0].split())
 
 
 def unit_of(shape: Shape) -> str:

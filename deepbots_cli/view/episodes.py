@@ -17,7 +17,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
 from deepbots_cli.files import file_stamps
-from deepbots_cli.learning.episodes import read_log
+from deepbots_cli.learning.episodes import read_log_tail
 from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.port import View
@@ -253,7 +253,7 @@ class RunDriver(Driver):
 
     def _stage(self) -> str:
         """The stage of the curriculum that the training is in, as its newest episodes say."""
-        rows = read_log(self._run.monitor, tail=_TAIL_BYTES)
+        rows = read_log_tail(self._run.monitor, _TAIL_BYTES)
         return f", the training is in stage {rows[-1]['stage']}" if rows and rows[-1].get("stage") else ""
 
     def act(self, observation: Any) -> Any:

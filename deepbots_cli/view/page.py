@@ -284,7 +284,7 @@ class Page:
             # While nobody looks, the world stands still.
             if self.player is not None and self.server.get_clients():
                 self._run_or_stop(
-                    lambda: self.playback.run_for(period, continues=self.panel.show.continues.value)
+                    lambda: self.playback.pass_time(period, continues=self.panel.show.continues.value)
                 )
                 self._draw(texts=drawn % FRAMES_PER_TEXT == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - MAX_STEPPING_S)

@@ -209,7 +209,7 @@ class Playback:
                 world.frames[:] = frames
         self._on_change()
 
-    def run_for(self, period: float, *, continues: bool) -> None:
+    def pass_time(self, period: float, *, continues: bool) -> None:
         """Make the steps of the next `period` (s of real time); after the end, begin the next episode if it
         `continues`."""
         self.waiting = (

@@ -6,8 +6,8 @@ from __future__ import annotations
 import logging
 import math
 import textwrap
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import fmean
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.decline import Decline, decline_of
 from deepbots_cli.learning.directories import run_folders
-from deepbots_cli.learning.episodes import read_evaluations, read_log
+from deepbots_cli.learning.episodes import KeptNames, read_evaluations, read_log
 from deepbots_cli.learning.listing import teacher_of
 from deepbots_cli.learning.records import EvaluationRecord, RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".svg")
 _MAX_CURVE_POINTS = 200  # of a curve
+_MAX_MEANS = 20_000  # of a curve in a stage: with all of a million episodes, those of 20 endings take 400 MB
 _MAX_COLORED_ENDINGS = 20  # that have a color of their own
 _MAX_STAGES = 100  # that are marked
 _LINE_STYLES = ("-", "--", "-.", ":")
@@ -46,6 +47,7 @@ _EPISODE_COLUMNS = [
     *((name, float) for name in ("steps", "returns", "lengths", "successes")),
     *((name, object) for name in ("endings", "stages", "drawn")),
 ]
+_MAX_DRAWN, _MAX_DRAWN_LETTERS = 2_500, 1 << 23  # episodes whose drawn values are kept
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 
@@ -138,8 +140,8 @@ def _read_run(path: Path, window: int) -> TrainingLog:
         raise RunError(f"{path} contains no finished episode yet; plot it later")
     log.stages = stage_starts(record, episodes)
     log.returns = _averaged(episodes, episodes.returns, window, log.stages)
-    endings = episodes.endings.astype(str)
-    common = [name for name, _ in Counter(endings.tolist()).most_common(_MAX_COLORED_ENDINGS)]
+    endings = episodes.endings  # as objects: as texts of numpy, each would take the memory of the longest
+    common = [name for name, _ in Counter(endings).most_common(_MAX_COLORED_ENDINGS)]
     shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
     log.endings = {
         name: _averaged(episodes, share.astype(float), window, log.stages)
@@ -218,28 +220,34 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
     out.
 
     Episodes are a record array with the timesteps at their end (`steps`), `returns`, `lengths`, `successes`
-    (1 or 0), `endings`, `stages` of the curriculum ("" without one), and `drawn`, the drawn values as JSON
-    ("" without them). Evaluations are dictionaries of `steps`, of the `stage` in which the policy acted, and
-    of the `returns` and `successes` of their episodes.
+    (1 or 0), `endings`, `stages` of the curriculum ("" without one), and `drawn`, the drawn values of the
+    newest thousands as JSON ("" without them). Evaluations are dictionaries of `steps`, of the `stage` in
+    which the policy acted, and of the `returns` and `successes` of their episodes.
 
     Raises:
         RunError: A file is no regular file, too large, or damaged.
     """
-    rows, evaluations = read_log(run / "monitor.csv"), read_evaluations(run)
-    names = ("steps", "r", "l", "is_success")
+    path = run / "monitor.csv"
+    names, newest, letters = KeptNames(path), deque[str](), 0
+
+    def episodes() -> Iterator[tuple[Any, ...]]:
+        nonlocal letters
+        for row in read_log(path):
+            numbers = [float(row[name]) for name in ("steps", "r", "l", "is_success")]
+            if not all(map(math.isfinite, numbers)) or numbers[0] < 0:
+                raise ValueError("a number is not finite, or a step is negative")
+            newest.append(row.get("drawn") or "")
+            letters += len(newest[-1])
+            while len(newest) > _MAX_DRAWN or letters > _MAX_DRAWN_LETTERS:
+                letters -= len(newest.popleft())
+            yield (*numbers, *(names.keep(row.get(name) or "") for name in ("ended_by", "stage")), "")
+
     try:
-        texts = ("ended_by", "stage", "drawn")
-        numbers = [[float(row[name]) for name in names] for row in rows]
-        joined_rows = [
-            (*each, *(row.get(name) or "" for name in texts)) for each, row in zip(numbers, rows, strict=True)
-        ]
-        if not all(math.isfinite(number) for each in numbers for number in each) or any(
-            each[0] < 0 for each in numbers
-        ):
-            raise ValueError("a number is not finite, or a step is negative")
+        table = np.fromiter(episodes(), _EPISODE_COLUMNS)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
-    return np.array(joined_rows, _EPISODE_COLUMNS).view(np.recarray), evaluations
+    table["drawn"][len(table) - len(newest) :] = newest
+    return table.view(np.recarray), read_evaluations(run)
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:
@@ -274,7 +282,8 @@ def scalars_of(path: Path) -> dict[str, Curve]:
 
 
 def _averaged(episodes: Any, values: NDArray[np.float64], window: int, stages: Sequence[StageStart]) -> Curve:
-    """Means over so many episodes up to each, of each stage by itself."""
+    """Means over so many episodes up to each, of each stage by itself; in a long stage, up to thousands of
+    them."""
     pieces = []
     for start, following in zip(
         stages or [StageStart("", 0.0)], [*stages[1:], StageStart("", np.inf)], strict=True
@@ -286,9 +295,10 @@ def _averaged(episodes: Any, values: NDArray[np.float64], window: int, stages: S
             else np.full(len(values), True)
         )
         sums = np.concatenate([[0.0], np.cumsum(values[mine])])
-        ends = np.arange(1, len(sums))
+        count = len(sums) - 1
+        ends = 1 + np.linspace(0, count - 1, min(count, _MAX_MEANS)).round().astype(int)
         begins = np.maximum(0, ends - window)
-        pieces.append((episodes.steps[mine], (sums[ends] - sums[begins]) / (ends - begins)))
+        pieces.append((episodes.steps[mine][ends - 1], (sums[ends] - sums[begins]) / (ends - begins)))
     return _with_breaks(
         (np.concatenate([at for at, _ in pieces]), np.concatenate([means for _, means in pieces])), stages
     )

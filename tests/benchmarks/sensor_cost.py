@@ -13,9 +13,8 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from deepbots_cli.cli.commands.bench import plan
 from tests.benchmarks.report import Row, difference, options, pairs, show
-from tests.benchmarks.step_cost import opened, whole
+from tests.benchmarks.step_cost import opened, plan, whole
 
 SCENARIO = """
 deepbots: 1

@@ -13,16 +13,19 @@ times are CPU times; the two sides take turns, and the median of the ratios of t
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from deepbots_cli import api
-from deepbots_cli.cli.commands.bench import WARM_UP_STEPS, ConstantActionEpisode, plan, timed
 from deepbots_cli.document import shipped
 from deepbots_cli.engines.pybullet import capture_native_output
+from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime import Supervisor
 from tests.benchmarks.report import Row, difference, options, pairs, ratio, show
 
@@ -31,13 +34,62 @@ with capture_native_output():  # PyBullet prints when it is imported and when it
     from tests.benchmarks.layered import LayeredCartPole
 
 RAIL = str(Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml")
-
-
+WARM_UP_STEPS = 3
+"""Number of steps at the start of an episode that are not timed; delayed commands have then reached the
+motors."""
 TASKS = (
     ("quadruped", 1.15, False, "quadruped, 4 substeps with springs in 12 joints"),
     ("find_ball_random", 1.25, True, "find_ball_random, beside physics and its 8 rays"),
     ("pit_escape", 1.1, False, "pit_escape, 8 ticks of 8 substeps, gyro and accelerometer"),
 )
+
+
+@dataclass(frozen=True)
+class ConstantActionEpisode:
+    """An episode with one constant action, and the number of its timed steps."""
+
+    seed: int
+    action: Any
+    steps: int
+
+
+def plan(environment: Supervisor, steps: int, seed: int) -> list[ConstantActionEpisode]:
+    """Episodes that together have `steps` timed steps."""
+    episodes: list[ConstantActionEpisode] = []
+    left = steps
+    while left > 0:
+        number = seed + len(episodes)
+        environment.reset(seed=number)
+        action = environment.action_space.sample()
+        length, ended = 0, False
+        while not ended and length < left + WARM_UP_STEPS:
+            _, _, terminated, truncated, _ = environment.step(action)
+            length, ended = length + 1, terminated or truncated
+        if length <= WARM_UP_STEPS:
+            raise UsageError(f"an episode ends within {WARM_UP_STEPS} steps, so there is nothing to measure")
+        episodes.append(ConstantActionEpisode(number, action, length - WARM_UP_STEPS))
+        left -= length - WARM_UP_STEPS
+    return episodes
+
+
+def timed(
+    environment: Any,
+    episodes: list[ConstantActionEpisode],
+    call: Callable[[Any], object],
+    argument_of: Callable[[ConstantActionEpisode], Any],
+) -> float:
+    """CPU seconds of `call` in all timed steps."""
+    total = 0.0
+    for episode in episodes:
+        environment.reset(seed=episode.seed)
+        for _ in range(WARM_UP_STEPS):
+            environment.step(episode.action)
+        argument = argument_of(episode)
+        start = time.process_time()
+        for _ in repeat(None, episode.steps):
+            call(argument)
+        total += time.process_time() - start
+    return total
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
 import resource
@@ -12,7 +11,7 @@ import pytest
 import yaml
 
 from deepbots_cli import api
-from deepbots_cli.cli.commands import new
+from deepbots_cli.cli.command import help_text
 from deepbots_cli.cli.commands.new import Template, write_new
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
@@ -47,7 +46,7 @@ def test_every_section_of_a_template_has_a_comment(deepbots, tmp_path, template)
 
 
 def test_the_help_lists_every_template():
-    text = inspect.cleandoc(new.new.__doc__)
+    text = help_text("new")
     assert all(f"  {name:<8}  a" in text for name in Template)
 
 

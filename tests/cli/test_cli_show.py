@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 import re
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from deepbots_cli import api
-from deepbots_cli.cli.commands.bench import measure
-from deepbots_cli.cli.throughput import faster_engine, note_faster_engine
+from deepbots_cli.cli.throughput import note_faster_engine
+from deepbots_cli.insight.speed import faster_engine, measure
 from deepbots_cli.learning.sb3 import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, network: {activation: relu}}"
@@ -84,7 +84,7 @@ def test_messages_have_a_size_where_it_is_fixed(deepbots, format, size):
 
 @pytest.mark.parametrize("format", ["struct", "msgpack"])
 def test_the_size_of_a_message_is_what_its_codec_makes(format):
-    from deepbots_cli.cli.inspection import message_size
+    from deepbots_cli.insight.inspection import message_size
     from deepbots_cli.runtime.messages import codec
 
     program = api.compile("cartpole", overrides=[f"messages.format={format}"]).program
@@ -450,9 +450,9 @@ def test_an_engine_that_is_little_faster_is_not_named():
     assert faster_engine({"pybullet": 100.0, "mujoco": 150.0}, "pybullet").ratio == 1.5
 
 
-def test_a_bench_measures_no_more_pairs_than_fit_into_its_time():
-    with closing(api.make("cartpole")) as environment, closing(api.make("cartpole")) as bare:
-        assert measure(environment, bare, steps=20, pairs=5, seed=0, end=0.0).pairs == 1
+def test_a_bench_measures_no_more_rounds_than_fit_into_its_time():
+    (rounds,) = measure(api.compile("cartpole"), ["mujoco"], steps=20, rounds=5, seed=0, end=0.0)
+    assert len(rounds) == 1
 
 
 def test_a_quick_bench_measures_less(deepbots):
@@ -464,9 +464,16 @@ def test_a_quick_bench_measures_less(deepbots):
 
 def test_bench_tells_how_far_it_is():
     said = []
-    with closing(api.make("cartpole")) as environment, closing(api.make("cartpole")) as bare:
-        measure(environment, bare, steps=20, pairs=2, seed=0, on_measured=lambda *at: said.append(at))
-    assert said == [(0, 2), (0, 2), (1, 2), (2, 2)]  # the warm-up does not count
+    measure(
+        api.compile("cartpole"),
+        ["mujoco"],
+        steps=20,
+        rounds=2,
+        seed=0,
+        end=math.inf,
+        on_measured=lambda *at: said.append(at),
+    )
+    assert said == [(0, 2), (1, 2), (2, 2)]
 
 
 def test_a_project_names_a_clone_and_no_index(deepbots, tmp_path):

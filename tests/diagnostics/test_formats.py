@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Finding, Label, Source, Span
 from deepbots_cli.diagnostics.findings import Fix
-from deepbots_cli.diagnostics.render import github, junit, render, sarif
+from deepbots_cli.diagnostics.junit import junit
+from deepbots_cli.diagnostics.render import github, render, sarif
 from deepbots_cli.lint.pages import pages_of
 
 # What SARIF 2.1.0 asks of the objects that are used here, and no property that it does not know.

@@ -6,7 +6,9 @@ import subprocess
 import sys
 from hashlib import sha256
 from math import cos, pi, sin
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from deepbots_cli.engines import create
@@ -29,6 +31,7 @@ from deepbots_cli.robots.model import (
     Sphere,
 )
 from tests.named import constant
+from tests.robots.meshes import ball
 
 HILLS = Terrain(Formula(constant(0.0).scalar, (4.0, 4.0)))
 
@@ -66,15 +69,36 @@ def test_the_rounded_inertia_of_a_thin_disc_is_possible(build):
 
 
 def test_what_the_compiler_refuses_is_an_error_that_names_robot_and_link(tmp_path):
-    path = tmp_path / "flat.obj"
-    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
-    digest = sha256(path.read_bytes()).hexdigest()
+    flat = square(tmp_path)
     with pytest.raises(
         EngineError,
         match=r"^MuJoCo cannot build link 'pole' of 'robot': mesh has coplanar vertices, [a-z ]*; correct"
         r" its ",
     ):
-        create("mujoco", post(Inertial(1.0, ixx=1.0, iyy=1.0, izz=1.0), Mesh(str(path), digest)))
+        create("mujoco", post(Inertial(1.0, ixx=1.0, iyy=1.0, izz=1.0), flat))
+
+
+def test_a_flat_mesh_that_touches_nothing_is_drawn(build, tmp_path):
+    sign = RobotModel("sign", (Link("sign", None, (Geometry(square(tmp_path)),)),), (), root="sign")
+    engine = build("mujoco", WorldModel(0.02, 1, ground=None, robots=(RobotBody("sign", sign, True),)))
+    image = engine.render(View((0.5, 0.4, 2.0), (0.5, 0.5, 0.0), 40, 40))
+    assert len({tuple(color) for color in image.reshape(-1, 3).tolist()}) > 1
+
+
+def test_a_ball_of_more_vertices_than_a_hull_may_have_rests_as_a_ball(build, tmp_path):
+    path = tmp_path / "ball.obj"
+    path.write_bytes(ball(0.2, 80))
+    shape = Mesh(str(path), sha256(path.read_bytes()).hexdigest())
+    thing = ObjectBody("ball", shape, Pose((0, 0, 0.21)), 1.0)
+    engine = build("mujoco", WorldModel(0.01, 10, ground=Ground(1.0), objects=(thing,)))
+    engine.step(100)
+    assert engine.pose("ball")()[0][2] == pytest.approx(0.2, abs=2e-4)
+
+
+def square(folder: Path) -> Mesh:
+    path = folder / "flat.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    return Mesh(str(path), sha256(path.read_bytes()).hexdigest())
 
 
 def test_distances_to_terrain_are_refused(build):
@@ -212,3 +236,53 @@ def test_drawing_changes_nothing_that_follows(worlds, build):
                 engine.render(View((1, 1, 1), (0, 0, 0), 32, 32))
     assert seen.pose("ball")() == unseen.pose("ball")()
     assert seen.pose("robot")() == unseen.pose("robot")()
+
+
+def seen_shares(image) -> list[float]:
+    """The shares of pixels that are mostly red, green and blue."""
+    strongest = image.astype(int).argmax(axis=-1)[np.ptp(image.astype(int), axis=-1) > 60]
+    return [float((strongest == color).sum()) / image[..., 0].size for color in range(3)]
+
+
+@pytest.mark.parametrize("distance", [1.0, 20.0])
+def test_a_table_that_is_level_with_the_floor_does_not_flicker(build, distance):
+    """As in PandaPush: the floor was seen through half of it."""
+    table = ObjectBody(
+        "table", Box((4.0, 4.0, 0.02)), Pose((0, 0, -0.01)), color=(1.0, 0.0, 0.0, 1.0), fixed=True
+    )
+    engine = build("mujoco", WorldModel(0.02, 1, ground=Ground(color=(0.0, 1.0, 0.0, 1.0)), objects=(table,)))
+    for turn in (0.0, 0.4, 1.1):
+        eye = (0.6 * distance * cos(turn), 0.6 * distance * sin(turn), 0.8 * distance)
+        assert seen_shares(engine.render(View(eye, (0, 0, 0), 80, 60, 0.7 / distance, samples=1))) == [
+            1.0,
+            0.0,
+            0.0,
+        ]
+
+
+def test_of_faces_in_one_plane_the_later_one_is_seen(build):
+    def piece(color: int, x: float, size: float) -> ObjectBody:
+        shade = tuple(float(place == color) for place in range(3))
+        return ObjectBody(
+            f"piece{color}", Box((size, size, 0.1)), Pose((x, 0, 0.05)), color=(*shade, 1.0), fixed=True
+        )
+
+    base = piece(0, 0.0, 4.0)
+    above = View((0.3, 0.2, 1.0), (0.0, 0.0, 0.1), 80, 60, 0.5, samples=1)
+    for others in ((piece(1, 0.0, 3.0),), (piece(1, 0.0, 3.0), piece(2, 0.0, 2.0))):
+        shares = seen_shares(
+            build("mujoco", WorldModel(0.02, 1, ground=None, objects=(base, *others))).render(above)
+        )
+        assert shares[len(others)] == 1.0
+    label = (
+        Geometry(Box((4.0, 4.0, 0.1)), color=(1.0, 0, 0, 1)),
+        Geometry(Cylinder(2.0, 0.1), color=(0, 0, 1.0, 1)),
+    )
+    sign = RobotModel(
+        "sign", (Link("sign", Inertial(1.0, ixx=1.0, iyy=1.0, izz=1.0), label),), (), root="sign"
+    )
+    engine = build(
+        "mujoco",
+        WorldModel(0.02, 1, ground=None, robots=(RobotBody("sign", sign, False, Pose((0, 0, 0.05))),)),
+    )
+    assert seen_shares(engine.render(above)) == [0.0, 0.0, 1.0]

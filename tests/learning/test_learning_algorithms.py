@@ -24,7 +24,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3 import algorithms, defaults, models
 from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment
-from deepbots_cli.learning.sb3.learner import StableLearner
+from deepbots_cli.learning.sb3.learner import OffPolicyLearner
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Training
 from deepbots_cli.rollout.collector import LocalCollector
@@ -198,7 +198,7 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
 ) -> None:
     replays = []
 
-    class Seen(StableLearner):
+    class Seen(OffPolicyLearner):
         def start(self) -> None:
             replays.append(
                 deepcopy(
@@ -207,7 +207,7 @@ def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to
             )
             super().start()
 
-    monkeypatch.setattr("deepbots_cli.learning.sb3.learner.StableLearner", Seen)
+    monkeypatch.setattr("deepbots_cli.learning.sb3.learner.OffPolicyLearner", Seen)
     result = resume(reached.run, total_timesteps=1_600, build=Reach)
     (replay,) = replays
     assert replay["full"]

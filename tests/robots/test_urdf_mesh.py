@@ -7,14 +7,18 @@ import math
 import os
 import struct
 import zipfile
+from itertools import chain
 from pathlib import Path
+from random import Random
 
 import pytest
 
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.robots import meshes
+from deepbots_cli.robots.coverage import mesh_coverage
 from deepbots_cli.robots.model import Mesh, to_urdf
 from deepbots_cli.robots.reader import RobotFile, read
+from tests.robots.meshes import ball
 
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1/1 2/2 4/3\nf -1 -2 -3\n"
 
@@ -69,6 +73,35 @@ def test_the_normalized_robot_finds_its_meshes_from_anywhere(tmp_path: Path):
     assert again.model == robot.model
 
 
+def sheets(name: str, count: int, *, scale: float = 1.0) -> bytes:
+    """A file of so many triangles over each other, in one plane or, with a scale other than 1, in planes one
+    below the other."""
+    corners = [
+        [(0.0, 0.0, z), (0.2, 0.0, z), (0.0, 0.2, z)]
+        for z in (number * (scale - 1.0) for number in range(count))
+    ]
+    points = [point for triangle in corners for point in triangle]
+    if name.endswith(".stl"):
+        body = b"".join(
+            struct.pack("<12fH", 0, 0, 0, *chain.from_iterable(triangle), 0) for triangle in corners
+        )
+        return bytes(80) + struct.pack("<I", count) + body
+    if name.endswith(".obj"):
+        vertices = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points)
+        return (
+            vertices
+            + "".join(f"f {3 * n + 1} {3 * n + 2}/1/1 {3 * n - len(points) + 2}\n" for n in range(count))
+        ).encode()
+    numbers = " ".join(f"{each:.9g}" for point in points for each in point)
+    indices = " ".join(f"0 {n}" for n in range(len(points)))
+    return f"""<COLLADA><asset/><library_geometries><geometry id="g"><mesh>
+<source id="s"><float_array id="f" count="{3 * len(points)}">{numbers}</float_array>
+<technique_common><accessor/></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
+<triangles count="{count}"><input semantic="NORMAL" source="#s" offset="0"/><input semantic="VERTEX" source="#v" offset="1"/>
+<p>{indices}</p></triangles></mesh></geometry></library_geometries><library_visual_scenes/></COLLADA>""".encode()
+
+
 CONTENTS = {
     "a.obj": (b"# nothing\n", "the OBJ file contains no vertex"),
     "b.obj": (
@@ -79,6 +112,15 @@ CONTENTS = {
     "d.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -9\n", "but the file has only 3 vertices"),
     "e.obj": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a vertex that is not finite"),
     "f.obj": (b"v 0 0 0\n", "the OBJ file contains no face"),
+    "h.obj": (
+        b"v 0 e90 0\nv 1 0 0\nv 0 1 9999999\nf 1 2 3\n",
+        "a vertex of the OBJ file is not three numbers",
+    ),
+    "i.obj": (b"v 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a vertex of the OBJ file is not three numbers"),
+    "g.stl": (
+        b"solid x\nfacet normal 0 0 1\nvertex 0 1.2.3 0\n",
+        "a vertex of the STL file is not three numbers",
+    ),
     "g.obj": (b"\0\1\2", "the OBJ file is not text"),
     "a.stl": (
         stl(100_000_000, 1),
@@ -92,6 +134,34 @@ CONTENTS = {
     "a.dae": (b"<COLLADA/>", "the COLLADA file has no <asset>"),
     "b.dae": (b"hello", "the mesh is not a COLLADA file"),
     "c.dae": (b"<!DOCTYPE x [<!ENTITY a 'b'>]><COLLADA>&a;</COLLADA>", "the mesh is not a COLLADA file"),
+    "d.dae": (
+        sheets("d.dae", 1).replace(b"0 2</p>", b"0 99999999</p>"),
+        "has vertex 99999999, but there are only 3 vertices",
+    ),
+    "e.dae": (
+        sheets("e.dae", 1).replace(b"0 2</p>", b"0 -9</p>"),
+        "has vertex -9, but there are only 3 vertices",
+    ),
+    "f.dae": (sheets("f.dae", 1).replace(b"<p>", b"<p>0 x "), "an index of the COLLADA file is no number"),
+    "g.dae": (
+        sheets("g.dae", 1).replace(b'<triangles count="1"', b'<triangles count="99999999"'),
+        "has fewer triangles than its count",
+    ),
+    "h.dae": (sheets("h.dae", 1).replace(b'source="#v"', b'source="#w"'), "refers to no positions"),
+    "i.dae": (
+        sheets("i.dae", 1).replace(b'<source id="s"', b"<source"),
+        "a <source> of the COLLADA file has no id",
+    ),
+    "j.dae": (
+        sheets("j.dae", 1).replace(b"<geometry id=", b"<geometry name="),
+        "a <geometry> of the COLLADA file has no id",
+    ),
+    "k.dae": (sheets("k.dae", 1).replace(b'semantic="VERTEX"', b""), "has no <input> with semantic VERTEX"),
+    "l.dae": (
+        sheets("l.dae", 1).replace(b'offset="0"', b""),
+        "an <input> of the COLLADA file lacks its semantic, source or offset",
+    ),
+    "m.dae": (sheets("m.dae", 1).replace(b"<accessor/>", b""), "refers to no positions"),
     "a.ply": (b"ply", "the mesh format '.ply' is not supported"),
     "noext": (b"", "the mesh format '' is not supported"),
 }
@@ -117,6 +187,40 @@ def test_sound_files_of_each_format_pass(tmp_path: Path):
     for name, data in contents.items():
         (tmp_path / name).write_bytes(data)
         assert robot_with(tmp_path, name)[1] == []
+
+
+@pytest.mark.parametrize("name", ["flat.stl", "flat.obj", "flat.dae"])
+def test_flat_triangles_over_each_other_that_no_renderer_ends_with_are_refused(tmp_path: Path, name):
+    """PyBullet took 440 s for a picture of 640,000 triangles at random in one plane."""
+    (tmp_path / name).write_bytes(sheets(name, 199))
+    assert robot_with(tmp_path, name)[1] == []
+    (tmp_path / name).write_bytes(sheets(name, 2_000))
+    (headline,) = robot_with(tmp_path, name)[1]
+    assert headline == "the triangles of the mesh cover each other about 1,000 times, and the limit is 100"
+
+
+def test_the_corners_of_one_face_that_repeat_are_refused(tmp_path: Path):
+    (tmp_path / "fan.obj").write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * 1_000 + b"\n")
+    assert "cover each other about" in robot_with(tmp_path, "fan.obj")[1][0]
+
+
+def test_sheets_below_one_another_are_refused_where_the_scale_puts_them_into_one_plane(tmp_path: Path):
+    (tmp_path / "m.obj").write_bytes(sheets("m.obj", 2_000, scale=2.0))
+    for factor, refused in ((1.0, False), (1e-6, True)):
+        loaded = meshes.MeshReader(meshes.mesh_resolver(tmp_path)).load("m.obj", (1.0, 1.0, factor))
+        assert isinstance(loaded, meshes.UnusableMesh) == refused
+
+
+def test_many_triangles_that_do_not_cover_each_other_are_no_fault(tmp_path: Path):
+    (tmp_path / "ball.obj").write_bytes(ball(0.2, 60))
+    assert robot_with(tmp_path, "ball.obj")[1] == []
+    n = 120
+    points = "".join(f"v {x} {y} 0\n" for y in range(n + 1) for x in range(n + 1))
+    squares = (y * (n + 1) + x + 1 for y in range(n) for x in range(n))
+    (tmp_path / "floor.obj").write_text(
+        points + "".join(f"f {k} {k + 1} {k + n + 2} {k + n + 1}\n" for k in squares)
+    )
+    assert robot_with(tmp_path, "floor.obj")[1] == []
 
 
 def test_an_archive_is_refused_whatever_it_is_called(tmp_path: Path):
@@ -208,3 +312,18 @@ def test_a_resolver_decides_what_may_be_read(tmp_path: Path):
         is None
     )
     assert (findings.errors[0].headline, findings.errors[0].help) == ("not today", "come back")
+
+
+@pytest.mark.parametrize("name", ["m.stl", "m.obj", "m.dae"])
+def test_a_damaged_mesh_of_many_triangles_gives_findings_and_no_error_of_python(tmp_path: Path, name):
+    random, whole = Random(0), sheets(name, 150)
+    for _ in range(150):
+        data = bytearray(whole)
+        for _ in range(random.randint(1, 20)):
+            at = random.randrange(len(data))
+            data[at : at + random.randint(0, 3)] = random.choice(
+                (b"", b"-", b"9" * 30, b"<", b'"', b"e9", b"\n", bytes([random.randrange(256)]))
+            )
+        (tmp_path / name).write_bytes(data)
+        robot_with(tmp_path, name)
+        mesh_coverage(Path(name).suffix, bytes(data), "seed")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import message_formats
-from deepbots_cli.cli.inspection import message_size
+from deepbots_cli.insight.inspection import message_size
 from deepbots_cli.program.robots import MessageField, MessageLayout
 from deepbots_cli.runtime.messages import DECODING_ERRORS, codec, layout_error, zero_values
 

@@ -19,6 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.curriculum import CompletedStage
+from deepbots_cli.learning.episodes import read_log
 from deepbots_cli.learning.records import FORMAT, RunRecord, RunResult, write_record
 from deepbots_cli.view import plots
 from deepbots_cli.view.panel_html import training_rows
@@ -413,9 +414,64 @@ def test_what_cannot_be_plotted_is_told(tmp_path, runs):
         plots.read_logs([tmp_path / "nothing"])
     with pytest.raises(RunError, match="hold none of"):
         plots.read_logs([_events(tmp_path / "other", loss=[(0, 1.0)])])
-    (runs / "a0" / "monitor.csv").write_text("#{}\nr,l\n")
+    (runs / "a0" / "monitor.csv").write_text("#{}\nr,l,t\n")
     with pytest.raises(RunError, match="no finished episode"):
         plots.read_logs([runs / "a0"])
+
+
+def test_a_log_of_short_lines_takes_no_gigabyte(tmp_path):
+    """A file of 9 MB took 1.06 GB. A process of its own, since the memory of this one was higher before."""
+    (tmp_path / "monitor.csv").write_text("#{}\nr,l,t,steps,is_success\n" + "1,1,1,1,1\n" * 900_000)
+    script = (
+        "import sys; from pathlib import Path; from deepbots_cli.view import plots; from"
+        " tests.fuzz.workbench import peak_memory\n"
+        "before = peak_memory(); print(len(plots.logs_of(Path(sys.argv[1]))[0]), peak_memory() - before)"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path)]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=True)
+    episodes, memory = map(int, done.stdout.split())
+    assert episodes == 900_000
+    assert memory < 90_000_000
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("#{}\na,b\n1,2\n", "is no log of episodes: the names of its columns must include r, l, t"),
+        ("#{}\nr,l,t\n" + "1,1,1\n" * 1_000_001, "has more than 1,000,000 episodes"),
+        ("#{}\nr,l,t\n" + "1" * 300_000, "it has a line of more than 262,144 bytes"),
+        ('#{}\nr,l,t\n1,1,"' + "1\n" * 100_000, "field larger than field limit"),
+    ],
+)
+def test_a_file_that_is_no_log_of_episodes_is_refused_in_a_sentence(tmp_path, text, message):
+    (tmp_path / "monitor.csv").write_text(text)
+    with pytest.raises(RunError, match=message):
+        list(read_log(tmp_path / "monitor.csv"))
+
+
+def test_names_of_endings_that_are_all_different_are_refused(runs):
+    rows = "".join(f"1,10,0.1,{n},{10 * n},0.1,0,{n:09}{'x' * 90},\n" for n in range(1, 11_000))
+    log = runs / "a0" / "monitor.csv"
+    log.write_text(log.read_text().rpartition("\n")[0] + "\n" + rows)
+    with pytest.raises(
+        RunError, match="the names of its stages and endings have more than 1,000,000 letters"
+    ):
+        plots.read_logs([runs / "a0"])
+
+
+def test_evaluations_in_a_training_that_take_gigabytes_are_refused(runs):
+    line = json.dumps({"steps": 30, "returns": [1] * 600_000, "successes": [1] * 600_000})
+    (runs / "a0" / "evaluations" / "training.jsonl").write_text(f"{line}\n{line}\n")
+    with pytest.raises(RunError, match="has more than 1,000,000 episodes"):
+        plots.read_logs([runs / "a0"])
+
+
+def test_a_long_log_is_drawn_by_some_of_its_means(runs):
+    rows = "".join(f"{n % 2},10,0.1,{n},{10 * n},0.1,0,found,\n" for n in range(5, 50_000))
+    log = runs / "a0" / "monitor.csv"
+    log.write_text(log.read_text().rpartition("\n")[0] + "\n" + rows)
+    steps, values = plots.read_logs([runs / "a0"], window=100)[0].returns
+    assert (len(steps), steps[0], steps[-1], values[-1]) == (20_000, 10, 499_990, 0.5)
 
 
 @pytest.mark.parametrize("steps", ["nan", "inf", "-9"])

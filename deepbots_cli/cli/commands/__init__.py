@@ -1,7 +1,8 @@
 """The commands in the groups and the order of `deepbots --help`: the module and function of each, and its
 line in the help.
 
-A module is imported when one of its commands is called.
+A module is imported when one of its commands is called. The rest of the help of a command is in
+`../help/NAME.txt`.
 """
 
 from __future__ import annotations

@@ -55,24 +55,7 @@ def compile_(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Print the Python module that a scenario compiles to.
-
-    deepbots runs exactly this module. It has a controller class for each robot, and a supervisor, which is a
-    Gymnasium environment.
-
-    --project writes a Python project that you can edit: the module, the scenario with its files, and scripts
-    that run and train it. The project needs deepbots as a library. Change the classes only where the scenario
-    cannot express the change.
-
-    \b
-      deepbots compile cartpole
-      deepbots compile cartpole -o environment.py
-      deepbots compile cartpole --project my_cartpole
-      deepbots compile cartpole --program
-      deepbots compile cartpole --target batch
-
-    Next: `cd my_cartpole && python run.py` runs the project.
-    """
+    """Run `deepbots compile`."""
     if program and as_json:
         raise UsageError("--program and --json cannot be combined; --program already prints JSON")
     if target not in ("scalar", "batch"):
@@ -175,20 +158,7 @@ def schema(
     force: Force = False,
     allow_paths: AllowPaths = None,
 ) -> None:
-    """Print the JSON Schema of scenario files, for editors.
-
-    With the schema, an editor with a YAML language server completes keys, shows their descriptions and marks
-    mistakes. With --for, the schema also lists the names of one scenario.
-
-    \b
-      deepbots schema -o deepbots.schema.json
-      deepbots schema --for mine.yaml -o mine.schema.json
-
-    Next: make this the first line of mine.yaml:
-
-    \b
-      # yaml-language-server: $schema=mine.schema.json
-    """
+    """Run `deepbots schema`."""
     if output == Path("-"):
         output = None
     if scenario is None:

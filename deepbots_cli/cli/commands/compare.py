@@ -56,32 +56,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Compare trained policies on the same start states.
-
-    A folder of `deepbots train --seeds` is a group. Single runs of one scenario, trained in the same engine,
-    form a group too. If this gives only one group, each of its runs is a group of its own.
-
-    Every run is evaluated on the same held-out starts, and every group is compared with the first group. A
-    group is evaluated in the scenario of the first run if its robots, actuators, `apply`, observation and
-    action mean the same there. Otherwise each of the two is evaluated in its own scenario; the command says
-    so and lists what differs. It then leaves out what does not mean the same, such as returns if the rewards
-    differ.
-
-    The verdict is about what the task asks for: the success rate, or the mean return if `solved` asks for one
-    or the scenario defines no success. For each group, the table shows how much it differs from the first
-    group, with a 95 % confidence interval (Welch's, over the seeds). It also shows the probability that a run
-    of the group is better than a run of the first group. Two groups of one run each are compared episode by
-    episode: the table then shows the share of the episodes that are better than in the first run.
-
-    \b
-      deepbots compare runs/cartpole-0-1 runs/cartpole-1-1
-      deepbots compare runs/cartpole-seeds-1 runs/cartpole-seeds-2
-      deepbots compare runs/cartpole-0-1 runs/cartpole-0-1/models/agent/last.zip
-      deepbots compare runs/base-* runs/longer_pole-*
-      deepbots compare runs/base-* runs/changed-* --episodes 200 --workers 4
-
-    Next: `deepbots diff RUN RUN` shows how the scenarios of two runs differ.
-    """
+    """Run `deepbots compare`."""
     if scenario is not None:
         judged = api.compile(scenario, permissions=permissions)
         terminal.note_warnings(judged.findings, scenario)

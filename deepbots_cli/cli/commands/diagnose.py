@@ -70,33 +70,7 @@ def command(
     ] = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Explain why a training does not learn, or why an episode ended.
-
-    For a run, deepbots reads the logs of the training, and runs a few short episodes with its policy, with
-    random actions and with constant ones. It prints the causes that apply, the most likely first, each with
-    its numbers and what to try. If the policy already solves the task in the training episodes, in which it
-    still explores, deepbots normally finds no cause. For a group, every seed has its own causes.
-
-    With --episode, deepbots runs this episode again, from its seed or with its recorded actions. It prints
-    which ending came, and when. If the ending compares a value with a limit, it prints the margin: how far
-    the value is past the limit. It also prints how much each reward term adds to the return, the largest drop
-    of the critic's value, and the observations and actions that reached an end of their range. For a
-    recording, it explains the first episode by default.
-
-    \b
-      deepbots diagnose runs/mine-0-1
-      deepbots diagnose runs/mine-seeds-1
-      deepbots diagnose runs/mine-0-1 --episode failed
-      deepbots diagnose runs/mine-0-1 --episode 7
-      deepbots diagnose find_ball-0-0.mcap --json
-      deepbots diagnose runs/mine-0-1/failures/0001.json
-
-    Of the log of a robot, which `deepbots serve --log` writes, the command prints when and why the robot went
-    into the safe posture.
-
-    Next: `deepbots render RUN -o video.mp4 --episode K` shows an episode. docs/diagnose.md describes every
-    cause.
-    """
+    """Run `deepbots diagnose`."""
     permissions = Permissions(code=allow_code)
     if source.endswith(RECORDING_SUFFIX) and _explain_log(Path(source), episode, as_json=as_json):
         return

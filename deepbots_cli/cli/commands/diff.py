@@ -40,22 +40,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Show what differs between two scenarios.
-
-    The command compiles both scenarios and compares the values, so layout, comments and units make no
-    difference. For a run or a group it uses the scenario of the training. --set overrides values of the
-    second scenario.
-
-    Differences are cosmetic if they are in the name or summary of the scenario, in the name of a robot in its
-    URDF file, in colors that no camera sees, in the order of keys, or in a number from its 13th digit on. The
-    order of observations and actions is not cosmetic. The exit code is 0 if there are no differences or only
-    cosmetic ones, 1 if there are others, and 2 if a scenario cannot be compiled.
-
-    \b
-      deepbots diff pit_escape pit_escape_as_printed
-      deepbots diff cartpole cartpole --set fall_angle=10deg
-      deepbots diff runs/cartpole-0-1 cartpole.yaml
-    """
+    """Run `deepbots diff`."""
     try:
         sides = [
             open_source(name, settings, permissions)

@@ -106,45 +106,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run a few episodes without training, and show the reward.
-
-    The tables show the returns, the reward terms and the endings of a scenario, before you train anything. By
-    default the actions are random. Compare them with a script of the scenario: a policy written by hand,
-    under `scripts`.
-
-    \b
-      deepbots try cartpole
-      deepbots try cartpole --driver zero --episodes 1
-      deepbots try cartpole --driver forward,backward --steps 50
-      deepbots try pit_escape --driver rocking --episodes 100
-      deepbots try find_ball_random --stage crowded
-      deepbots try panda_push --start mark=0.5,0.1 --start objects.block.mass=0.3
-
-    Commas separate actions, and colons separate the numbers of one action: --driver 0.5:0.5,0.5:-0.5
-
-    For the same seed, episode K of `try` starts differently than in `test`, `eval`, `view` and `render`,
-    which use held-out starts. `deepbots view SCENARIO --driver NAME --seed N --episode K` shows held-out
-    episode K. No command shows the episodes of `try` themselves.
-
-    If an episode raises an error, training and evaluation save this episode in the run directory. To repeat
-    it, give its file:
-
-    \b
-      deepbots try runs/cartpole-0-1/failures/0001.json
-
-    --robot ADDRESS runs one episode on a robot, or on a simulation that `deepbots serve SCENARIO --as-robot`
-    runs. The robot sends what its sensors measure and obeys commands, by the messages and topics of `deepbots
-    serve`. Reward terms and endings are computed from what is measured; those that need other facts are named
-    and left out. Further --episodes begin when the robot says so. SCENARIO may be a run, whose policy then
-    acts.
-
-    \b
-      deepbots serve cartpole --as-robot --zmq tcp://127.0.0.1:5555 --episodes 1    one terminal
-      deepbots try cartpole --robot tcp://127.0.0.1:5555 --driver forward,backward      another terminal
-      deepbots try runs/cartpole-0-1 --robot ros
-
-    Next: `deepbots train SCENARIO` trains a policy.
-    """
+    """Run `deepbots try`."""
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
         changed = any(
             (overrides, case, stage, engine, permissions.folders, steps, seed, start, robot, episodes)

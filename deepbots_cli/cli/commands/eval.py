@@ -32,10 +32,11 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, repeat_failed
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
+from deepbots_cli.diagnostics.junit import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import check_output
+from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import in_parentheses
 from deepbots_cli.learning.run import ModelRef, Run
@@ -191,56 +192,7 @@ def command(
     address: ClusterAddress = None,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Evaluate the policy of a run on held-out episodes.
-
-    The episodes begin with starts that the training does not use. The cases in `evaluation.cases` are
-    evaluated too, with the same starts. --require-solved, --min-success and --min-return check the result
-    without the cases. With --case or --stage, they check the result in that case or stage. For a group, every
-    seed is evaluated on the same starts, and the requirements apply to the means over the seeds. --workers N
-    divides the episodes of a run among N processes, or the runs of a group, with the same results.
-
-    With --min-success or --min-return, the evaluation of a run stops early once the answer is clear. That is
-    the case when the remaining episodes can no longer change the answer, or when the required value lies
-    outside a 95 % confidence sequence of the result. The evaluation of a group stops early only for
-    --min-success, and only if the remaining episodes of all seeds cannot change the answer. With
-    --require-solved, or with several engines, all episodes run.
-
-    --set overrides values of the scenario of the run, or of the scenario that --scenario names. This scenario
-    must have the observation, action and messages of the training; its world may differ. --engine runs the
-    episodes in another engine. With several engines, such as --engine mujoco,pybullet, every engine runs
-    episodes from the same starts. A second table shows how much the result in each other engine differs from
-    that in the first, with a 95 % interval. For a run, the interval is computed from one difference for each
-    start; for a group, from one difference for each seed. With several engines, the requirements apply to
-    each of them.
-
-    With `--episodes failed`, the command repeats the failed episodes of the last evaluation of the run, and
-    counts how they end. Evaluations with --set, --scenario, --case, --stage or another engine do not count as
-    the last one. For the first 10 episodes, the command prints the ending and its margin. If an ending
-    compares a value with a limit, the margin is how far the value is past the limit. After a time limit, it
-    prints how near the episode came to a success.
-
-    With --keep, all models of the run play new starts, the better half of them twice as many in each further
-    round. The best one becomes best.zip in the run, and the earlier best one earlier-1.zip. If RUN is a
-    model, this model becomes best.zip. Then the command evaluates the best model on further new starts, which
-    did not choose it. A run that is training is refused.
-
-    \b
-      deepbots eval runs/cartpole-0-1
-      deepbots eval runs/cartpole-0-1/models/agent/last.zip
-      deepbots eval runs/cartpole-0-1 --keep
-      deepbots eval runs/cartpole-0-1 --episodes failed
-      deepbots eval runs/cartpole-0-1 --baselines
-      deepbots eval runs/cartpole-seeds-1 --csv episodes.csv --workers 4
-      deepbots eval runs/cartpole-0-1 --scenario longer_pole.yaml --episodes 20
-      deepbots eval runs/cartpole-0-1 --set fall_angle=10deg
-      deepbots eval runs/cartpole-0-1 --engine mujoco
-      deepbots eval runs/cartpole-0-1 --engine pybullet,mujoco
-      deepbots eval runs/find_ball_random-0-1 --case many --details
-      deepbots eval runs/find_ball-0-1 --min-success 90% --junit gate.xml
-
-    Next: `deepbots render RUN -o video.mp4` makes a video of episode 0, `deepbots diagnose RUN` says why a
-    policy is not better, and `deepbots resume RUN --timesteps N` continues the training.
-    """
+    """Run `deepbots eval`."""
     present = {
         name.replace("_", "-"): value
         for name, value in locals().items()
@@ -666,8 +618,14 @@ def _require(
         }
         properties |= {"episodes": str(sum(each.episodes for each in judged))} | records.evaluated_in(first)
         properties["engine"] = ", ".join(dict.fromkeys(each.engine or "" for each in judged))
-        suites = {first.scenario: [records.JUnitCase(*requirement) for requirement in requirements]}
-        records.write_junit(junit, "eval", suites, properties)
+        cases = [
+            Case(words, reason, "" if met else f"not met: {words} ({reason})")
+            for words, met, reason in requirements
+        ]
+        with atomic_write(junit) as draft:
+            draft.write_bytes(
+                xml_report({first.scenario: cases}, prefix="deepbots eval ", properties=properties).encode()
+            )
     for words, met, reason in requirements:
         if met:
             terminal.note(f"met: {words} ({reason})")

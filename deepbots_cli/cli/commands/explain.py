@@ -53,22 +53,7 @@ def command(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Explain a finding of lint, a key of scenario files, or a term.
-
-    Words of the scenario language are keys, functions, units, and kinds of sensors, actuators, objects and
-    algorithms. The glossary has terms of reinforcement learning, such as episode, HER or time limit. Without
-    a word, the command lists all findings. --json prints the same as JSON.
-
-    \b
-      deepbots explain DB603
-      deepbots explain saturates-before-termination
-      deepbots explain DB7
-      deepbots explain clearance
-      deepbots explain gyro
-      deepbots explain episode
-      deepbots explain success rate
-      deepbots explain
-    """
+    """Run `deepbots explain`."""
     finding = " ".join(words or ())
     rules = matching_rules(finding)
     if not rules:

@@ -63,35 +63,7 @@ def command(
     as_json: Json = False,
     allow_paths: AllowPaths = None,
 ) -> None:
-    """Export the policy of a run for a robot.
-
-    The bundle is a folder that runs with numpy and onnxruntime alone. policy.onnx goes from what sensors
-    measure to the commands of actuators, both in SI units: it contains what the robots and the supervisor
-    compute, scaling, histories, the networks, and the limits of actuators. bundle.json and README.md hold
-    names, units, frames, ranges, rates, ages, the result with its interval, and versions. parity.npz has
-    recorded steps, which `deepbots_robot.load` repeats.
-
-    --to writes files of other programs instead: isaac-lab a policy over observations with params/deploy.yaml,
-    for robots with position motors; lerobot a policy over scaled observations with the processors that scale;
-    leapp the graph of the bundle with a pipeline file.
-
-    --sign adds a signature, bundle.sig. A robot that runs `deepbots serve --trusted FILE.pub` refuses all
-    other bundles. --new-key makes a key; keep the private one away from the robot.
-
-    --check compares the observation, action and messages of the bundle with those of a scenario. The exit
-    code is 0 if the policy fits, and 1 if it does not.
-
-    \b
-      deepbots export runs/cartpole-0-1 -o cartpole-bundle
-      deepbots export runs/walk-0-1 --to isaac-lab -o walk
-      deepbots export runs/cartpole-0-1 --to leapp -o cartpole-leapp
-      deepbots export --check cartpole cartpole-bundle
-      deepbots export --check mine.yaml cartpole-bundle
-      deepbots export --new-key lab-key
-      deepbots export runs/cartpole-0-1 -o cartpole-bundle --sign lab-key
-
-    Next: the README.md of the bundle shows its inputs and outputs.
-    """
+    """Run `deepbots export`."""
     if new_key is not None:
         _write_key(
             new_key,

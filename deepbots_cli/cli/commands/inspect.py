@@ -1,4 +1,4 @@
-"""`deepbots inspect`: a scenario, a run or a robot file as the tables of `cli/inspection.py`."""
+"""`deepbots inspect`: a scenario, a run or a robot file as the tables of `insight/inspection.py`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.analysis.deployment import Deployment
-from deepbots_cli.cli import inspection, terminal
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
 from deepbots_cli.cli.sources import is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
@@ -21,6 +21,7 @@ from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.document import MappingNode, Permissions, shipped
 from deepbots_cli.document.load import with_settings_at
 from deepbots_cli.errors import EngineError, EvaluationError, MissingExtraError
+from deepbots_cli.insight import inspection
 from deepbots_cli.program import Program
 
 if TYPE_CHECKING:
@@ -73,25 +74,7 @@ def command(
     as_json: Annotated[bool, option("--json", "Print all tables as JSON.")] = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Show robots, messages, observation and reward as tables.
-
-    The tables of a scenario show its robots, messages, observation, action, reward, endings and training, in
-    the units of the file; --json has SI units. With --full, they also show joints, sensors, actuators,
-    resets, cases, stages, every hyperparameter, the physics step in which an action takes effect, the age of
-    each observation, and the poses at the start, which need the simulator. A run shows its scenario and the
-    progress of its training. A robot file shows its links, joints and findings.
-
-    \b
-      deepbots inspect cartpole
-      deepbots inspect cartpole --full
-      deepbots inspect cartpole --full --set messages.timing=delayed
-      deepbots inspect find_ball_random --stage few
-      deepbots inspect quadruped --ros
-      deepbots inspect runs/cartpole-0-1
-      deepbots inspect package://pybullet_data/husky/husky.urdf
-
-    Next: `deepbots try SCENARIO` runs random actions, and `deepbots render SCENARIO` draws a picture.
-    """
+    """Run `deepbots inspect`."""
     if is_robot(scenario):
         _inspect_robot(scenario, permissions.folders, as_json)
         return

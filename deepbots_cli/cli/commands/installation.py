@@ -27,15 +27,7 @@ from deepbots_cli.rollout.drivers import random_driver
 
 
 def scenarios(as_json: Json = False) -> None:
-    """List the scenarios that come with deepbots.
-
-    \b
-      deepbots scenarios
-      deepbots scenarios --json
-
-    Next: `deepbots try NAME` runs a scenario, `deepbots inspect NAME` shows its parts, and `deepbots new mine
-    --from NAME` copies it.
-    """
+    """Run `deepbots scenarios`."""
     rows: list[Row] = []
     for name in shipped.scenario_names():
         path = shipped.scenario_path(name)
@@ -72,17 +64,7 @@ class Check(NamedTuple):
 
 
 def doctor(as_json: Json = False) -> None:
-    """Check the installation.
-
-    The command shows the versions, the extras and the shipped data, and takes one step in each engine. A
-    missing extra is not an error; the exit code is 1 if a part is broken.
-
-    \b
-      deepbots doctor
-      deepbots doctor --json
-
-    Next: install a missing extra with the command that the table shows.
-    """
+    """Run `deepbots doctor`."""
     rows = [check._asdict() for check in checks()]
     broken = [check["what"] for check in rows if check["state"] == "broken"]
     states = {check["what"]: check["state"] for check in rows}

@@ -24,7 +24,7 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
-from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
+from deepbots_cli.diagnostics.render import escape_log_commands, github, render, sarif, summary
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.files import file_stamps
@@ -140,34 +140,7 @@ def lint(
     ] = 1,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Check scenarios and report every problem.
-
-    Each finding shows its place and a way to repair it. Linting runs nothing and needs no simulator. With
-    --deep, lint also simulates each scenario that has no errors, in a separate process, and reports problems
-    that it measures. With --exploits, it plays fixed drivers, scripts and sequences of actions, for at most
-    60 s of CPU, and compares what they earn with what a success earns. In a folder, lint reads every .yaml or
-    .yml file with a `deepbots:` key, also in subfolders. A project sets its defaults under [lint] in
-    deepbots.toml, or under [tool.deepbots.lint] in pyproject.toml.
-
-    \b
-      deepbots lint cartpole.yaml
-      deepbots lint scenarios/ --fail-on warning
-      deepbots lint cartpole.yaml --set world.timestep=50ms --format concise
-      deepbots lint cartpole.yaml --deep
-      deepbots lint find_ball --exploits
-      deepbots lint cartpole.yaml --watch
-      deepbots lint scenarios/ --statistics
-      deepbots lint cartpole.yaml --diff --unsafe-fixes
-      deepbots lint cartpole.yaml --fix --unsafe-fixes
-      deepbots lint scenarios/ --select DB6,DB7 --ignore term-dominates
-
-    A comment on the line of a warning, or on the line above, suppresses it:
-
-    \b
-      # deepbots: ignore[DB603]
-
-    Next: `deepbots explain DB603` explains a finding.
-    """
+    """Run `deepbots lint`."""
     given = {**locals(), "watch": False}
     project = settings()
     previewed = bool(project.preview) if preview is None else preview
@@ -563,6 +536,8 @@ def report(
         case Format.sarif:
             return sarif(findings, _page)
         case Format.junit:
+            from deepbots_cli.diagnostics.junit import junit  # XML, which nothing else needs here
+
             return junit(findings, names, failing)
         case Format.json:
             return render(findings, "json")
@@ -596,16 +571,7 @@ def lsp(
     ] = None,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run the language server: findings, completion, hover.
-
-    An editor that supports the language server protocol starts this command itself. The server completes
-    keys, names and functions, shows types, units and ranges, and finds definitions. docs/editors.md has the
-    settings of Neovim, Helix and VS Code.
-
-    \b
-      deepbots lsp
-      deepbots lsp --tcp 2087
-    """
+    """Run `deepbots lsp`."""
     if find_spec("pygls") is None:
         raise MissingExtraError("editor", "the language server")
     from deepbots_cli.lsp.server import serve

@@ -97,27 +97,7 @@ def new(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Write a scenario: from a template, a copy, or a robot file.
-
-    With --urdf, deepbots chooses a task that suits the robot: driving, reaching, walking, flying or
-    balancing. --from copies a scenario that comes with deepbots, and rewrites its paths so that they fit the
-    new folder. Existing files are overwritten only with --force. The templates are:
-
-    \b
-      cartpole  a cart that balances a pole
-      wheeled   a robot on two wheels that drives to a ball
-      arm       an arm with three joints that reaches for a position; its robot file is written too
-      pit       a ball that rocks itself out of a pit
-
-    \b
-      deepbots new mine --template wheeled --schema
-      deepbots new reach experiments --template arm
-      deepbots new mine --from cartpole
-      deepbots new mine --template wheeled --project my_robot
-      deepbots new husky --urdf package://pybullet_data/husky/husky.urdf
-
-    Next: `deepbots try mine.yaml` runs random actions, and `deepbots train mine.yaml` trains a policy.
-    """
+    """Run `deepbots new`."""
     name = validated_name(name)
     starts = {"--template": template, "--from": shipped_name, "--urdf": urdf}
     present = [option for option, value in starts.items() if value]

@@ -26,24 +26,7 @@ def command(
     force: Force = False,
     dark: Annotated[bool, option("--dark", "Light lines on a dark ground.")] = False,
 ) -> None:
-    """Plot the learning curves of runs.
-
-    The panels show returns, success rates, reward terms and endings. Runs of one scenario with different
-    seeds are drawn as one line, the mean over the seeds. A band reaches from the lowest value of all seeds to
-    the highest. Each further scenario has its own line. Dots are the evaluations during the training. Dashed
-    lines mark where the stages of a curriculum begin.
-
-    Of a training with a teacher, a dotted line is the score of the script, and one more panel shows how far
-    the policy agrees with it, the weight of the imitation loss, and the share of the worlds that the script
-    drives.
-
-    \b
-      deepbots plot runs/cartpole-0-1
-      deepbots plot runs --output all.svg
-      deepbots plot runs/base-* runs/changed-* --dark
-
-    Next: `deepbots compare RUN RUN` evaluates the policies on the same starts.
-    """
+    """Run `deepbots plot`."""
     from deepbots_cli.view import plots
     from deepbots_cli.view.pictures import check_target
 

@@ -204,38 +204,7 @@ def command(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Make a picture, a video or GIF, an offline page or a recording.
-
-    The suffix of the file says what is made:
-
-    \b
-      .png        a picture of the start of an episode, or of a robot file
-      .mp4, .gif  a video of an episode
-      .html       an interactive page of an episode, which needs no server
-      .mcap       a recording of episodes, for `view`, `replay`, `diagnose` and Foxglove
-
-    \b
-      deepbots render cartpole
-      deepbots render runs/cartpole-0-1 -o cartpole.mp4
-      deepbots render runs/cartpole-0-1 -o failed.mp4 --episodes failed
-      deepbots render find_ball --driver around -o find_ball.gif
-      deepbots render find_ball --path --driver around -o path.png
-      deepbots render find_ball --from 0,-1.5,1 --at 0,0,0 --rays
-      deepbots render quadruped --labels --size 960x640 -o links.png
-      deepbots render quadruped --follow dog -o walk.mp4
-      deepbots render quadruped --seconds 10 -o quadruped.html
-      deepbots render runs/find_ball-0-1 --episodes 5 -o five.mcap
-      deepbots render package://pybullet_data/husky/husky.urdf -o husky.png
-
-    --path draws the end of an episode, and the paths of the robots and of the objects that the task moves.
-    For a robot with a fixed base, it draws the path of the link that the task is about. The camera looks from
-    above; if a path climbs, it looks from the side.
-
-    A recording holds for every step the poses, sensor readings, messages, actions, observations and reward
-    terms, and the scenario. `render` takes a recording in place of a scenario.
-
-    Next: `deepbots view SCENARIO` shows it live.
-    """
+    """Run `deepbots render`."""
     file = output or Path(f"{Path(shown).stem}{PICTURE}")
     options: dict[str, Any] = {
         "--labels": labels,

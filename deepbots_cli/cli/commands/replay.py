@@ -52,31 +52,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """List the episodes of a recording, or run them again and compare.
-
-    Without --verify, the command prints the scenario, seed, driver and engine of the recording, and a table
-    of its episodes.
-
-    --verify compiles the scenario in the recording, and runs each episode again from its seed with its
-    recorded actions. The command names the first step and the first quantity that differ, with exit code 1.
-    On the machine of the recording, with the same versions, nothing differs. On another machine or with other
-    versions, use --tolerance X: a number may then differ by X, or by X times its absolute value if that is
-    larger. Hashes, images, contact forces and the points of scans are then not compared.
-
-    --verify --scenario SCENARIO runs the episodes in another scenario, such as your file after an edit, and
-    lists the settings that differ. Its observation, action and messages must be the same. --set overrides
-    values of this scenario.
-
-    \b
-      deepbots replay find_ball-0-0.mcap
-      deepbots replay --verify find_ball-0-0.mcap
-      deepbots replay --verify find_ball-0-0.mcap --tolerance 1e-6
-      deepbots replay --verify find_ball-0-0.mcap --scenario find_ball
-
-    Of the log of a robot, which `deepbots serve --log` writes, the command lists the episodes too.
-
-    Next: `deepbots view RECORDING` plays it in the browser.
-    """
+    """Run `deepbots replay`."""
     from deepbots_cli.rollout.robot_logs import is_robot_log
 
     log = Path(recording)

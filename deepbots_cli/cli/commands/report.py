@@ -37,31 +37,7 @@ def command(
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Write a report about a run: one HTML file to send.
-
-    The file holds the result with its interval, learning curves, reward terms, endings, plots of the return
-    against each value that is drawn at random at the start of an episode, trajectories, and clips of the
-    best, the median and the worst episode. Of a training with a teacher, it holds the score of the script and
-    how the policy learns from it. Of a training that does not solve its task, it holds the causes, as
-    `deepbots diagnose` finds them. It also holds the scenario, the findings of lint and the versions. It
-    loads nothing from elsewhere, needs no JavaScript, and can be sent and archived as it is. It follows the
-    light or dark setting of the browser.
-
-    The results come from an evaluation of the best model; if there are several evaluations, from the one with
-    the most episodes. `deepbots eval RUN --episodes N` adds an evaluation. Clips need an engine that can
-    draw; --no-clips leaves them out.
-
-    The report of a study of `deepbots tune` shows the history of its trials, which values matter, with
-    intervals over the seeds, and the score against each value. A table lists all trials.
-
-    \b
-      deepbots report runs/cartpole-0-1
-      deepbots report runs/cartpole-tune-1
-      deepbots report runs/cartpole-seeds-1 -o report.html --figures figures
-      deepbots report runs/quadruped-0-1 --no-clips --episodes 30
-
-    Next: open the file in a browser.
-    """
+    """Run `deepbots report`."""
     from deepbots_cli.files import atomic_write, check_folder, check_output
     from deepbots_cli.view.plots import import_matplotlib
 

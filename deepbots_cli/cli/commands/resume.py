@@ -74,25 +74,7 @@ def resume(
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Continue a training, a group of trainings, or a study.
-
-    It continues from the last checkpoint after Ctrl-C, a kill or a full disk, with the scenario and the
-    options of the training. On the same machine, a resumed training gives the same weights and logs, bit for
-    bit, as a training without interruption.
-
-    \b
-      deepbots resume runs/cartpole-0-1
-      deepbots resume runs/cartpole-0-1 --timesteps 200k
-      deepbots resume runs/cartpole-seeds-1 --workers 2
-      deepbots resume runs/mine-retry-1 --retry 3
-      deepbots resume runs/cartpole-tune-1 --trials 40
-
-    --timesteps is the new total, which includes the timesteps so far. A group skips the seeds that are
-    finished. A study continues the trials that have begun; several processes may continue one study.
-
-    A resumed run keeps its callbacks and loggers. --callback replaces the callbacks, and --logger the
-    loggers; `--callback none` or `--logger none` drops them.
-    """
+    """Run `deepbots resume`."""
     permissions = Permissions(code=allow_code)
     source = Source.open(trained, permissions, SourceKind.RUN, SourceKind.GROUP, SourceKind.STUDY)
     group = Group.open(source) if source.kind is SourceKind.GROUP else None
@@ -170,18 +152,7 @@ def apply(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Write the best values of a search into the scenario file.
-
-    The search is a group of `train --retry`, or a study of `tune`. Each value replaces the one in the file,
-    or is added, with a comment that names its origin. All other lines stay as they are.
-
-    \b
-      deepbots apply runs/mine-retry-1
-      deepbots apply runs/cartpole-tune-1 mine.yaml
-
-    The best of several trainings looks better than it is: confirm its values with other seeds, as the last
-    line of the output advises.
-    """
+    """Run `deepbots apply`."""
     from deepbots_cli.cli.commands.rewriting import write_values  # which imports the rules of lint
 
     source = Source.open(varied, permissions, SourceKind.GROUP, SourceKind.STUDY)

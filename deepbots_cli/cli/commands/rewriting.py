@@ -40,16 +40,7 @@ def fmt(
     ] = False,
     diff: Annotated[bool, option("--diff", "Like --check, and show the changes.")] = False,
 ) -> None:
-    """Format scenario files in the canonical layout.
-
-    Formatting keeps all values, comments and aligned columns. In a folder, fmt formats every .yaml or .yml
-    file with a `deepbots:` key, also in subfolders, except the files that the project excludes from linting.
-
-    \b
-      deepbots fmt cartpole.yaml
-      deepbots fmt cartpole.yaml --diff
-      deepbots fmt scenarios/ --check
-    """
+    """Run `deepbots fmt`."""
     rewrites, refused = [], False
     for path in _scenario_files(paths or [Path(".")]):
         rewrite = _tidied(path)

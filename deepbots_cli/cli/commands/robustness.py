@@ -104,27 +104,7 @@ def command(
     address: ClusterAddress = None,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Evaluate a policy with sensor noise, delays and weaker motors.
-
-    deepbots changes one condition at a time, by several amounts. The conditions are latency, message loss,
-    noise, mass, friction and the strength of the motors. All evaluations begin with the same held-out starts.
-    For each condition, the first lines say up to which level the result reaches the required one, and from
-    which level on it does not. Masses and frictions are made smaller and larger.
-
-    --min-success or --min-return gives the required result. By default it is `solved` of the scenario. If the
-    scenario has no `solved`, it is 80 % of the result under unchanged conditions. The exit code is 1 if the
-    policy misses the required result without any change, or has nothing to keep: no result is required, and
-    no episode succeeds.
-
-    With --workers N, N evaluations run at a time in N processes, with the same results.
-
-    \b
-      deepbots robustness runs/cartpole-0-1
-      deepbots robustness runs/cartpole-0-1 --episodes 20 --mass-of cart.pole
-      deepbots robustness runs/find_ball-0-1 --min-success 90% --workers 4
-
-    Next: train with the condition under which the policy fails, such as `latency` in `messages`.
-    """
+    """Run `deepbots robustness`."""
     ref = ModelRef.open(run, permissions, model="last" if last else "best")
     gates = Gates(min_success, min_return, False)
     gates.check(ref.run.program)

@@ -52,28 +52,7 @@ def command(
     ] = Sort.date,
     as_json: Json = False,
 ) -> None:
-    """List your trainings, with their results.
-
-    The list is read from the files of the runs, also while they train. A group is one row, with the means
-    over its seeds; `deepbots runs GROUP` lists its runs, and `deepbots runs RUN` the evaluations that a run
-    keeps. A study of `deepbots tune` is one row too; `deepbots runs STUDY` lists its trials, with their
-    values under `set`.
-
-    The return and the success rate come from an evaluation of the best model on held-out episodes; if there
-    are several evaluations, from the one with the most episodes. Until the first evaluation, they come from
-    the most recent training episodes, in which the policy explores. The column `score` shows where they come
-    from: `evaluation` or `training`. The column `teacher` names the script that teaches the policy, or the
-    recording in the run.
-
-    \b
-      deepbots runs
-      deepbots runs --live
-      deepbots runs --scenario cartpole --solved --sort cpu
-      deepbots runs runs/cartpole-seeds-1
-      deepbots runs experiments/runs --json
-
-    Next: `deepbots eval RUN` evaluates a run or a group, and `deepbots compare RUN RUN` compares them.
-    """
+    """Run `deepbots runs`."""
     if folder_kind(folder) is SourceKind.RUN:
         _show_run(folder, as_json=as_json)
         return

@@ -103,27 +103,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Let a policy act for a robot, or simulate the robot.
-
-    The policy gets what sensors measure over ROS 2, ROS 1, ZeroMQ or WebSocket and answers with commands,
-    both in SI units, at the rate of the bundle. Every message is checked: layout, finite numbers, range, age
-    and order. Commands are kept within the limits of the actuators. On silence, and after a wrong message,
-    the robot gets the safe posture of the bundle. At the end there is a table of answer times and refused
-    messages. `deepbots-robot serve BUNDLE` does the same where deepbots is not installed.
-
-    With --as-robot, a simulation of the scenario is the robot: it sends its sensors and obeys commands in
-    real time, episode after episode. ROS 2 topics are those of the section `ros` of the scenario, or of
-    `deepbots inspect SCENARIO --ros`.
-
-    \b
-      deepbots export runs/cartpole-0-1 -o cartpole-bundle
-      deepbots serve cartpole-bundle                                    one terminal
-      deepbots serve cartpole --as-robot --episodes 10                  another terminal
-      deepbots serve cartpole-bundle --zmq tcp://127.0.0.1:5555 --log robot.mcap
-      deepbots serve cartpole --as-robot --zmq tcp://127.0.0.1:5555 --lockstep
-
-    Next: Ctrl-C ends both.
-    """
+    """Run `deepbots serve`."""
     links = [
         name
         for name, present in (("--ros", ros), ("--ros1", ros1), ("--zmq", zmq), ("--websocket", websocket))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
@@ -12,16 +12,17 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import processes, records, terminal
+from deepbots_cli.cli import processes, terminal
 from deepbots_cli.cli.command import ClusterAddress, Engine, Force, Json, Overrides, Workers, option
 from deepbots_cli.cli.commands.lint import scenario_names
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics.junit import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.files import check_output
+from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.learning.executor import Attempt, results
 from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
 from deepbots_cli.lint.settings import settings
@@ -63,25 +64,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run the tests of scenarios.
-
-    A scenario lists its tests under `tests`: who acts (a script, random or zero actions, or a sequence of
-    actions), for how many episodes, and the expected result. A failed test shows what was expected and
-    measured, and a command that shows the episode.
-
-    With --workers N, N scenarios are tested at a time, with the same results.
-
-    The exit code is 0 if all tests pass, 1 if a test fails or a scenario has errors, and 2 if there is no
-    test to run.
-
-    \b
-      deepbots test
-      deepbots test cartpole
-      deepbots test scenarios/ --junit tests.xml --workers 4
-      deepbots test cartpole.yaml -k fails --engine mujoco
-
-    Next: a failed test prints a command after `show it`. Run this command to see the episode.
-    """
+    """Run `deepbots test`."""
     if junit is not None:
         check_output(junit, force=force)
     began, names = time.perf_counter(), scenario_names(scenarios or ["."], settings())
@@ -119,11 +102,9 @@ def command(
     else:
         _sum_up(done, time.perf_counter() - began)
     if junit is not None:
-        records.write_junit(
-            junit,
-            "test",
-            {tested.scenario: _junit(tested) for tested in done if tested.results or tested.findings},
-        )
+        suites = {tested.scenario: _junit(tested) for tested in done if tested.results or tested.findings}
+        with atomic_write(junit) as draft:
+            draft.write_bytes(xml_report(suites, prefix="deepbots test ").encode())
     if not all(tested.passed for tested in done):
         raise typer.Exit(FAILED)
 
@@ -201,15 +182,15 @@ def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
     terminal.print_result(f"{', '.join(words)} in {seconds:.1f} s")
 
 
-def _junit(tested: _ScenarioResults) -> list[records.JUnitCase]:
-    cases = [
-        records.JUnitCase("the scenario has no errors", False, finding.headline)
+def _junit(tested: _ScenarioResults) -> Iterator[Case]:
+    yield from (
+        Case("the scenario has no errors", finding.headline, finding.headline)
         for finding in tested.findings[:1]
-    ]
+    )
     for result in tested.results:
         reason = "; ".join(f"{miss.expected} ({miss.where}): {miss.measured}" for miss in result.misses)
-        cases.append(records.JUnitCase(result.test.name, result.passed, reason, result.seconds))
-    return cases
+        fault = "" if result.passed else f"not met: {result.test.name} ({reason})"
+        yield Case(result.test.name, reason, fault, attributes={"time": f"{result.seconds:.3f}"})
 
 
 def _data(tested: _ScenarioResults, options: Sequence[str]) -> dict[str, Any]:

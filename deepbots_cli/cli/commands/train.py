@@ -139,52 +139,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Train a policy in a new run directory, and evaluate it.
-
-    Training stops when an evaluation confirms that the task is solved, or at the total number of timesteps.
-    Ctrl-C stops it after the current rollout and keeps the policy. The run directory holds the inputs, the
-    models and the results. A run never overwrites another one. If the task is not solved, train prints the
-    most likely cause that it finds, and one command to run next.
-
-    \b
-      deepbots train cartpole
-      deepbots train cartpole.yaml --seed 1 --set fall_angle=10deg
-      deepbots train cartpole --seeds 0..4 --workers 2
-      deepbots train cartpole --timesteps 200k --full --run runs/long
-      deepbots train mine.yaml --retry 2
-      deepbots train find_ball_random --stage crowded
-      deepbots train find_ball --view
-      deepbots train panda_push --teacher by_hand
-      deepbots train pit_escape --shards 2 --workers 2
-      deepbots train longer_pole.yaml --initialize-from runs/cartpole-0-1
-
-    Timesteps are counted over all parallel environments. --initialize-from copies weights of the best model
-    of a run, or of the model that you name, into the new policy: each tensor (array of weights) that has the
-    same name and shape in both. All others begin as usual.
-
-    Where the scenario names no algorithm, deepbots chooses it, with its hyperparameters, by the structure of
-    the scenario.
-
-    `--logger csv` appends every scalar of TensorBoard to logs/scalars.csv of the run.
-
-    --shards divides the environments of one training. With --workers, the shards run in processes of this
-    machine, and with --cluster on a Ray cluster. Weights and logs depend on the number of shards, and not on
-    where they run. If a process is lost, its shards repeat the last steps in another one. `--shards auto`
-    trains for a few seconds with 1, 2, 4, ... shards, on a worker for each core by default. It chooses the
-    fastest number, or 1 if no other is at least 1.1 times as fast.
-
-    --seeds trains a group: one folder with a run for each seed. The trainings run one after the other, or
-    with --workers N, N at a time in N processes; the runs are the same. If a process is lost, another one
-    resumes its training.
-
-    --retry N trains an unsolved task up to N times again: a group of runs try-1, try-2, ... with the same
-    seed. Each changes a value under `train` that the most likely cause of the run before advises. It stops
-    when a run is solved, or no other value is advised. The scenario file stays as it is; `deepbots apply
-    GROUP FILE` writes the values of the best run into FILE.
-
-    Next: `deepbots view RUN` shows the policy, `deepbots render RUN -o video.mp4` makes a video of it, and
-    `deepbots resume RUN` continues a training that was interrupted.
-    """
+    """Run `deepbots train`."""
     progress = not quiet
     if retry is not None and (seeds is not None or to_view):
         other = "--view" if seeds is None else "--seeds"

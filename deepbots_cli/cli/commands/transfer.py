@@ -110,37 +110,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Check that a policy works in another engine or world.
-
-    The other world is the same scenario in the other engine. --scenario and --set replace it by another
-    scenario or by changed values, in the engine of the training.
-
-    The policy is evaluated on the same held-out starts in the world of its training and in the other one. The
-    first line says whether it works in both: it reaches --min-success and --min-return, or else `solved` of
-    the scenario. Then the other world repeats episodes of the first one, with the same starts and actions.
-    The table shows which numbers of the observation and which reward terms differ, and from which step on.
-    Below it are changes of the first world that explain the difference: a wrong sign, unit or order, a
-    latency, a delay, a lag, a mass, a friction, a weaker motor, or another gain of an action, with the
-    amount. They are alternatives, whose shares do not add up. Finally, the policy is evaluated under changed
-    conditions, as by `deepbots robustness`.
-
-    With --min-success or --min-return, the exit code is 1 if the policy misses it in one of the two worlds,
-    or at the first level of one of the conditions.
-
-    --log FILE compares what a robot measured while `deepbots serve` acted for it with the simulation: mean,
-    standard deviation and Kolmogorov-Smirnov distance of each value, and the noise or bias that the
-    simulation lacks.
-
-    \b
-      deepbots transfer runs/cartpole-0-1
-      deepbots transfer runs/cartpole-0-1 runs/cartpole-mujoco-0-1 --min-success 90%
-      deepbots transfer runs/cartpole-0-1 --scenario measured.yaml --quick
-      deepbots transfer runs/cartpole-0-1 --set world.ground.friction=0.5
-      deepbots transfer runs/cartpole-0-1 --log robot.mcap
-
-    Next: let episodes draw what differs, such as `mass: uniform(0.8 .. 1.2) * urdf` under `links`, and train
-    again.
-    """
+    """Run `deepbots transfer`."""
     opened = [ModelRef.open(path, permissions) for path in runs]
     for ref in opened:
         Gates(min_success, min_return, False).check(ref.run.program)

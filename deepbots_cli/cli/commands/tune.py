@@ -96,39 +96,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Search for better values of a scenario.
-
-    The values are hyperparameters, or parameters of the task. A trial trains the scenario with one set of
-    values, once for each seed, and evaluates the best models. The values of the next trial follow from the
-    scores so far (TPE, by Optuna). The first trial has the values of the scenario itself, where they are in
-    the ranges. A trial whose evaluations during the training are worse than the median of other trials ends
-    early.
-
-    Values are a range, `1e-4..1e-2` or `0.5..1.5m`, or choices, `64 | 128` or `[[64, 64], [10, 10]]`. `:log`
-    behind a range draws values by their logarithm. A key that takes whole numbers gets whole numbers. The
-    section `tune` of the scenario has the same settings.
-
-    \b
-      deepbots tune cartpole --param train.learning_rate=1e-4..1e-2:log --trials 20 --seeds 3
-      deepbots tune mine.yaml --param fall_angle=10..20deg --param train.network.activation='tanh|relu'
-      deepbots tune mine.yaml --workers 4
-      deepbots resume runs/cartpole-tune-1 --trials 40
-      deepbots apply runs/cartpole-tune-1 mine.yaml
-
-    A study is a folder with a group of runs for each trial: `deepbots runs STUDY` lists them, and `eval`,
-    `compare`, `plot` and `report` take each of them. Several processes may work on one study: start `deepbots
-    resume STUDY` in each. A study that was interrupted continues with the trials that were begun, each from
-    its last checkpoint. --trials is the number in all. With --workers N, N trials run at a time; the values
-    of later trials then depend on which trials end first.
-
-    The score of the objective `solved` is the fraction of the timesteps until the task is solved, the mean
-    over the seeds; a seed that does not solve it counts 1 to 2, by its distance from what `solved` requires.
-    Of equal scores, the higher success rate comes first, then the higher return. The best of many trials
-    looks better than it is: the command says whether it is clearly better than the values of the scenario
-    itself, and advises `deepbots apply` only then. Confirm it with seeds that the study did not use.
-
-    Next: `deepbots report STUDY` shows the history, which values matter, and slices.
-    """
+    """Run `deepbots tune`."""
     if scenario is None:
         raise UsageError(
             "there is no scenario; name one, such as: deepbots tune cartpole --param"

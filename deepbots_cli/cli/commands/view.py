@@ -120,35 +120,7 @@ def view(
     open_: Open = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Watch a policy, a scenario or a recording in the browser.
-
-    The command prints the address of the page, and serves it until Ctrl-C. The page shows robots, objects,
-    sensor rays and contacts, with pause, single steps, speed and seed, and plots the observation, the action
-    and every reward term.
-
-    In a run, the policy acts. In a scenario, the first script acts; without a script, actions are random.
-    While a run is trained, each episode shows its newest policy. A recording is played, with a slider for its
-    steps.
-
-    The log of a robot, which `deepbots serve --log` writes, is played too: joint positions and poses that the
-    robot reported move its model, and values, commands, ages and the safe posture are plotted.
-
-    With --worlds N, a batch of N worlds is stepped together in MuJoCo, and a slider chooses the world that is
-    shown. World K begins as held-out episode K.
-
-    \b
-      deepbots view find_ball
-      deepbots view runs/find_ball-0-1
-      deepbots view runs/find_ball-0-1 --compare runs/find_ball-1-1
-      deepbots view find_ball-0-0.mcap
-      deepbots view robot.mcap
-      deepbots view mine.yaml --watch
-      deepbots view find_ball --set goal=20cm --seed 3
-      deepbots view panda_push --start mark=0.5,0.1
-      deepbots view runs/cartpole-0-1 --worlds 16 --world 3
-
-    Next: `deepbots play SCENARIO` lets you drive.
-    """
+    """Run `deepbots view`."""
     if world >= (worlds or 1):
         reason = f"--worlds {worlds} creates the worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
         raise UsageError(f"there is no world {world}; {reason}")
@@ -191,24 +163,7 @@ def play(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Drive the robot of a scenario in the browser.
-
-    You command the robot with keys, a gamepad, or buttons and sliders in the page. The page compares your
-    return with that of another driver from the same start: the policy of a run, or the first script of a
-    scenario (a policy written by hand).
-
-    With --output, each episode that you drive from the reset to the end is recorded. The file is complete
-    after each of them, and takes at most 256 MiB of steps before compression: half an hour of CartPole, or
-    two hours of FindBall.
-
-    \b
-      deepbots play find_ball
-      deepbots play find_ball -o drive.mcap
-      deepbots play runs/find_ball-0-1
-      deepbots play cartpole --set world.timestep=64ms
-
-    Next: `deepbots train SCENARIO` trains a policy.
-    """
+    """Run `deepbots play`."""
     from deepbots_cli.view.episodes import Showing
     from deepbots_cli.view.pictures import check_target
 

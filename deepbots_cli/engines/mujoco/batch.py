@@ -17,6 +17,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Iterable, Sequence
 from copy import copy
+from functools import partialmethod
 from math import inf
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
@@ -38,19 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import (
-        ContactReader,
-        Engine,
-        ForceReader,
-        Gain,
-        MotorWriter,
-        P,
-        Part,
-        PoseReader,
-        Pusher,
-        R,
-        TorqueReader,
-    )
+    from deepbots_cli.port import Engine, Gain, MotorWriter, P, Part, PoseReader, Pusher, R
     from deepbots_cli.program.world import WorldModel
 
     Column = NDArray[Any]
@@ -122,10 +111,8 @@ class BatchMember(EngineProxy):
     def pose(self, body: str, link: str | None = None) -> PoseReader:
         """That of a free body comes from its row where the shared engine does not have this world: 1 us
         instead of 8."""
-        read_attached = super().pose(body, link)
-        batch = self._batch
-        index = self._index
-        place = self._batch.form_and_link(body, link)
+        read_attached: PoseReader = super().pose(body, link)
+        batch, index, place = self._batch, self._index, self._batch.form_and_link(body, link)
         if place is None or place[1] != place[0].root_id or place[0].position_index < 0:
             return read_attached
         at = place[0].position_index
@@ -161,33 +148,20 @@ class BatchMember(EngineProxy):
 
         return push
 
-    def _of_columns(self, read: Callable[[], Column]) -> Callable[[], Any]:
-        index = self._index
+    def _of_columns(self, method: str, *given: Any, **options: Any) -> Callable[[], Any]:
+        read, index = getattr(self._batch, method)(*given, **options), self._index
         return lambda: read()[..., index].tolist()
 
-    def contact(
-        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
-    ) -> ContactReader:
-        return self._of_columns(self._batch.contact(one, others, ground=ground))
+    contact = partialmethod(_of_columns, "contact")
+    contact_force = partialmethod(_of_columns, "contact_force")
+    joint_torques = partialmethod(_of_columns, "joint_torques")
 
-    def contact_force(self, one: Part) -> ForceReader:
-        return self._of_columns(self._batch.contact_force(one))
+    def _motor(self, kind: str, *given: Any) -> MotorWriter:
+        return self._batch.motor(kind, *given, world=self._index).writer(self._index)
 
-    def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
-        return self._of_columns(self._batch.joint_torques(robot, joints))
-
-    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self._batch.motor("velocity", robot, joints, max_torque, world=self._index).writer(self._index)
-
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self._batch.motor("torque", robot, joints, max_torque, world=self._index).writer(self._index)
-
-    def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
-    ) -> MotorWriter:
-        return self._batch.motor(
-            "position", robot, joints, max_torque, stiffness, damping, world=self._index
-        ).writer(self._index)
+    velocity_motor = partialmethod(_motor, "velocity")
+    position_motor = partialmethod(_motor, "position")
+    torque_motor = partialmethod(_motor, "torque")
 
 
 class MuJoCoBatch:

@@ -18,7 +18,7 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.model import FAR_CLIP_M, NEAR_CLIP_M, ModelBuilder
+from deepbots_cli.engines.mujoco.model import FACE_DISTANCE_M, FAR_CLIP_M, NEAR_CLIP_M, ModelBuilder
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import CAMERA_RANGE_M, CameraImage
 from deepbots_cli.program.world import GROUND
@@ -111,12 +111,13 @@ class WorldRenderer:
             renderer, eye, frames.rotate(turned, (1.0, 0.0, 0.0)), frames.rotate(turned, (0.0, 0.0, 1.0)), fov
         )
         colors = self._brightened(renderer.render().copy())
-        renderer.enable_depth_rendering()
-        depth = np.minimum(renderer.render(), np.float32(CAMERA_RANGE_M))
-        renderer.disable_depth_rendering()
         renderer.enable_segmentation_rendering()
         geoms = renderer.render()[..., 0]
         renderer.disable_segmentation_rendering()
+        self._lower_ground(renderer, -FACE_DISTANCE_M)
+        renderer.enable_depth_rendering()
+        depth = np.minimum(renderer.render(), np.float32(CAMERA_RANGE_M))
+        renderer.disable_depth_rendering()
         names = tuple(self._state.pools)
         bodies = np.where(geoms >= 0, self._owners[geoms], np.int32(-1)).astype(np.int32)
         return CameraImage(colors, depth, bodies, names)
@@ -149,7 +150,14 @@ class WorldRenderer:
             model.vis.global_.offwidth, model.vis.global_.offheight = width, height
             renderer = self._renderers[width, height] = mj.Renderer(model, height, width)
         renderer.update_scene(data)
+        self._lower_ground(renderer, FACE_DISTANCE_M)
         return renderer
+
+    def _lower_ground(self, renderer: Any, distance: float) -> None:
+        """Move the flat ground of the scene down (m), below the tops of things that are level with it."""
+        for geom in renderer.scene.geoms[: renderer.scene.ngeom]:
+            if geom.type == mj.mjtGeom.mjGEOM_PLANE:
+                geom.pos[2] -= distance
 
     def _build(self) -> None:
         builder = ModelBuilder(self._world, for_rendering=True)

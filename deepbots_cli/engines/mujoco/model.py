@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
-from math import inf
+from itertools import combinations, product
+from math import dist, hypot, inf
+from operator import mul
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,7 +44,7 @@ from deepbots_cli.robots.model import (
 )
 
 if TYPE_CHECKING:
-    from deepbots_cli.frames import Frame, Matrix
+    from deepbots_cli.frames import Frame, Matrix, Triple
 
 MjObject = Any
 """An element of a specification, or a compiled model; MuJoCo has no types that a checker could read."""
@@ -76,7 +77,15 @@ A contact gives way by (1 - impedance) / impedance.
 """
 AXLE_TOLERANCE = 1e-6
 """By how much the axis of a wheel may be off that of its joint: as a part of the radius, and in rad."""
+MAX_HULL_VERTICES = 10_000
+"""Of the hull of a mesh. On a ball with a radius of 20 cm, 10,000 are within 0.03 mm. A hull of 1,900,000
+vertices took 33 s."""
 NEAR_CLIP_M, FAR_CLIP_M = 0.01, 2000.0  # m; what is drawn
+FACE_DISTANCE_M = 2e-5
+"""By how much faces in one plane are parted in a picture, m. 5 um are enough for a table in the floor that is
+50 m away."""
+_SAME_PLANE_M = 1e-5
+_MAX_LEVEL = 10
 TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
 
 
@@ -163,7 +172,9 @@ class ModelBuilder:
         Raises:
             EngineError: MuJoCo refuses the world; names the link.
         """
-        if not self._for_rendering:
+        if self._for_rendering:
+            self._part_faces()
+        else:
             self._add_pairs()
         try:
             model = self._spec.compile()
@@ -514,14 +525,21 @@ class ModelBuilder:
 
     def _mesh(self, mesh: Mesh) -> str:
         """The triangles of a mesh; MuJoCo lets its convex hull collide, as PyBullet does with meshes that
-        move."""
+        move.
+
+        What is only drawn needs no hull: flat meshes have none.
+        """
         corners = mesh_triangles(mesh).reshape(-1, 3)
         vertices, faces = np.unique(corners, axis=0, return_inverse=True)
         self._elements += 1
         name = f"m{self._elements}"
-        convex = mj.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        inertia = mj.mjtMeshInertia
         self._spec.add_mesh(
-            name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist(), inertia=convex
+            name=name,
+            uservert=vertices.ravel().tolist(),
+            userface=faces.ravel().tolist(),
+            inertia=inertia.mjMESH_INERTIA_SHELL if self._for_rendering else inertia.mjMESH_INERTIA_CONVEX,
+            maxhullvert=MAX_HULL_VERTICES if len(vertices) > MAX_HULL_VERTICES else -1,
         )
         return name
 
@@ -531,6 +549,23 @@ class ModelBuilder:
         return element.add_geom(
             name=f"g{self._elements}", contype=0, conaffinity=0, group=group, mass=0.0, **about
         )
+
+    # Faces in one plane
+
+    def _part_faces(self) -> None:
+        """Make a surface a little larger that has a face in the plane of a face of an earlier one: drawn
+        faces in one plane flicker.
+
+        These are the surfaces of a link, and those of all that stays in its place.
+        """
+        staying: list[tuple[MjObject, Frame]] = []
+        for body, _, _, geoms in self._made:
+            for link, made in geoms.items() if body.name != GROUND else ():
+                if body.fixed and link == body.model.root:
+                    staying += [(geom, frames.compose(body.initial_pose, _frame_of(geom))) for geom in made]
+                else:
+                    _part([(geom, _frame_of(geom)) for geom in made])
+        _part(staying)
 
     # Pairs
 
@@ -567,6 +602,50 @@ class ModelBuilder:
             if id(body) in owned:
                 for link, element in geoms.items():
                     yield from ((geom, link in body.static_links) for geom in element)
+
+
+def _part(placed: Sequence[tuple[MjObject, Frame]]) -> None:
+    """Make surfaces larger by a step for each earlier surface in front of which they have to be."""
+    planes: dict[tuple[int, ...], list[tuple[Triple, float, int]]] = {}
+    for geom, frame in placed:
+        faces = list(_faces(geom, frame))
+        levels = [
+            level + 1
+            for plane, middle, reach in faces
+            for other, far, level in planes.get(plane, ())
+            if dist(middle, other) < reach + far
+        ]
+        level = min(max(levels, default=0), _MAX_LEVEL)
+        for plane, middle, reach in faces:
+            planes.setdefault(plane, []).append((middle, reach, level))
+        if level:
+            geom.size = [size + level * FACE_DISTANCE_M if size > 0.0 else 0.0 for size in geom.size]
+
+
+def _faces(geom: MjObject, frame: Frame) -> Iterator[tuple[tuple[int, ...], Triple, float]]:
+    """The flat faces of a box or a cylinder: the plane, rounded, the middle, and how far the face reaches
+    from there, m."""
+    half = [float(size) for size in geom.size]
+    normals: Sequence[Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    if geom.type == mj.mjtGeom.mjGEOM_CYLINDER:
+        half, normals = [half[0], half[0], half[1]], normals[2:]
+    elif geom.type != mj.mjtGeom.mjGEOM_BOX:
+        return
+    for along, sign in product(normals, (1.0, -1.0)):
+        axis, normal = along.index(1.0), frames.scaled(frames.rotate(frame[1], along), sign)
+        middle = frames.add(frame[0], frames.scaled(normal, half[axis]))
+        across = [half[place] for place in range(3) if place != axis]
+        rounded = (
+            *(round(part * 1e4) for part in normal),
+            round(sum(map(mul, normal, middle)) / _SAME_PLANE_M),
+        )
+        yield rounded, middle, hypot(*across)
+
+
+def _frame_of(geom: MjObject) -> Frame:
+    """In the frame of its link."""
+    (x, y, z), (w, i, j, k) = geom.pos, geom.quat
+    return (x, y, z), (i, j, k, w)
 
 
 def _branches(model: MjObject) -> bool:

@@ -225,7 +225,7 @@ class ControlStep:
 
     def _seen_image(self, image: ImageObservation) -> str:
         """An image, uint8 [rows, columns, channels], with its history side by side, oldest first."""
-        robot, entry = self._names.fields.get(image.name, (None, None))
+        robot, entry = self._names.definitions.fields.get(image.name, (None, None))
         sensor = None
         if robot is not None and entry is not None:
             sensor = next((each for each in robot.sensors if entry.scalars == (Name(each.name),)), None)

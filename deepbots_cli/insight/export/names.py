@@ -28,7 +28,7 @@ class ObservedNames:
         readings: The inputs of the graph, in order of first use.
         printer: Prints trees of the supervisor.
         acted: The components of the action variables, and of the action as the agent gave it.
-        fields: Message fields by their names, with the robots that send them.
+        definitions: The values that the program names.
     """
 
     def __init__(self, program: Program, math: Arithmetic, memories: StepMemories, timestep: float) -> None:
@@ -36,11 +36,6 @@ class ObservedNames:
         self.math, self.memories = math, memories
         self.readings: dict[str, Reading] = {}
         self.printer = TreePrinter(math, self, memories.per_timestep)
-        self.fields = {
-            f"{robot.name}.{entry.name}": (robot, entry)
-            for robot in program.robots
-            for entry in robot.emitted
-        }
         parts = {name: part.components for part in program.agent.ranges for name in part.variables}
         variables = {name: parts.get(name, ()) for part in program.agent.action for name in part.variables}
         self.acted: dict[str, Sequence[str]] = {
@@ -49,9 +44,8 @@ class ObservedNames:
         }
         self._program = program
         self._describe = Readings(program, timestep)
+        self.definitions = self._describe.deployment.definitions
         self._whole: dict[str, Value] = {}
-        self._signals = {signal.name: signal for signal in program.signals}
-        self._parameters = {value.name: value for value in program.parameters}
         self._on_board = {
             robot.name: TreePrinter(math, OnBoard(self, robot), memories.per_timestep)
             for robot in program.robots
@@ -96,17 +90,14 @@ class ObservedNames:
             raise UsageError(
                 f"the policy sees '{name}', and {_LATER.get(name, 'an ending')} is known in a training alone"
             )
-        if name in self._parameters:
-            return item(
-                self.input(self._describe.parameter(self._parameters[name])),
-                self._parameters[name].components,
-                part,
-            )
-        if name in self._signals:
-            signal = self._signals[name]
+        if name in self.definitions.parameters:
+            value = self.definitions.parameters[name]
+            return item(self.input(self._describe.parameter(value)), value.components, part)
+        if name in self.definitions.signals:
+            signal = self.definitions.signals[name]
             return item(self._once(f"signal {name}", self.printer, signal.scalars), signal.components, part)
-        if name in self.fields:
-            robot, entry = self.fields[name]
+        if name in self.definitions.fields:
+            robot, entry = self.definitions.fields[name]
             if not self._program.is_direct(robot, "from_robot") and not _sends_a_sensor(robot, entry.scalars):
                 late = f"messages from {robot.name} arrive late or not at all"
                 raise UsageError(

@@ -46,9 +46,9 @@ class Readings:
         actions."""
         self._program = program
         self._timestep = timestep or program.period
-        self._deployment = Deployment(program)
+        self.deployment = Deployment(program)
         self._supplied_by = {reading_key(key): text for key, text in program.supplied_by}
-        self.direct = self._deployment.sensed
+        self.direct = self.deployment.sensed
         """The readings of the world that are components of a sensor."""
 
     def sensor(self, robot: Robot, sensor: Sensor) -> Reading:
@@ -94,7 +94,7 @@ class Readings:
         """A reading of the world by the supervisor, and the index of the number in it."""
         components = _VECTORS.get(read.function, ())
         function = FUNCTIONS.get(read.function)
-        joint = self._deployment.joints.get(read.subjects[0])
+        joint = self.deployment.joints.get(read.subjects[0])
         if joint is None:
             shared = NUMBER
         elif joint.type == "prismatic":
@@ -102,14 +102,14 @@ class Readings:
         else:
             shared = ANGLE
         truth = function is None or function.boolean
-        name = self._deployment.name(read)
+        name = self.deployment.name(read)
         interval = function.interval() if function is not None and read.function == "orientation" else None
         robot = read.subjects[0].partition(".")[0]
         robots = {each.name for each in self._program.robots}
         info = self._input(
             name,
             robot=robot if robot in robots else None,
-            source="sensor" if self._deployment.is_measured(read) else "supervisor",
+            source="sensor" if self.deployment.is_measured(read) else "supervisor",
             supplied_by=self._supplied_by.get(name),
             sensor=read.function,
             joints=(joint.name,) if joint is not None else (),

@@ -1,7 +1,8 @@
 """The learner of the built-in algorithms, on Stable-Baselines3 and sb3-contrib. Only this package imports
 them.
 
-learner.py       `StableLearner`: an algorithm behind the interface of `learning.learner`
+learner.py       `OnPolicyLearner`, `OffPolicyLearner`: algorithms behind the interface of `learning.learner`
+internals.py     the private members of the library that deepbots uses
 algorithms.py    algorithms made for a scenario, action noise
 defaults.py      the hyperparameters that a training takes: the scenario's, our defaults, the library's
 environment.py   the worlds of a collector as a vector environment

@@ -25,7 +25,7 @@ from torch import nn
 
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning.sb3 import defaults
+from deepbots_cli.learning.sb3 import defaults, internals
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import ActionNoise as NoiseSettings
 from deepbots_cli.program.task import Hyperparameter, Schedule, Training
@@ -82,7 +82,7 @@ def create(
     models: list[BaseAlgorithm] = []
     if kind is not None and isinstance(env.action_space, gym.spaces.Box):
         settings["action_noise"] = DecayingNoise(
-            kind, env.action_space.shape, lambda: models[0]._current_progress_remaining
+            kind, env.action_space.shape, lambda: internals.progress_remaining(models[0])
         )
     if not to_learn:
         settings |= (
@@ -138,7 +138,7 @@ def create(
         ) from error
     for name in ("optimizer_class", "optimizer_kwargs"):  # so that model files name no class of deepbots
         models[0].policy_kwargs.pop(name, None)
-    if not models[0]._get_torch_save_params()[0] or not models[0].policy.state_dict():
+    if not internals.saved_members(models[0])[0] or not models[0].policy.state_dict():
         raise UsageError(_no_torch(algorithm, "its runs could be neither evaluated nor resumed"))
     return models[0]
 

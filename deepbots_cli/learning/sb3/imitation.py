@@ -27,6 +27,7 @@ from gymnasium import spaces
 from stable_baselines3.her import HerReplayBuffer
 
 from deepbots_cli.learning.demonstrations import Demonstrations
+from deepbots_cli.learning.sb3 import internals
 from deepbots_cli.rollout.worlds import Array
 
 _MAX_BYTES = 200_000_000
@@ -166,7 +167,7 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
             the states of a recording.
         weight: Of the imitation loss.
     """
-    buffer, policy, ent_coef = model.rollout_buffer, model.policy, model.ent_coef
+    policy, ent_coef = model.policy, model.ent_coef
     lessons = taught if isinstance(taught, Lessons) else None
     labels = torch.empty(0)
     if not isinstance(taught, Lessons):
@@ -174,14 +175,13 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
         labels = torch.as_tensor(
             np.ascontiguousarray(taught.swapaxes(0, 1)).reshape(shape), device=model.device
         )
-    samples, evaluate = buffer._get_samples, policy.evaluate_actions
+    evaluate = policy.evaluate_actions
     batch: list[torch.Tensor] = []
     losses: list[float] = []
     entropies: list[float] = []
 
-    def get_samples(indices: Array, *rest: Any) -> Any:
-        batch[:] = [labels[indices]] if lessons is None else []
-        return samples(indices, *rest)
+    def note(rows: Array) -> None:
+        batch[:] = [labels[rows]] if lessons is None else []
 
     def evaluate_actions(
         observations: Any, actions: torch.Tensor, **options: Any
@@ -198,11 +198,12 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
         entropies.append(-float(entropy.detach().mean()))
         return values, log_prob, ent_coef * entropy - weight * loss
 
-    buffer._get_samples, policy.evaluate_actions, model.ent_coef = get_samples, evaluate_actions, 1.0
+    policy.evaluate_actions, model.ent_coef = evaluate_actions, 1.0
     try:
-        yield
+        with internals.samples_noted(model.rollout_buffer, note):
+            yield
     finally:
-        del buffer._get_samples, policy.evaluate_actions
+        del policy.evaluate_actions
         model.ent_coef = ent_coef
     model.logger.record("train/entropy_loss", float(np.mean(entropies)))
     model.logger.record("teacher/loss", float(np.mean(losses)))
@@ -228,14 +229,12 @@ def keep_labels(model: Any) -> None:
 
     buffer.sample = sample
     if isinstance(buffer, HerReplayBuffer):
-        virtual = buffer._get_virtual_samples
 
-        def get_virtual_samples(*arguments: Any) -> Any:
-            samples = virtual(*arguments)
+        def unlabel(samples: Any) -> Any:
             samples.actions[:, width:] = _UNKNOWN
             return samples
 
-        buffer._get_virtual_samples = get_virtual_samples  # type: ignore[method-assign, assignment]
+        internals.change_virtual_samples(buffer, unlabel)
 
 
 def mix_in(model: Any, demonstrations: Demonstrations) -> None:
@@ -253,7 +252,8 @@ def mix_in(model: Any, demonstrations: Demonstrations) -> None:
     def sample(batch_size: int, env: Any = None) -> Any:
         samples = draw(batch_size, env=env)
         at = torch.from_numpy(np.random.randint(count, size=round(_DEMONSTRATED_SHARE * batch_size)))
-        rewards = buffer._normalize_reward(demonstrations.rewards[at.numpy(), None], env)
+        rewards = demonstrations.rewards[at.numpy(), None]
+        rewards = rewards if env is None else env.normalize_reward(rewards)
         drawn = {
             "actions": actions[at],
             "rewards": torch.as_tensor(rewards, dtype=torch.float32, device=device),
@@ -337,8 +337,8 @@ def _fit_actor(model: Any, steps: int) -> None:
     for group in actor.optimizer.param_groups:  # the update of the library sets its own rate again
         group["lr"] = _LEARNING_RATE
     for _ in range(steps):
-        seen = buffer.sample(_BATCH_SIZE, env=model._vec_normalize_env).observations
-        loss = _distance(actor._predict(seen, deterministic=True), buffer.labels)
+        seen = buffer.sample(_BATCH_SIZE, env=model.get_vec_normalize_env()).observations
+        loss = _distance(model.policy(seen, deterministic=True), buffer.labels)
         actor.optimizer.zero_grad()
         loss.mean().backward()  # type: ignore[no-untyped-call]  # of the library
         actor.optimizer.step()
@@ -370,7 +370,7 @@ def agreement(model: Any, observations: Any, taught: Array) -> float:
         if hasattr(model, "rollout_buffer"):
             chosen = model.policy.get_distribution(batch).mode().cpu().numpy()
         else:
-            chosen = model.policy._predict(batch, deterministic=True).cpu().numpy()
+            chosen = model.policy(batch, deterministic=True).cpu().numpy()
     wanted = taught.reshape(chosen.shape)
     if isinstance(model.action_space, spaces.Box):
         same = np.abs(np.clip(chosen, -1.0, 1.0) - np.clip(wanted, -1.0, 1.0)) <= _AGREES

@@ -1,4 +1,4 @@
-"""The learner of the built-in algorithms: Stable-Baselines3 and sb3-contrib behind the interface of
+"""The learners of the built-in algorithms: Stable-Baselines3 and sb3-contrib behind the interface of
 `learning.learner`.
 
 On-policy algorithms take fragments of a collector (`rollouts.py`). Off-policy algorithms step the worlds by
@@ -11,9 +11,10 @@ through it.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import Any, get_args
@@ -21,7 +22,6 @@ from typing import Any, get_args
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.preprocessing import get_action_dim
 from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.common.vec_env import VecNormalize
@@ -32,7 +32,7 @@ from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.demonstrations import Demonstrations
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
-from deepbots_cli.learning.sb3 import algorithms, critics, models, networks, rollouts, state
+from deepbots_cli.learning.sb3 import algorithms, critics, internals, models, networks, rollouts, state
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
 from deepbots_cli.learning.sb3.imitation import (
     Lessons,
@@ -47,14 +47,7 @@ from deepbots_cli.learning.sb3.imitation import (
 from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.learning.teacher import Plan
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import (
-    Decision,
-    Fragment,
-    Lesson,
-    LocalCollector,
-    PolicyActor,
-    ShardedCollector,
-)
+from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, PolicyActor, ShardedCollector
 from deepbots_cli.rollout.worlds import WorldsStep
 
 AGREEMENT_STEPS = 64
@@ -64,18 +57,30 @@ SCALAR_WINDOW_STEPS = 256
 """Steps of each copy of the environment that the scalars of an off-policy algorithm describe."""
 
 
+class SavesPlainly:
+    """Mixed in before an algorithm."""
+
+    def save(self, path: str | Path, *_: Any, **__: Any) -> None:
+        """Write the model as a run keeps it, for a callback: Stable-Baselines3 would also pickle the
+        worlds."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        models.save(path if path.suffix else path.with_suffix(".zip"), self)  # type: ignore[arg-type]  # of the algorithm
+
+
 class StableLearner(Learner):
     """An algorithm of Stable-Baselines3; `model` is the algorithm itself."""
 
     State = state.StableState
+    actor_kind: type[rollouts.RolloutActor | rollouts.ExplorationActor] = rollouts.RolloutActor
+    mixin = SavesPlainly
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
         self.check(setup.training)
         self._collector = collector = setup.collector
-        env: Any = spaces_only(
-            setup.observation_space, setup.action_space, setup.rows if collector is None else collector.rows
-        )
+        rows = setup.rows if collector is None else collector.rows
+        env: Any = spaces_only(setup.observation_space, setup.action_space, rows)
         if isinstance(collector, LocalCollector | ShardedCollector):
             env = CollectorEnvironment(collector)
         if collector is not None and setup.training.normalize is not None:
@@ -83,11 +88,6 @@ class StableLearner(Learner):
             env = VecNormalize(
                 env, norm_obs=False, gamma=gamma
             )  # rewards by a running standard deviation of the return
-        mixin: type[_SavesPlainly] = (
-            _SavesPlainly if setup.training.teacher is None and setup.demonstrations is None else _IsTaught
-        )
-        if isinstance(collector, ShardedCollector):
-            mixin = _RepeatsLessons if mixin is _IsTaught else _RepeatsActions
         self.model: Any = algorithms.create(
             setup.training,
             env,
@@ -95,38 +95,20 @@ class StableLearner(Learner):
             total_timesteps=setup.total_timesteps,
             longest_episode=setup.longest_episode,
             to_learn=setup.collector is not None,
-            mixin=mixin,
+            mixin=self.mixin,
         )
         self.takes_masks = algorithms.takes_masks(self.model)
-        self.is_off_policy = isinstance(self.model, OffPolicyAlgorithm)
-        demonstrations = self._prepared(setup.demonstrations)
-        if (
-            self.is_off_policy
-            and isinstance(self.model, _IsTaught)
-            and collector is not None
-            and hasattr(self.model, "actor")
-        ):
-            keep_labels(self.model)
-            self.model.keeps_labels = True
-        if self.is_off_policy and demonstrations is not None:
-            mix_in(self.model, demonstrations)
-        self._shown = (
-            None if demonstrations is None or self.is_off_policy else Lessons(self.model, demonstrations)
-        )
-        self._by_fragments = not self.is_off_policy and algorithms.collects_as_usual(
+        self._takes_fragments = not self.is_off_policy and algorithms.collects_as_usual(
             setup.training, self.model
         )
-        self._actor = (
-            rollouts.ExplorationActor(self.model) if self.is_off_policy else rollouts.RolloutActor(self.model)
-        )
+        self._demonstrations = self._prepared(setup.demonstrations)
+        self._actor = self.actor_kind(self.model)
         if isinstance(collector, ShardedCollector):
             self.actor()
-        elif not (self._by_fragments or collector is None or isinstance(collector, LocalCollector)):
+        elif not (self._takes_fragments or collector is None or isinstance(collector, LocalCollector)):
             raise UsageError(f"{setup.training.algorithm} needs its worlds in the training process")
         self._followers: Sequence[BaseCallback] = ()
         self._plan = Plan()
-        self._taught: Array | None = None
-        self._lessons: Lessons | None = None
         if collector is None:
             self.model.policy.set_training_mode(False)
 
@@ -144,25 +126,15 @@ class StableLearner(Learner):
         self.model.set_logger(self.log)
         self._followers = followers
         callbacks = [_MonitorCallback(monitor), *followers]
-        self._total, self._callback = self.model._setup_learn(total, callbacks if followers else callbacks[0])
-        if self.is_off_policy:  # now with noise for each row
-            self._actor = rollouts.ExplorationActor(self.model)
+        self._total, self._callback = internals.begin_learning(
+            self.model, total, callbacks if followers else callbacks[0]
+        )
         self._log_interval = signature(type(self.model).learn).parameters["log_interval"].default
 
     def start(self) -> None:
         self._callback.on_training_start(
             {"self": self.model, "total_timesteps": self._total, "callback": self._callback}, {}
         )
-
-    def be_taught(self, plan: Plan) -> None:
-        if not (self._by_fragments or self.is_off_policy) or hasattr(self.model, "_last_lstm_states"):
-            super().be_taught(plan)
-        self._plan = plan
-        if not self.is_off_policy and self._shown is None and plan.only != (self._lessons is not None):
-            self._lessons = Lessons(self.model) if plan.only else None
-            self._replay.forget(self.steps // self.model.n_envs)
-        if self.is_off_policy and isinstance(self._collector, LocalCollector):
-            self.model.lesson = plan.lesson, self._collector
 
     def actor(self) -> PolicyActor:
         if not algorithms.collects_as_usual(self.setup.training, self.model):
@@ -171,114 +143,6 @@ class StableLearner(Learner):
                 " not support"
             )
         return self._actor
-
-    def collect(self) -> bool:
-        model = self.model
-        with models.overflow_explained():
-            if self.is_off_policy:
-                shards = self._collector if isinstance(self._collector, ShardedCollector) else None
-                if shards is not None:
-                    model.recorded = shards.fetch(
-                        self._actor, model.train_freq.frequency, lesson=self._plan.lesson
-                    )
-                    memory = self._actor.memory()
-                self._rollout: RolloutReturn = model.collect_rollouts(
-                    model.env,
-                    train_freq=model.train_freq,
-                    action_noise=model.action_noise,
-                    callback=self._callback,
-                    learning_starts=model.learning_starts,
-                    replay_buffer=model.replay_buffer,
-                    log_interval=self._log_interval,
-                )
-                if (
-                    shards is not None
-                ):  # at the end of an episode, the library has reset the noise of the next one
-                    self._actor.remember(memory)
-                    if self.setup.training.staleness:
-                        shards.ask_ahead(self._actor, model.train_freq.frequency)
-                return bool(self._rollout.continue_training)
-            if self._collector is None or not self._by_fragments:
-                return bool(
-                    model.collect_rollouts(
-                        model.env, self._callback, model.rollout_buffer, n_rollout_steps=model.n_steps
-                    )
-                )
-            self._actor.begin()
-            self._callback.on_rollout_start()
-            lesson = self._plan.lesson
-            fragment = self._collector.collect(
-                self._actor, model.n_steps, self._on_step, with_masks=self.takes_masks, lesson=lesson
-            )
-            if fragment is None:
-                return False
-            if self.setup.training.staleness and isinstance(self._collector, ShardedCollector):
-                self._collector.ask_ahead(self._actor, model.n_steps, with_masks=self.takes_masks)
-            rollouts.fill(model, fragment)
-            self._taught = fragment.columns.get("taught")
-        self._callback.on_rollout_end()
-        return True
-
-    def _on_step(self, step: WorldsStep) -> bool:
-        model = self.model
-        model.num_timesteps += len(step.dones)
-        if self._followers:
-            observations, rewards, dones, infos = as_returned(step)
-            self._callback.update_locals(
-                {"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos}
-            )
-        if not self._callback.on_step():
-            return False
-        for ending in step.endings:
-            model.ep_info_buffer.append({"r": ending.episode.total_return, "l": ending.episode.length})
-            model.ep_success_buffer.append(ending.episode.is_success)
-        return True
-
-    def update(self) -> None:
-        model = self.model
-        with models.overflow_explained():
-            if not self.is_off_policy:
-                model._update_current_progress_remaining(model.num_timesteps, self._total)
-                count = model.num_timesteps // (model.n_steps * model.n_envs)
-                if count % self._log_interval == 0:
-                    model.dump_logs(count)
-                with self._imitation():
-                    model.train()
-            elif model.num_timesteps > model.learning_starts:
-                gradient_steps = (
-                    model.gradient_steps if model.gradient_steps >= 0 else self._rollout.episode_timesteps
-                )
-                if gradient_steps > 0:
-                    with self._imitation():
-                        model.train(batch_size=model.batch_size, gradient_steps=gradient_steps)
-
-    def _imitation(self) -> AbstractContextManager[None]:
-        """What a teacher adds to an update."""
-        model, plan = self.model, self._plan
-        if getattr(model, "keeps_labels", False):
-            new, period = self._rollout.episode_timesteps, AGREEMENT_STEPS * model.n_envs
-            if plan.only and self.steps // period > (self.steps - new) // period:
-                seen, _, _ = self.recent()
-                taught = self._recent_rows(model.replay_buffer.actions)[
-                    ..., get_action_dim(model.action_space) :
-                ]
-                if self.setup.demonstrations is None:
-                    self._agrees(seen, taught)
-            return (
-                imitating_labels(model, plan.weight, only=plan.only, new=new)
-                if plan.weight
-                else nullcontext()
-            )
-        if self._shown is not None:
-            if plan.only:
-                return only_imitating(model, self._shown, None)
-            return imitating(model, self._shown, plan.weight) if plan.weight else nullcontext()
-        if self._taught is None:
-            return nullcontext()
-        if self._lessons is not None:
-            self._agrees(model.rollout_buffer.observations, self._taught)
-            return only_imitating(self.model, self._lessons, self._taught)
-        return imitating(self.model, self._taught, self._plan.weight)
 
     def _agrees(self, observations: Any, taught: Array) -> None:
         self.agreement = agreement(self.model, observations, taught)
@@ -325,27 +189,6 @@ class StableLearner(Learner):
                 raise ValueError(models.OVERFLOW)
         return actions, state
 
-    def recent(self) -> tuple[Any, Array, Array | None]:
-        """Those of the last rollout, or of the last steps in the replay buffer."""
-        if not self.is_off_policy:
-            buffer: Any = self.model.rollout_buffer
-            return buffer.observations, buffer.actions, buffer.log_probs
-        seen, rows = self.model.replay_buffer.observations, self._recent_rows
-        width = get_action_dim(self.model.action_space)
-        observations = (
-            {key: rows(part) for key, part in seen.items()} if isinstance(seen, dict) else rows(seen)
-        )
-        return observations, rows(self.model.replay_buffer.actions)[..., :width], None
-
-    def _recent_rows(self, column: Array) -> Array:
-        """The last rows of a column of the replay buffer."""
-        buffer = self.model.replay_buffer
-        rows = (
-            np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
-        )
-        recent: Array = column[rows]
-        return recent
-
     # Numbers
 
     def weights(self) -> dict[str, Array]:
@@ -373,7 +216,7 @@ class StableLearner(Learner):
             self._replay.append(buffer, self.steps // model.n_envs)
         return {
             "counts": {
-                name: getattr(model, name) for name in get_args(state.CounterName) if hasattr(model, name)
+                name: getattr(model, name) for name in get_args(internals.Counter) if hasattr(model, name)
             },
             "infos": [
                 state.EpisodeInfo(r=encoded(info["r"]), l=encoded(info["l"]))
@@ -390,11 +233,8 @@ class StableLearner(Learner):
 
     def arrays(self) -> dict[str, Array]:
         model = self.model
-        arrays: dict[str, Array] = {
-            f"noise/{index}": noise.drift
-            for index, noise in enumerate(self._noises)
-            if noise.drift is not None
-        }
+        drifts = enumerate(noise.drift for noise in self._actor.noises)
+        arrays: dict[str, Array] = {f"noise/{index}": drift for index, drift in drifts if drift is not None}
         arrays |= {f"lstm/{index}": tensor.cpu().numpy() for index, tensor in enumerate(self._memory)}
         if (normalizer := model.get_vec_normalize_env()) is not None:
             statistics = normalizer.ret_rms
@@ -403,30 +243,27 @@ class StableLearner(Learner):
                 "return_statistics": np.array([statistics.mean, statistics.var, statistics.count]),
             }
         if isinstance(buffer := self._buffer, HerReplayBuffer):
-            arrays["episode_starts"] = buffer._current_ep_start
+            arrays["episode_starts"] = internals.episode_starts(buffer)
         return arrays
 
     def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
         if state.steps % self.model.n_envs:
             raise ValueError(f"{len(state.starts)} worlds after {state.steps} steps")
         drift = ArraySpec(np.dtype(float), self.model.action_space.shape, is_optional=True)
-        return super().specs(state) | {f"noise/{index}": drift for index in range(len(self._noises))}
+        return super().specs(state) | {f"noise/{index}": drift for index in range(len(self._actor.noises))}
 
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
         model = self.model
         for counter, value in kept.counts.items():
             setattr(model, counter, type(getattr(model, counter))(value))
-        model._num_timesteps_at_start = model.num_timesteps
         model.ep_info_buffer.extend({"r": number_of(info.r), "l": number_of(info.l)} for info in kept.infos)
         model.ep_success_buffer.extend(kept.successes)
-        model._last_obs = model.env.reset()  # of the episodes that go on
-        model._last_episode_starts = model.env.unwrapped.collector.starts
+        internals.continue_training(model, model.env.unwrapped.collector.starts)
         for index, tensor in enumerate(self._memory):
             tensor.copy_(torch.from_numpy(arrays[f"lstm/{index}"]))
-        for index, noise in enumerate(self._noises):
+        for index, noise in enumerate(self._actor.noises):
             noise.drift = arrays.get(f"noise/{index}")
         if (normalizer := model.get_vec_normalize_env()) is not None:
-            model._last_original_obs = normalizer.get_original_obs()
             mean, var, count = arrays["return_statistics"]
             if var < 0 or count <= 0:
                 raise ValueError("the statistics of the returns are impossible")
@@ -437,8 +274,6 @@ class StableLearner(Learner):
             )
             normalizer.returns = arrays["returns"]
         model.action_space.np_random.bit_generator.state = kept.action_space.model_dump()
-        if self._by_fragments and self.setup.training.teacher is not None and kept.replay[0]:
-            self._lessons = Lessons(model)
         if self._buffer is not None:
             starts = arrays.get("episode_starts") if same else None
             self._replay.refill(self._buffer, kept, self.steps // model.n_envs, starts, model.action_space)
@@ -446,17 +281,12 @@ class StableLearner(Learner):
     @property
     def _buffer(self) -> Any:
         """What is kept of earlier fragments: a replay buffer, lessons, or nothing (None)."""
-        return self._lessons if self._lessons is not None else getattr(self.model, "replay_buffer", None)
-
-    @property
-    def _noises(self) -> list[algorithms.DecayingNoise]:
-        noise = getattr(self.model, "action_noise", None)
-        return [] if noise is None else list(getattr(noise, "noises", [noise]))
+        return self.model.replay_buffer
 
     @property
     def _memory(self) -> list[torch.Tensor]:
         """The state of a recurrent policy between two steps."""
-        states = getattr(self.model, "_last_lstm_states", None)
+        states = internals.memory(self.model)
         return [] if states is None else [*states.pi, *states.vf]
 
     @property
@@ -468,65 +298,232 @@ class StableLearner(Learner):
     def values(self, observations: Any) -> Array | None:
         return networks.critic_values(self.setup.training, self.model.policy, observations)
 
-    def critic_check(self) -> tuple[float, float] | None:
-        """Of an off-policy algorithm; one that learns on fragments logs how much of their returns its critic
-        explains."""
-        return critics.check_critic(self.model) if self.is_off_policy else None
-
     def network(self) -> networks.PolicyNetwork:
         return networks.policy_network(self.setup.training, self.model.policy)
 
 
-class _SavesPlainly:
-    """Mixed in before an algorithm."""
+class OnPolicyLearner(StableLearner):
+    """PPO, A2C, MaskablePPO and RecurrentPPO, which learn from the experience of the present policy."""
 
-    def save(self, path: str | Path, *_: Any, **__: Any) -> None:
-        """Write the model as a run keeps it, for a callback: Stable-Baselines3 would also pickle the
-        worlds."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        models.save(path if path.suffix else path.with_suffix(".zip"), self)  # type: ignore[arg-type]  # of the algorithm
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._shown = None if self._demonstrations is None else Lessons(self.model, self._demonstrations)
+        self._taught: Array | None = None
+        self._lessons: Lessons | None = None
+
+    def be_taught(self, plan: Plan) -> None:
+        if not self._takes_fragments or self._memory:
+            super().be_taught(plan)
+        self._plan = plan
+        if self._shown is None and plan.only != (self._lessons is not None):
+            self._lessons = Lessons(self.model) if plan.only else None
+            self._replay.forget(self.steps // self.model.n_envs)
+
+    def collect(self) -> bool:
+        model, collector = self.model, self._collector
+        with models.overflow_explained():
+            if collector is None or not self._takes_fragments:
+                return bool(
+                    model.collect_rollouts(
+                        model.env,
+                        self._callback,
+                        model.rollout_buffer,
+                        n_rollout_steps=model.n_steps,
+                    )
+                )
+            self._actor.begin()
+            self._callback.on_rollout_start()
+            fragment = collector.collect(
+                self._actor,
+                model.n_steps,
+                self._on_step,
+                with_masks=self.takes_masks,
+                lesson=self._plan.lesson,
+            )
+            if fragment is None:
+                return False
+            if self.setup.training.staleness and isinstance(collector, ShardedCollector):
+                collector.ask_ahead(self._actor, model.n_steps, with_masks=self.takes_masks)
+            rollouts.fill(model, fragment)
+            self._taught = fragment.columns.get("taught")
+        self._callback.on_rollout_end()
+        return True
+
+    def _on_step(self, step: WorldsStep) -> bool:
+        model = self.model
+        model.num_timesteps += len(step.dones)
+        if self._followers:
+            observations, rewards, dones, infos = as_returned(step)
+            self._callback.update_locals(
+                {"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos}
+            )
+        if not self._callback.on_step():
+            return False
+        for ending in step.endings:
+            model.ep_info_buffer.append({"r": ending.episode.total_return, "l": ending.episode.length})
+            model.ep_success_buffer.append(ending.episode.is_success)
+        return True
+
+    def update(self) -> None:
+        model = self.model
+        with models.overflow_explained():
+            internals.update_progress(model, self._total)
+            count = model.num_timesteps // (model.n_steps * model.n_envs)
+            if count % self._log_interval == 0:
+                model.dump_logs(count)
+            with self._imitation():
+                model.train()
+
+    def _imitation(self) -> AbstractContextManager[None]:
+        """What a teacher adds to an update."""
+        model, plan = self.model, self._plan
+        if self._shown is not None:
+            if plan.only:
+                return only_imitating(model, self._shown, None)
+            return imitating(model, self._shown, plan.weight) if plan.weight else nullcontext()
+        if self._taught is None:
+            return nullcontext()
+        if self._lessons is not None:
+            self._agrees(model.rollout_buffer.observations, self._taught)
+            return only_imitating(model, self._lessons, self._taught)
+        return imitating(model, self._taught, plan.weight)
+
+    def recent(self) -> tuple[Any, Array, Array | None]:
+        """Those of the last rollout."""
+        buffer = self.model.rollout_buffer
+        return buffer.observations, buffer.actions, buffer.log_probs
+
+    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+        if self._takes_fragments and self.setup.training.teacher is not None and kept.replay[0]:
+            self._lessons = Lessons(self.model)
+        super().restore(kept, arrays, same)
+
+    @property
+    def _buffer(self) -> Lessons | None:
+        return self._lessons
 
 
-class _IsTaught(_SavesPlainly):
-    """An off-policy algorithm with a teacher, which drives some of the worlds."""
+class _Explorer(internals.Explorer, SavesPlainly):
+    """An algorithm whose shards have acted already, or whose teacher drives some of the worlds.
 
-    lesson: tuple[Lesson | None, LocalCollector | None] = (None, None)
+    Attributes:
+        recorded: The fragment of the shards, through which it steps; None without shards.
+        teach: Returns what a decision becomes where the teacher drives; None without a lesson.
+        keeps_labels: Whether the replay buffer keeps what a teacher would do.
+    """
+
+    recorded: Fragment | None = None
+    teach: Callable[[Decision], Decision] | None = None
     keeps_labels = False
-
-    def _sample_action(self, *arguments: Any) -> tuple[Array, Array]:
-        actions, stored = super()._sample_action(*arguments)  # type: ignore[misc]  # of the algorithm
-        lesson, collector = self.lesson
-        taught = None
-        if lesson is not None and collector is not None:
-            actions, columns = collector.taught(Decision(actions, {"stored": stored}), lesson)
-            stored, taught = columns["stored"], columns["taught"]
-        return actions, labeled(stored, taught) if self.keeps_labels else stored
-
-
-class _RepeatsActions(_SavesPlainly):
-    """An off-policy algorithm whose shards have acted already; `recorded` is the fragment through which it
-    steps."""
-
-    recorded: Fragment
     _repeated = 0
 
-    def _sample_action(self, *_: Any) -> tuple[Array, Array]:
-        step = self._repeated % len(self.recorded.actions)
-        self._repeated += 1
-        return self.recorded.actions[step], self.recorded.columns["stored"][step]
-
-
-class _RepeatsLessons(_IsTaught, _RepeatsActions):
-    """An off-policy algorithm with a teacher whose shards have acted already."""
-
-    def _sample_action(self, *_: Any) -> tuple[Array, Array]:
-        step = self._repeated % len(self.recorded.actions)
-        actions, stored = _RepeatsActions._sample_action(self)
-        taught = self.recorded.columns.get("taught")
-        return actions, labeled(
-            stored, None if taught is None else taught[step]
+    def explored(self, draw: Callable[[], tuple[Array, Array]]) -> tuple[Array, Array]:
+        if self.recorded is not None:
+            step = self._repeated % len(self.recorded.actions)
+            self._repeated += 1
+            decision = Decision(
+                self.recorded.actions[step],
+                {name: column[step] for name, column in self.recorded.columns.items()},
+            )
+        else:
+            actions, stored = draw()
+            decision = Decision(actions, {"stored": stored})
+            decision = decision if self.teach is None else self.teach(decision)
+        stored = decision.columns["stored"]
+        return decision.actions, labeled(
+            stored, decision.columns.get("taught")
         ) if self.keeps_labels else stored
+
+
+class OffPolicyLearner(StableLearner):
+    """DQN, SAC, TD3, DDPG and TQC, which learn from a replay buffer."""
+
+    is_off_policy = True
+    actor_kind = rollouts.ExplorationActor
+    mixin = _Explorer
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        is_taught = setup.training.teacher is not None or setup.demonstrations is not None
+        if is_taught and setup.collector is not None and hasattr(self.model, "actor"):
+            keep_labels(self.model)
+            self.model.keeps_labels = True
+        if self._demonstrations is not None:
+            mix_in(self.model, self._demonstrations)
+
+    def be_taught(self, plan: Plan) -> None:
+        self._plan = plan
+        if isinstance(self._collector, LocalCollector):
+            self.model.teach = plan.lesson and partial(self._collector.taught, lesson=plan.lesson)
+
+    def collect(self) -> bool:
+        model = self.model
+        shards = self._collector if isinstance(self._collector, ShardedCollector) else None
+        with models.overflow_explained():
+            if shards is not None:
+                model.recorded = shards.fetch(
+                    self._actor, model.train_freq.frequency, lesson=self._plan.lesson
+                )
+                memory = self._actor.memory()
+            self._rollout: RolloutReturn = model.collect_rollouts(
+                model.env,
+                train_freq=model.train_freq,
+                action_noise=model.action_noise,
+                callback=self._callback,
+                learning_starts=model.learning_starts,
+                replay_buffer=model.replay_buffer,
+                log_interval=self._log_interval,
+            )
+            if (
+                shards is not None
+            ):  # at the end of an episode, the library has reset the noise of the next one
+                self._actor.remember(memory)
+                if self.setup.training.staleness:
+                    shards.ask_ahead(self._actor, model.train_freq.frequency)
+            return bool(self._rollout.continue_training)
+
+    def update(self) -> None:
+        model = self.model
+        steps = model.gradient_steps if model.gradient_steps >= 0 else self._rollout.episode_timesteps
+        if model.num_timesteps > model.learning_starts and steps > 0:
+            with models.overflow_explained(), self._imitation():
+                model.train(batch_size=model.batch_size, gradient_steps=steps)
+
+    def _imitation(self) -> AbstractContextManager[None]:
+        """What a teacher adds to an update."""
+        model, plan = self.model, self._plan
+        if not model.keeps_labels:
+            return nullcontext()
+        new, period = self._rollout.episode_timesteps, AGREEMENT_STEPS * model.n_envs
+        if (
+            plan.only
+            and self.steps // period > (self.steps - new) // period
+            and self.setup.demonstrations is None
+        ):
+            taught = self._recent_rows(model.replay_buffer.actions)[..., get_action_dim(model.action_space) :]
+            self._agrees(self.recent()[0], taught)
+        return imitating_labels(model, plan.weight, only=plan.only, new=new) if plan.weight else nullcontext()
+
+    def recent(self) -> tuple[Any, Array, Array | None]:
+        """Those of the last steps in the replay buffer."""
+        seen, rows = self.model.replay_buffer.observations, self._recent_rows
+        width = get_action_dim(self.model.action_space)
+        observations = (
+            {key: rows(part) for key, part in seen.items()} if isinstance(seen, dict) else rows(seen)
+        )
+        return observations, rows(self.model.replay_buffer.actions)[..., :width], None
+
+    def _recent_rows(self, column: Array) -> Array:
+        """The last rows of a column of the replay buffer."""
+        buffer = self._buffer
+        rows = (
+            np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
+        )
+        recent: Array = column[rows]
+        return recent
+
+    def critic_check(self) -> tuple[float, float] | None:
+        return critics.check_critic(self.model)
 
 
 class _MonitorCallback(BaseCallback):

@@ -27,6 +27,7 @@ from stable_baselines3.common.save_util import is_json_serializable, save_to_zip
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.learner import Initialization
+from deepbots_cli.learning.sb3 import internals
 
 Tensors = Mapping[str, Mapping[str, Any]]
 """What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and
@@ -74,7 +75,7 @@ def save(path: Path, model: BaseAlgorithm) -> None:
         RunError: The file cannot be written.
     """
     left_out = {
-        *model._excluded_save_params(),
+        *internals.unsaved_members(model),
         *_HINDSIGHT_ENTRIES,
         *(name.partition(".")[0] for name in _parts(model)),
     }
@@ -84,7 +85,7 @@ def save(path: Path, model: BaseAlgorithm) -> None:
         if name not in left_out and (name in _PICKLED_ENTRIES or is_json_serializable(value))
     }
     # A schedule is a function of ours; training on elsewhere begins with the present rate.
-    rate = data["learning_rate"] = float(model.lr_schedule(max(0.0, model._current_progress_remaining)))
+    rate = data["learning_rate"] = float(model.lr_schedule(max(0.0, internals.progress_remaining(model))))
     parameters = model.get_parameters()
     for part in parameters.values():
         for group in part.get("param_groups", ()):
@@ -159,11 +160,11 @@ def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
 
 
 def _parts(model: BaseAlgorithm) -> list[str]:
-    return list(model._get_torch_save_params()[0])
+    return internals.saved_members(model)[0]
 
 
 def _variables(model: BaseAlgorithm) -> Iterator[tuple[str, torch.Tensor]]:
-    for name in model._get_torch_save_params()[1]:
+    for name in internals.saved_members(model)[1]:
         yield name, attrgetter(name)(model)
 
 

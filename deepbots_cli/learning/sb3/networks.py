@@ -172,7 +172,7 @@ def critic_values(training: Training, policy: Any, observations: Sequence[Any]) 
             values = policy.q_net(seen).max(dim=1, keepdim=True).values
         else:
             predicted = policy.critic(
-                seen, policy._predict(seen, deterministic=True)
+                seen, policy(seen, deterministic=True)
             )  # the actor of SAC and TQC would sample
             # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
             values = (

@@ -17,14 +17,13 @@ from stable_baselines3.common.noise import VectorizedActionNoise
 from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import VecTransposeImage
 
-from deepbots_cli.learning.sb3 import networks
+from deepbots_cli.learning.sb3 import internals, networks
 from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.rollout.collector import Decision, Fragment
 from deepbots_cli.rollout.worlds import Array
 
 _ACTING_NETWORKS = ("actor", "q_net")
 """What of the policy of an off-policy algorithm chooses actions."""
-_EXPLORATION = ("_current_progress_remaining", "exploration_rate", "learning_starts")
 _LSTM_BUFFERS = ("hidden_states_pi", "cell_states_pi", "hidden_states_vf", "cell_states_vf")
 
 
@@ -37,8 +36,8 @@ class RolloutActor:
 
     def __init__(self, model: Any) -> None:
         self._model = model
-        self._is_recurrent = hasattr(model, "_last_lstm_states")
-        self._step = 0
+        self._is_recurrent = internals.memory(model) is not None
+        self._step, self.noises = 0, list[DecayingNoise]()
 
     def begin(self) -> None:
         self._step = 0
@@ -57,9 +56,10 @@ class RolloutActor:
             seen = obs_as_tensor(prepared(model, observations), model.device)
             if self._is_recurrent:
                 columns |= self.memory()
-                actions, values, log_probs, model._last_lstm_states = policy(
-                    seen, model._last_lstm_states, _floats(model, starts)
+                actions, values, log_probs, states = policy(
+                    seen, internals.memory(model), _floats(model, starts)
                 )
+                internals.set_memory(model, states)
             else:
                 if masks is not None:
                     options["action_masks"] = columns["masks"] = masks
@@ -91,7 +91,7 @@ class RolloutActor:
     def memory(self) -> Mapping[str, Array]:
         if not self._is_recurrent:
             return {}
-        state = self._model._last_lstm_states
+        state = internals.memory(self._model)
         return {
             name: part.cpu().numpy().swapaxes(0, 1)
             for name, part in zip(_LSTM_BUFFERS, [*state.pi, *state.vf], strict=True)
@@ -102,8 +102,8 @@ class RolloutActor:
             parts = [
                 torch.tensor(memory[name].swapaxes(0, 1), device=self._model.device) for name in _LSTM_BUFFERS
             ]
-            states = type(self._model._last_lstm_states)
-            self._model._last_lstm_states = states((parts[0], parts[1]), (parts[2], parts[3]))
+            states = type(internals.memory(self._model))
+            internals.set_memory(self._model, states((parts[0], parts[1]), (parts[2], parts[3])))
 
 
 class ExplorationActor:
@@ -121,8 +121,8 @@ class ExplorationActor:
             and model.n_envs > 1
             and not isinstance(self._noise, VectorizedActionNoise)
         ):
-            self._noise = VectorizedActionNoise(self._noise, model.n_envs)
-        self._noises: list[DecayingNoise] = (
+            self._noise = model.action_noise = VectorizedActionNoise(self._noise, model.n_envs)
+        self.noises: list[DecayingNoise] = (
             [] if self._noise is None else list(getattr(self._noise, "noises", [self._noise]))
         )
         self._step, self._first_step, self._rows = 0, 0, model.n_envs
@@ -135,21 +135,21 @@ class ExplorationActor:
 
     def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         model = self._model
-        for noise in itertools.compress(self._noises, starts):
+        for noise in itertools.compress(self.noises, starts):
             noise.reset()
         if model.use_sde and model.sde_sample_freq > 0 and self._step % model.sde_sample_freq == 0:
             model.actor.reset_noise(model.n_envs)
         model.num_timesteps = self._first_step + self._step * self._rows
-        model._last_obs = prepared(model, observations)
+        internals.set_last(model, prepared(model, observations), starts)
         self._step += 1
-        actions, stored = model._sample_action(model.learning_starts, self._noise, model.n_envs)
+        actions, stored = internals.explore(model, model.learning_starts, self._noise, model.n_envs)
         return Decision(actions, {"stored": stored})
 
     def parameters(self) -> Mapping[str, Any]:
         model = self._model
         numbers = {
             name: getattr(model, name)
-            for name in (*_EXPLORATION, "num_timesteps", "n_envs")
+            for name in (*internals.EXPLORATION, "num_timesteps", "n_envs")
             if hasattr(model, name)
         }
         return numbers | {
@@ -159,7 +159,7 @@ class ExplorationActor:
         }
 
     def load(self, parameters: Mapping[str, Any]) -> None:
-        for name in _EXPLORATION:
+        for name in internals.EXPLORATION:
             if name in parameters:
                 setattr(self._model, name, parameters[name])
         self._first_step, self._rows = parameters["num_timesteps"], parameters["n_envs"]
@@ -167,15 +167,13 @@ class ExplorationActor:
 
     def memory(self) -> Mapping[str, Array]:
         """The drift of the noise of each row; NaN where there is none."""
-        if not self._noises:
+        if not self.noises:
             return {}
         nothing = np.full(self._model.action_space.shape, np.nan)
-        return {
-            "drift": np.stack([nothing if noise.drift is None else noise.drift for noise in self._noises])
-        }
+        return {"drift": np.stack([nothing if noise.drift is None else noise.drift for noise in self.noises])}
 
     def remember(self, memory: Mapping[str, Array]) -> None:
-        for noise, drift in zip(self._noises, memory.get("drift", ()), strict=True):
+        for noise, drift in zip(self.noises, memory.get("drift", ()), strict=True):
             noise.drift = None if np.isnan(drift).any() else np.array(drift)
 
 
@@ -213,15 +211,15 @@ def fill(model: Any, fragment: Fragment) -> None:
         if name in columns:
             getattr(buffer, name)[...] = columns[name].swapaxes(1, 2)
     buffer.pos, buffer.full = buffer.buffer_size, True
-    model._last_obs = prepared(model, fragment.following)
-    model._last_episode_starts = fragment.following_starts
+    following = prepared(model, fragment.following)
+    internals.set_last(model, following, fragment.following_starts)
     memory = (
         ()
         if "cell_states_vf" not in columns
-        else (model._last_lstm_states.vf, _floats(model, fragment.following_starts))
+        else (internals.memory(model).vf, _floats(model, fragment.following_starts))
     )
     with torch.no_grad():
-        values = model.policy.predict_values(obs_as_tensor(model._last_obs, model.device), *memory)
+        values = model.policy.predict_values(obs_as_tensor(following, model.device), *memory)
     buffer.compute_returns_and_advantage(last_values=values, dones=fragment.following_starts)
 
 
@@ -232,7 +230,7 @@ def _rewards(model: Any, fragment: Fragment) -> Array:
     if normalizer is not None:
         ends = [*fragment.starts[1:], fragment.following_starts]
         for number, done in enumerate(ends):
-            normalizer._update_reward(rewards[number])
+            internals.update_returns(normalizer, rewards[number])
             rewards[number] = normalizer.normalize_reward(rewards[number])
             normalizer.returns[done] = 0
     for number, ending in fragment.endings:
@@ -254,7 +252,7 @@ def _memory_after(model: Any, fragment: Fragment, number: int, row: int) -> tupl
             for name in _LSTM_BUFFERS[2:]
         ]
     else:
-        parts = [part[:, row : row + 1].contiguous() for part in model._last_lstm_states.vf]
+        parts = [part[:, row : row + 1].contiguous() for part in internals.memory(model).vf]
     return tuple(part.to(model.device) for part in parts), _floats(model, np.array([False]))
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -31,18 +31,9 @@ from deepbots_cli.learning.checkpoint_files import (
     read_arrays,
     write_arrays,
 )
+from deepbots_cli.learning.sb3.internals import Counter, episode_starts
 
 _BUFFER_COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts", "ep_start")
-
-CounterName = Literal[
-    "num_timesteps",
-    "_episode_num",
-    "_n_updates",
-    "_n_calls",
-    "_current_progress_remaining",
-    "exploration_rate",
-]
-"""Counters of Stable-Baselines3; each algorithm has some of them."""
 
 
 class EpisodeInfo(CheckpointPart):
@@ -55,7 +46,7 @@ class EpisodeInfo(CheckpointPart):
 class StableState(CheckpointState):
     """The part of a checkpoint that is JSON."""
 
-    counts: dict[CounterName, Count | float]
+    counts: dict[Counter, Count | float]
     infos: list[EpisodeInfo]
     successes: list[bool]
     action_space: GeneratorState
@@ -155,7 +146,7 @@ class ReplayFiles:
             starts = starts if same and starts is not None else np.array(buffer.pos)
             if not ((starts >= 0) & (starts < buffer.buffer_size)).all():
                 raise ValueError("an episode of the replay buffer begins outside of it")
-            buffer._current_ep_start[:] = starts
+            episode_starts(buffer)[:] = starts
 
     def _find_episodes(self, buffer: HerReplayBuffer, oldest: int, added: int, *, begin_anew: bool) -> None:
         """The length of each episode that ended and is whole; 0 elsewhere, which is not drawn from."""

@@ -14,14 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepbots_cli.analysis.shown_units import ShownUnits
-from deepbots_cli.cli.sources import text_at
-from deepbots_cli.cli.tables import Row
 from deepbots_cli.compiler.learner import CHOSEN
 from deepbots_cli.compiler.robots import joint_moves_link
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.document import Node
-from deepbots_cli.document.nodes import entries_at, node_at
+from deepbots_cli.document.nodes import entries_at, node_at, text_at
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.expressions.text import formula_text
 from deepbots_cli.footprint import box_sides, resting_height, robot_bounds
@@ -49,6 +47,7 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
 
+Row = Dictionary[str, object]
 Tables = Dictionary[str, Row | list[Row]]
 
 _DIGITS = 6

@@ -1,0 +1,280 @@
+"""How many steps per second engines and batches of worlds make, and where the time goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from itertools import cycle
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from deepbots_cli import api
+from deepbots_cli.api import Compiled
+from deepbots_cli.document import Permissions
+from deepbots_cli.engine_kinds import ENGINES, chosen
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.program import Program
+
+BATCH = "batch"
+MIN_RATIO = 1.5
+"""How much faster another engine must be to be named."""
+MIN_SECONDS_SAVED = 30.0
+"""CPU seconds that a training must save by another engine, so that `train` and `new` name it."""
+MEASURED_FROM_STEPS = 20_000
+"""Timesteps of a training from which on `train` and `new` measure engines."""
+MIN_TIMED_STEPS = 5
+MIN_STEPS = 60
+"""Steps of each world of a batch, in which some episodes end."""
+_ACTIONS = 500
+"""Number of random actions, drawn before the measurement, that a longer one repeats."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """The speed of an engine with random actions, per step of one world.
+
+    Times are CPU in us: of all, of physics steps and of resets. `steps_per_second` is by the clock.
+    `physics_share` is the share of the physics in the CPU time, `wall_clock_share` that by the clock.
+    """
+
+    engine: str
+    worlds: int
+    steps_per_second: float
+    step_us: float
+    physics_us: float
+    reset_us: float
+    physics_share: float
+    wall_clock_share: float
+
+    @property
+    def without_resets_us(self) -> float:
+        return self.step_us - self.reset_us
+
+    @property
+    def ratio(self) -> float:
+        """The CPU time of a step divided by that of its physics, both without resets."""
+        return self.without_resets_us / self.physics_us
+
+
+class CallTimer:
+    """Adds up CPU time of the process, and time by the clock, of calls of a function."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self.cpu = self.clock = 0.0
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        cpu, clock = time.process_time(), time.perf_counter()
+        result = self._function(*arguments, **named)
+        self.cpu += time.process_time() - cpu
+        self.clock += time.perf_counter() - clock
+        return result
+
+
+def measure(
+    compiled: Compiled,
+    engines: Sequence[str],
+    worlds: Sequence[int] = (1,),
+    *,
+    steps: int,
+    rounds: int,
+    seed: int,
+    end: float,
+    on_measured: Callable[[int, int], object] = lambda done, of: None,
+) -> list[list[Speed]]:
+    """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn,
+    `rounds` times.
+
+    Returns the rounds of each engine, and of a batch for each number in `worlds`. A second or later round
+    that would end after `end` (s, as `time.perf_counter`) is left out. `on_measured` is called with the
+    number of measurements that are done and that of all.
+    """
+    cases = [(name, count) for name in engines for count in (worlds if name == BATCH else [1])]
+    speeds: list[list[Speed]] = [[] for _ in cases]
+    started = time.perf_counter()
+    for number in range(rounds):
+        now = time.perf_counter()
+        if number and now + (now - started) > end:
+            break
+        started = now
+        for place, (name, count) in enumerate(cases):
+            on_measured(number * len(cases) + place, rounds * len(cases))
+            measured = (
+                _batch(compiled, count, steps, seed)
+                if name == BATCH
+                else _single(compiled, name, steps, seed)
+            )
+            speeds[place].append(measured)
+    on_measured(rounds * len(cases), rounds * len(cases))
+    return speeds
+
+
+def medians(rounds: Sequence[Speed]) -> Speed:
+    """The medians of what several rounds measured in one engine."""
+    _, _, *columns = vars(rounds[0])
+    values = (median(getattr(speed, name) for speed in rounds) for name in columns)
+    return Speed(rounds[0].engine, rounds[0].worlds, *values)
+
+
+@dataclass(frozen=True)
+class FasterEngine:
+    """An engine that steps a world faster than the one in use, in steps of one world per second of CPU time,
+    with random actions.
+    """
+
+    engine: str
+    steps_per_second: float
+    used: str
+    used_steps_per_second: float
+
+    @property
+    def ratio(self) -> float:
+        return self.steps_per_second / self.used_steps_per_second
+
+    def seconds_saved(self, steps: int) -> float:
+        """CPU seconds that it needs less for `steps` steps."""
+        return steps / self.used_steps_per_second - steps / self.steps_per_second
+
+    @property
+    def text(self) -> str:
+        """What to write, and what changes by it."""
+        return (
+            f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used}"
+            f" ({self.steps_per_second:,.0f} against "
+            f"{self.used_steps_per_second:,.0f} steps/s). To use it, add the line `engine: {self.engine}` to"
+            " the section `world`, or give "
+            f"--engine {self.engine}. Motion and results may differ; `deepbots transfer RUN` shows how much."
+        )
+
+
+def engine_speeds(
+    program: Program,
+    used: str,
+    *,
+    seconds: float = 0.05,
+    seed: int = 0,
+    permissions: Permissions = Permissions(),
+) -> dict[str, float]:
+    """Steps of one world per second of CPU time in the engine `used`, and in our others that are installed
+    and can hold the world.
+
+    Each engine is measured for `seconds` of CPU time; the worlds are built in addition.
+    """
+    speeds: dict[str, float] = {}
+    for name in dict.fromkeys((used, *(name for name, kind in ENGINES.own.items() if kind.is_installed))):
+        try:
+            measured = _single(program, name, MIN_TIMED_STEPS, seed, seconds=seconds, permissions=permissions)
+        except DeepbotsError:  # such as a world that the engine cannot hold
+            if name == used:
+                raise
+        else:
+            speeds[name] = 1e6 / measured.step_us
+    return speeds
+
+
+def faster_engine(speeds: Mapping[str, float], used: str) -> FasterEngine | None:
+    """The fastest engine, if it is at least 1.5 times as fast as the engine `used`."""
+    best = max(speeds, key=lambda name: speeds[name])
+    faster = FasterEngine(best, speeds[best], used, speeds[used])
+    return faster if faster.ratio >= MIN_RATIO else None
+
+
+def engine_worth_naming(
+    program: Program,
+    timesteps: int | None = None,
+    *,
+    permissions: Permissions = Permissions(),
+) -> FasterEngine | None:
+    """Another engine than the default one, if it is faster and makes a training at least 30 s of CPU time
+    shorter.
+
+    This measures for about 0.15 s of CPU time. Nothing is measured for a scenario that names its engine, and
+    for a short training.
+    """
+    training = program.agent.training
+    planned = timesteps or (training.total_timesteps if training else 0)
+    installed = sum(kind.is_installed for kind in ENGINES.own.values())
+    if planned < MEASURED_FROM_STEPS or program.engine is not None or installed < 2:
+        return None
+    used = chosen(None)
+    with suppress(DeepbotsError):  # which the command that makes the world reports
+        faster = faster_engine(engine_speeds(program, used, permissions=permissions), used)
+        if faster and faster.seconds_saved(planned) >= MIN_SECONDS_SAVED:
+            return faster
+    return None
+
+
+def _single(
+    source: Compiled | Program,
+    engine: str,
+    steps: int,
+    seed: int,
+    *,
+    seconds: float = 0.0,
+    permissions: Permissions = Permissions(),
+) -> Speed:
+    """Time one world for a number of steps, and at least for so many seconds of CPU time."""
+    with closing(api.make(source, engine=engine, permissions=permissions)) as world:
+        physics = CallTimer(world.physics)
+        world.physics = physics
+
+        def begin() -> None:
+            """Physics steps that let a world settle belong to the reset."""
+            before = physics.cpu, physics.clock
+            world.reset()
+            physics.cpu, physics.clock = before
+
+        reset = CallTimer(begin)
+        world.reset(seed=seed)
+        world.action_space.seed(seed)
+        actions = cycle([world.action_space.sample() for _ in range(_ACTIONS)])
+
+        def run() -> int:
+            done, end = 0, time.process_time() + seconds
+            while done < steps or (seconds and time.process_time() < end):
+                _, _, terminated, truncated, _ = world.step(next(actions))
+                done += 1
+                if terminated or truncated:
+                    reset()
+            return done
+
+        physics.cpu = physics.clock = 0.0
+        return _speed(engine, 1, run, physics, reset)
+
+
+def _batch(compiled: Compiled, count: int, steps: int, seed: int) -> Speed:
+    with closing(api.make_vec(compiled, count)) as worlds:
+        batch = worlds.batch
+        physics, begin = CallTimer(batch.engine.step), CallTimer(batch.begin)
+        worlds.reset(seed=seed)
+        worlds.action_space.seed(seed)
+        actions = [worlds.action_space.sample() for _ in range(max(MIN_STEPS, steps // count))]
+        batch.engine.step, batch.begin = physics, begin  # type: ignore[method-assign]
+
+        def run() -> int:
+            for action in actions:
+                worlds.step(action)
+            return len(actions) * count
+
+        return _speed(BATCH, count, run, physics, begin)
+
+
+def _speed(engine: str, worlds: int, run: Callable[[], int], physics: CallTimer, reset: CallTimer) -> Speed:
+    """Time a run, which returns the number of its steps of one world."""
+    whole = CallTimer(run)
+    steps = whole()
+    per_step = 1e6 / steps
+    return Speed(
+        engine,
+        worlds,
+        steps / whole.clock,
+        whole.cpu * per_step,
+        physics.cpu * per_step,
+        reset.cpu * per_step,
+        float(np.clip(physics.cpu / whole.cpu, 0.0, 1.0)),
+        float(np.clip(physics.clock / whole.clock, 0.0, 1.0)),
+    )

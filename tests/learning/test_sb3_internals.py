@@ -1,0 +1,61 @@
+"""Stable-Baselines3 has the private members that deepbots uses, and one module names them."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.vec_env import VecNormalize
+
+from deepbots_cli.learning.sb3 import algorithms, internals
+from deepbots_cli.learning.sb3.environment import spaces_only
+from deepbots_cli.program.task import Hindsight, Training
+
+MODULE = Path(internals.__file__)
+RANGES = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+GOALS = gym.spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), RANGES))
+
+
+def private_members(path: Path) -> Iterator[tuple[int, str]]:
+    """The private attributes of other objects that a module names, in code or as a text."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls"):
+            name = node.attr
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            name = node.value
+        else:
+            continue
+        if name.startswith("_") and not name.startswith("__") and name.isidentifier() and name != "_replace":
+            yield node.lineno, name
+
+
+def made(
+    algorithm: str, observations: gym.Space[Any] = RANGES, actions: gym.Space[Any] = RANGES, **settings: Any
+) -> Any:
+    env: Any = VecNormalize(spaces_only(observations, actions), norm_obs=False)
+    return algorithms.create(Training(algorithm, 1_000, **settings), env, seed=0, total_timesteps=1_000)
+
+
+def test_the_library_has_each_private_member() -> None:
+    models = [made("PPO"), made("RecurrentPPO"), made("SAC"), made("DDPG", GOALS, replay=Hindsight())]
+    models.append(made("DQN", actions=gym.spaces.Discrete(2)))
+    parts: list[Any] = [*models, models[0].env]
+    parts += [
+        getattr(model, name)
+        for model in models
+        for name in ("rollout_buffer", "replay_buffer")
+        if hasattr(model, name)
+    ]
+    used = {name for _, name in private_members(MODULE)}
+    assert len(used) > 15
+    assert {name for name in used if not any(hasattr(part, name) for part in parts)} == set()
+
+
+@pytest.mark.parametrize("path", sorted(MODULE.parent.glob("*.py")), ids=lambda path: path.stem)
+def test_no_other_module_names_a_private_member(path: Path) -> None:
+    assert path == MODULE or [*private_members(path)] == []
