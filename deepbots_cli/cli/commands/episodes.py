@@ -3,7 +3,7 @@ scenario."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import islice
@@ -173,7 +173,7 @@ def _simulate(
     count: int,
     seed: int,
     max_steps: int | None,
-    options: Mapping[str, Any],
+    options: dict[str, Any],
     permissions: Permissions,
 ) -> tuple[list[Episode], str]:
     """Episodes in the simulation, and the name of its engine; many are counted while they run."""
