@@ -320,9 +320,11 @@ def _small_rollouts(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 def _updates_per_step(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Gradient steps of an off-policy algorithm for each new step."""
-    training = t.program.agent.training
-    updates = t.number_setting("gradient_steps")
-    often = t.number_setting("train_freq")
+    training, updates, often = (
+        t.program.agent.training,
+        t.number_setting("gradient_steps"),
+        t.number_setting("train_freq"),
+    )
     if (
         training is None
         or updates is None

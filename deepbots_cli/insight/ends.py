@@ -132,9 +132,11 @@ def _mean_return(evaluation: Mapping[str, Any]) -> float:
     advice="{advice}",
 )
 def too_few_steps(t: TrainingEvidence) -> Numbers | None:
-    length = training_length(t)
-    rise = returns_rise(t)
-    what = f"stage '{t.stage}'" if t.stage else "the training"
+    length, rise, what = (
+        training_length(t),
+        returns_rise(t),
+        f"stage '{t.stage}'" if t.stage else "the training",
+    )
     if rise is not None and plateau(t) is None:
         first, last, gain, chance = rise
         mean = (

@@ -198,11 +198,15 @@ def nearest(trace: Trace) -> Numbers | None:
     others = "" if never or fewest > 1 else "while the other conditions were true, "
     negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
-        needed = f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}"
-        best = f"{others}the nearest value was {value}"
+        needed, best = (
+            f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}",
+            f"{others}the nearest value was {value}",
+        )
     else:
-        needed = f"`{leaf.text}` {'false' if negated else 'true'}"
-        best = f"{others}it was {'true' if negated else 'false'}"
+        needed, best = (
+            f"`{leaf.text}` {'false' if negated else 'true'}",
+            f"{others}it was {'true' if negated else 'false'}",
+        )
     return {
         **moment.as_json(),
         "ending": name,

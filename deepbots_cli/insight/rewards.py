@@ -247,8 +247,10 @@ def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
 def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
     """That late episodes all end by one failure, in fewer steps than the first ones, and that this saves
     costs."""
-    first = t.episodes[: max(MIN_EPISODES, min(100, len(t.episodes) // 10))]
-    late = t.episodes_between(0.75, 1.0)[-100:]
+    first, late = (
+        t.episodes[: max(MIN_EPISODES, min(100, len(t.episodes) // 10))],
+        t.episodes_between(0.75, 1.0)[-100:],
+    )
     if len(t.episodes) < 10 * MIN_EPISODES:
         return None
     name, count = Counter(late.endings).most_common(1)[0]
@@ -384,9 +386,11 @@ def loitering(t: TrainingEvidence) -> Numbers | None:
         max(paid, key=lambda each: paid[each]),
         t.program.truncation.max_episode_steps(t.program.period),
     )
-    stayed = float(late.returns[at_limit].mean())
-    compared = "No episode of the training succeeded."
-    gained = None
+    stayed, compared, gained = (
+        float(late.returns[at_limit].mean()),
+        "No episode of the training succeeded.",
+        None,
+    )
     if won.any():
         gained = float(t.episodes.returns[won].mean())
         compared = (
@@ -505,8 +509,10 @@ def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
         return None
     what, returns = "late episodes of the training", late.returns
     if len(t.final_episodes) >= MIN_EPISODES:
-        what = "episodes of the evaluation"
-        returns = np.array([each.total_return for each in t.final_episodes])
+        what, returns = (
+            "episodes of the evaluation",
+            np.array([each.total_return for each in t.final_episodes]),
+        )
     mean, low, high = float(returns.mean()), float(returns.min()), float(returns.max())
     if (
         mean <= 0

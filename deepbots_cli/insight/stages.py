@@ -144,8 +144,10 @@ def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
     if not t.stage_index or not t.program.defines_success or not t.is_mature:
         return None
     before = t.stages[t.stage_index - 1].name
-    was = SuccessRate(t.episodes_of(before).successes[-100:])
-    now = SuccessRate(t.episodes_by_steps(0.5, 1.0).successes)
+    was, now = (
+        SuccessRate(t.episodes_of(before).successes[-100:]),
+        SuccessRate(t.episodes_by_steps(0.5, 1.0).successes),
+    )
     rise = _rate(t.episodes_by_steps(0.75, 1.0)) - _rate(t.episodes_by_steps(0.5, 0.75))
     if (
         min(was.episodes, now.episodes) < MIN_EPISODES

@@ -136,8 +136,10 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
         evidence = rule.finder(subject)
         if evidence is not None:
             shown = {key: _number_text(value) for key, value in evidence.items()}
-            settings = evidence.get("settings", {})
-            kept = {key: value for key, value in evidence.items() if key != "settings"}
+            settings, kept = (
+                evidence.get("settings", {}),
+                {key: value for key, value in evidence.items() if key != "settings"},
+            )
             sentence, remedy = (form.format(**shown).strip() for form in (rule.text, rule.advice))
             statements.append(Statement(rule.name, sentence, remedy, kept, settings))
     return statements

@@ -24,7 +24,14 @@ from pydantic import BaseModel, NonNegativeInt, PositiveInt
 
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, RunError, UsageError
+from deepbots_cli.errors import (
+    DeepbotsError,
+    EndsAtResetError,
+    EngineError,
+    EvaluationError,
+    RunError,
+    UsageError,
+)
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.run import Run, read_json, write_numbered
 from deepbots_cli.program import Program
@@ -46,7 +53,7 @@ class Failure(BaseModel, strict=True):
 
     `start` is the seed of its reset, or the states of the random generators before it. `actions` are in the
     action space, one per step. `case` and `stage` name the variant of the scenario, if it is not the scenario
-    itself.
+    itself. With `ends_at_reset`, the error is that an ending was already true when the episode began.
     """
 
     error: str
@@ -56,6 +63,7 @@ class Failure(BaseModel, strict=True):
     stage: str | None
     start: NonNegativeInt | dict[str, Any]
     actions: list[Any]
+    ends_at_reset: bool = False
 
 
 class FailureRecorder(HistoryRecorder):
@@ -139,7 +147,13 @@ class FailureRecorder(HistoryRecorder):
             1 + self.seeds.index(start) if isinstance(start, int) and start in self.seeds else self._episode()
         )
         text = _failure_text(
-            str(error), number, self.history, run=self._run, case=self._case, stage=self._stage
+            str(error),
+            number,
+            self.history,
+            run=self._run,
+            case=self._case,
+            stage=self._stage,
+            ends_at_reset=isinstance(error, EndsAtResetError),
         )
         raise type(error)(text) from error
 
@@ -166,11 +180,13 @@ class BatchFailureRecorder:
         curriculum: Curriculum,
         note: Callable[[str], None],
     ) -> None:
-        self._run = run
-        self._guarded = guarded
-        self._next_episode = next_episode
-        self._curriculum = curriculum
-        self._note = note
+        self._run, self._guarded, self._next_episode, self._curriculum, self._note = (
+            run,
+            guarded,
+            next_episode,
+            curriculum,
+            note,
+        )
         self._losses: deque[int] = deque(maxlen=MAX_LOST_EPISODES)
         self._files = 0
 
@@ -223,6 +239,7 @@ def _failure_text(
     run: Run | None,
     case: str | None = None,
     stage: str | None = None,
+    ends_at_reset: bool = False,
 ) -> str:
     """The error with its episode, and with the command that repeats it if a file could be written."""
     start = history.start
@@ -232,7 +249,14 @@ def _failure_text(
         return text
     actions = [_plain(action) for action in history.actions]
     failure = Failure(
-        error=error, step=len(actions), episode=number, case=case, stage=stage, start=start, actions=actions
+        error=error,
+        step=len(actions),
+        episode=number,
+        case=case,
+        stage=stage,
+        start=start,
+        actions=actions,
+        ends_at_reset=ends_at_reset,
     )
     try:
         path = write_numbered(run.path / FAILURES_FOLDER, failure.model_dump_json() + "\n")

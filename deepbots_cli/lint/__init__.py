@@ -6,11 +6,8 @@ rule uses another rule. Each module of rules lists both kinds, in `STATIC_RULES`
 decorator `rule` gives a rule its code; its page is in `rule_pages`, by this code.
 
 names.py         unused definitions, equality of measurements, angles that jump              DB205, DB411, DB506
-robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317,
-                                                                                             DB319, DB322, DB615
-world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316,
-                                                                                             DB323, DB507, DB809,
-                                                                                             DB812
+robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317, DB319, DB322, DB615
+world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316, DB323, DB507, DB809, DB812
 observations.py  what the policy sees; saturation.py values at the end of their range        DB6
 rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
 cycles.py        what a cycle of states earns that never ends in success                     DB716
@@ -74,9 +71,11 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
     """
     if checked.findings.errors or checked.program is None or checked.namespace is None:
         return
-    context = RuleContext(checked, checked.program, checked.namespace)
-    cascade = CascadeFilter(checked)
-    source = checked.document.source
+    context, cascade, source = (
+        RuleContext(checked, checked.program, checked.namespace),
+        CascadeFilter(checked),
+        checked.document.source,
+    )
     checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
         (rule.code, partial(rule, context)) for rule in STATIC_RULES
     ]

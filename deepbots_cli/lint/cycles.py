@@ -399,8 +399,10 @@ def _texts(context: RuleContext) -> dict[int, tuple[str, Dimension | None]]:
             parts = node.args if isinstance(node, Operation) else (node,)
             for part in parts:
                 trees = analysis.lowered(part, value.owner)
-                text = value.text[part.start : part.end]
-                dimension = None if part.type.boolean else part.type.dimension
+                text, dimension = (
+                    value.text[part.start : part.end],
+                    None if part.type.boolean else part.type.dimension,
+                )
                 key = analysis.identity(trees[0])
                 if len(trees) == 1 and text and (key not in texts or len(text) < len(texts[key][0])):
                     texts[key] = text, dimension

@@ -57,8 +57,10 @@ def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
 
 def _unbounded(context: RuleContext, term: Expression, singularity: Singularity) -> Finding:
     text = context.text(singularity.value.owner)
-    place = text.part(singularity.node.start, singularity.node.end)
-    part = text.text[singularity.node.start : singularity.node.end]
+    place, part = (
+        text.part(singularity.node.start, singularity.node.end),
+        text.text[singularity.node.start : singularity.node.end],
+    )
     also = () if singularity.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
     if singularity.is_divisor:
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"

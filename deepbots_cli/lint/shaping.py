@@ -248,9 +248,11 @@ def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:
 def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Expression]:
     """The terms that pay more just before the failure than in the middle; none where another term or a
     success concerns the same."""
-    analysis = reward.analysis
-    running = reward.ranges_while_running()
-    slope = Slope(reward.ranges_while_running(), threshold)
+    analysis, running, slope = (
+        reward.analysis,
+        reward.ranges_while_running(),
+        Slope(reward.ranges_while_running(), threshold),
+    )
     limit, quantity = threshold.bound.low, analysis.identity(threshold.quantity)
     middle = running.where(quantity, Interval(0.0, _EDGE_SHARE * limit))
     edge = running.where(quantity, Interval((1.0 - _EDGE_SHARE) * limit, limit))

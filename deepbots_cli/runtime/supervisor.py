@@ -7,22 +7,21 @@ with robots. A robot controller reads its own sensors and acts on messages.
 from __future__ import annotations
 
 import math
-import re
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from struct import Struct
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli.errors import EvaluationError, MessageError, UsageError
+from deepbots_cli.errors import EndsAtResetError, EvaluationError, MessageError, UsageError
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, Engine, MotorWriter, View
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Actuator, CustomActuator, Direction, MessageLayout, Motor, Robot
 from deepbots_cli.runtime.actuation import CustomMotor, Site
 from deepbots_cli.runtime.formulas import Memories, Memory, clip, memory_of_vector
@@ -47,10 +46,6 @@ Observation = NDArray[np.float32]
 Info = dict[str, Any]
 C = TypeVar("C", bound="RobotController")
 M = TypeVar("M", bound=Memory)
-
-TRUE_AT_RESET = "is already true at reset"
-"""Part of the error of an episode that ends before its first step; `deepbots diagnose` recognizes it in the
-records of a run."""
 
 _CLOSED = "the environment is closed; make a new one"
 
@@ -244,9 +239,9 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         except (ArithmeticError, ValueError, NameError) as error:
             raise self._no_value(error) from error
         if self.terminated:
-            raise EvaluationError(
-                f"the ending '{self.ended_by}' {TRUE_AT_RESET} (seed {self.streams.root}); change the start"
-                " or the ending"
+            raise EndsAtResetError(
+                f"the ending '{self.ended_by}' is already true at reset (seed {self.streams.root}); change"
+                " the start or the ending"
             )
         self._go_on = self._advance
         return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}
@@ -383,9 +378,9 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
 
     def scripted(self, name: str) -> Any:
         """The next action of a script, without a check that the script exists."""
-        return getattr(self, f"script_{name}")()
+        return getattr(self, generated.script(name))()
 
-    def tested(self, test: str, what: Literal["holds", "compared"]) -> tuple[Any, ...]:
+    def tested(self, test: str, question: generated.TestQuestion) -> tuple[Any, ...]:
         """Whether each condition of a test holds after the last step, or the values that the conditions
         compare, in SI units.
 
@@ -393,7 +388,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
             EvaluationError: An expression has no value; shows which.
         """
         try:
-            values: tuple[Any, ...] = getattr(self, f"test_{test}_{what}")()
+            values: tuple[Any, ...] = getattr(self, generated.test(test, question))()
         except (ArithmeticError, ValueError, NameError) as error:
             raise self._no_value(error) from error
         return values
@@ -600,10 +595,7 @@ class Supervisor(_WithMemories, gym.Env[Observation, Any], ABC):
         if not frames or not isinstance(error, (ArithmeticError, ValueError, NameError)):
             return error
         self.engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
-        statement = (frames[-1].line or "").partition("  # ")[
-            0
-        ]  # without the text of the scenario, which the comment repeats
-        statement = re.sub(r"\bself\.(term_)?", "", statement)  # the scenario has the names without a prefix
+        statement = generated.as_written(frames[-1].line or "")
         return EvaluationError(f"step {self.step_count}: no value for `{statement}`: {error}")
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -629,7 +621,9 @@ class RobotController(_WithMemories):
         self.devices: dict[str, Device] = {}
         self._world, self._engine = scenario.world, engine
         self.bind(engine)
-        drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
+        drives = [
+            (actuator, getattr(self, generated.drive(actuator.name), None)) for actuator in spec.actuators
+        ]
         driven = [(actuator, drive) for actuator, drive in drives if drive is not None]
         self._holds: list[Callable[[], object]] = [
             drive.hold if hasattr(drive, "hold") else partial(_hold, engine, spec.name, actuator, drive)

@@ -3,6 +3,7 @@ browser."""
 
 from __future__ import annotations
 
+import errno
 import html
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -248,8 +249,10 @@ class PaintedPath:
             return view_around(boxes, shot.width, shot.height)
         low, high = np.array(boxes).transpose(1, 0, 2)
         (x, y, _), (x_end, y_end, _) = box_around(boxes)
-        middle = ((x + x_end) / 2, (y + y_end) / 2, 0.0)
-        tall = math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _MARGIN_ABOVE
+        middle, tall = (
+            ((x + x_end) / 2, (y + y_end) / 2, 0.0),
+            math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _MARGIN_ABOVE,
+        )
         away = np.maximum(np.maximum(high - middle, np.subtract(middle, low)), _MIN_HALF_SIDE_M)
         height = float(
             (np.maximum(away[:, 0], away[:, 1] * shot.height / shot.width) / tall + high[:, 2]).max()
@@ -452,7 +455,13 @@ def _write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
     writer: Any
     with imageio.get_writer(path, format="FFMPEG", fps=rate, macro_block_size=2, quality=7) as writer:
         for image in pictures:
-            writer.append_data(image)
+            try:
+                writer.append_data(image)
+            except OSError as error:
+                if error.errno is not None:
+                    raise
+                # Of imageio, at length: ffmpeg has ended, to which it writes through a pipe.
+                raise OSError(errno.EPIPE, "ffmpeg has ended, as it does on a full disk") from error
 
 
 def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:

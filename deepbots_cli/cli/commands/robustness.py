@@ -105,8 +105,10 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Run `deepbots robustness`."""
-    ref = ModelRef.open(run, permissions, model="last" if last else "best")
-    gates = Gates(min_success, min_return, False)
+    ref, gates = (
+        ModelRef.open(run, permissions, model="last" if last else "best"),
+        Gates(min_success, min_return, False),
+    )
     gates.check(ref.run.program)
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch

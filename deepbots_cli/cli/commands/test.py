@@ -164,8 +164,10 @@ def _command(scenario: str, result: TestResult, miss: UnmetExpectation, options:
     where = " ".join([quote(scenario), *settings, *options])
     if isinstance(test.driver, str):
         return f"deepbots view {where} --driver {test.driver} --seed {test.seed} --episode {episode}"
-    actions = ",".join(action.text for action in test.driver)
-    seed = derive_seed(test.seed, "evaluation", episode)
+    actions, seed = (
+        ",".join(action.text for action in test.driver),
+        derive_seed(test.seed, "evaluation", episode),
+    )
     return f"deepbots try {where} --driver={actions} --steps {len(test.driver)} --episodes 1 --seed {seed}"
 
 
