@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.port import BatchEngine
+from deepbots_cli.program import generated
 from deepbots_cli.program.robots import Direction, Sensor
 from deepbots_cli.runtime.columns import BatchMemory, stacked
 from deepbots_cli.runtime.controllers import RobotController
@@ -333,7 +334,7 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def lossy_channel(self, name: str, direction: Direction) -> BatchLossyChannel:
         """The paths of messages to or from a robot, where messages come late or may be lost."""
-        attribute = f"{'to' if direction == 'to_robot' else 'from'}_{name}"
+        attribute = generated.channel(name, direction)
         channel = self.channels[name, direction] = BatchLossyChannel(
             [getattr(single, attribute) for single in self._singles], self
         )
@@ -562,7 +563,7 @@ class BatchSupervisor(_BatchPart, ABC):
         if self.truncated[row]:
             held = (NOT_FINITE if self._lost[row] else self._limit,)
         terms = {
-            name: float(np.broadcast_to(getattr(self, f"term_{name}"), self.count)[row])
+            name: float(np.broadcast_to(getattr(self, generated.term(name)), self.count)[row])
             for name in self.TERMS
         }
         info = {
@@ -581,7 +582,7 @@ class BatchSupervisor(_BatchPart, ABC):
         """The terms of the last rewards, a row each; a copy."""
         terms = np.zeros((len(self.TERMS), self.count))
         for row, name in zip(terms, self.TERMS, strict=True):
-            row[:] = getattr(self, f"term_{name}")
+            row[:] = getattr(self, generated.term(name))
         return terms
 
     def observations(self) -> Any:

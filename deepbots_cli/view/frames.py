@@ -20,7 +20,7 @@ from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.port import ZERO_VECTOR
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices
 from deepbots_cli.program.world import Variant
@@ -349,7 +349,7 @@ class FrameReader:
         self._pushes: list[tuple[LinkName, Push]] = []
         for name, agent in env.agents.items():
             for disturbance in program.disturbances:
-                beam = getattr(agent, f"push_{disturbance.name}", None)
+                beam = getattr(agent, generated.push(disturbance.name), None)
                 if isinstance(beam, Push):
                     body = called(disturbance.body, name)
                     self._pushes.append(
