@@ -159,7 +159,7 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
             worlds.begin(begun, [seeds[numbers[world]] for world in begun])
             for world in begun:
                 drawn[world] = worlds.singles[world].drawn()
-        seen = worlds.observations() if begun else worlds.by_row(outcome.observations)
+        seen = worlds.observations() if begun else worlds.rows.by_row(outcome.observations)
 
 
 class PolicyDriver(Driver):

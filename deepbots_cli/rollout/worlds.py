@@ -289,7 +289,7 @@ class BatchEpisodes:
     def step_all(self, actions: Any) -> BatchStep:
         """Act in the worlds that do not rest."""
         outcome = self.batch.advance(actions, self.resting if self.resting.any() else None)
-        outcome = outcome if self._of_agents else self.batch.step_by_world(outcome)
+        outcome = outcome if self._of_agents else self.batch.rows.step_by_world(outcome)
         self.add(
             outcome.rewards,
             outcome.terms,
@@ -423,7 +423,7 @@ class BatchWorlds(Worlds):
                 outcome = episodes.step_all(actions)
             if self._recorder is not None:
                 for loss in episodes.batch.losses[losses_before:]:
-                    self._recorder.record_lost(stage, loss, episodes.batch.snapshot()[loss.world])
+                    self._recorder.record_lost(stage, loss, episodes.batch.histories.snapshot()[loss.world])
             rewards[acting] = outcome.rewards[acting]
             dones[outcome.done] = True
             ended |= {row: (place, outcome, episodes) for place, row in enumerate(outcome.done.tolist())}
@@ -459,7 +459,7 @@ class BatchWorlds(Worlds):
             raise
         except DeepbotsError:
             if self._recorder is not None:
-                histories = self._batch_of(stage).snapshot()
+                histories = self._batch_of(stage).histories.snapshot()
                 self._recorder.record_failed(
                     stage, [histories[world] for world, own in enumerate(self.stages) if own == stage]
                 )
@@ -477,11 +477,11 @@ class BatchWorlds(Worlds):
             self.drawn[world] = worlds.singles[world].drawn()
 
     def histories(self) -> list[EpisodeHistory]:
-        running = {stage: episodes.batch.snapshot() for stage, episodes in self._batches.items()}
+        running = {stage: episodes.batch.histories.snapshot() for stage, episodes in self._batches.items()}
         return [running[stage][world] for world, stage in enumerate(self.stages)]
 
     def start_of(self, world: int) -> int | dict[str, Any]:
-        return self._batch_of(self.stages[world]).start_of(world)
+        return self._batch_of(self.stages[world]).histories.starts[world]
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> Any:
         for stage in dict.fromkeys(self.stages):

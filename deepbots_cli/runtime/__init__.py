@@ -16,8 +16,8 @@ paths.py       shortest paths around solid objects; painted lines: places beside
 overview.py    a camera that sees the whole scene
 actuation.py   actuators that are more than a motor of the engine, and pushes
 sensing.py     sensors that are sampled once per tick, with their faults; readers.py what each kind measures
-batch.py       base of the generated supervisor of a batch of worlds; columns.py its functions, devices.py its
-               sensors
+batch.py       base of the generated supervisor of a batch of worlds; batch_parts.py its controllers, channels
+               and calls, columns.py its functions, devices.py its sensors
 vector.py      a batch as a vector environment of Gymnasium
 
 Nothing here reads YAML or knows an engine beyond the port.

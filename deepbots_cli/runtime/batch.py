@@ -8,30 +8,26 @@ without a form over columns is called in each single world in turn (`PerWorldCal
 
 from __future__ import annotations
 
-import operator
 import warnings
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from functools import reduce
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.port import BatchEngine
 from deepbots_cli.program import generated
-from deepbots_cli.program.robots import Direction, Sensor
-from deepbots_cli.runtime.columns import BatchMemory, stacked
-from deepbots_cli.runtime.controllers import RobotController
-from deepbots_cli.runtime.copies import CopyResult, result_of_all
-from deepbots_cli.runtime.devices import BatchDevice, stack_worlds
-from deepbots_cli.runtime.messages import LossyChannel
-from deepbots_cli.runtime.spaces import by_part, frame_indices, joined, mask_of_space
+from deepbots_cli.runtime.batch_parts import BatchController, BatchRobots, OptionMasks, columns_array
+from deepbots_cli.runtime.columns import where_running
+from deepbots_cli.runtime.copies import WorldRows
+from deepbots_cli.runtime.failures import infinite_reward, without_option
+from deepbots_cli.runtime.spaces import Column, ObservedColumns, by_part, joined
 from deepbots_cli.runtime.supervisor import Supervisor
 
-Column = NDArray[Any]
+__all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", "LostWorld"]
+
 NOT_FINITE = "not_finite"
 """How an episode ends whose world is no longer finite."""
 
@@ -81,317 +77,92 @@ class EpisodeHistory(NamedTuple):
     actions: list[Any]
 
 
-class PerWorldCall:
-    """Asks the single worlds in turn: functions that take and give single numbers, over columns."""
+class EpisodeHistories:
+    """Records the running episode of each world.
 
-    def __init__(self, functions: Sequence[Callable[..., Any]], engine: BatchEngine) -> None:
-        self._functions, self._engine = functions, engine
+    Attributes:
+        starts: How each episode began: its seed, or the states of its random generators.
+        actions: Those of all worlds, with a row per world; `_first` are the places of the first ones.
+    """
 
-    def __call__(self, *arguments: Any) -> Any:
-        if not arguments:
-            return stack_worlds([function() for function in self._functions])
-        rows = zip(*(_rows(argument, len(self._functions)) for argument in arguments), strict=True)
-        chosen = self._engine.write_mask
-        by_world = [
-            function(*row) if chosen is None or chosen[world] else None
-            for world, (function, row) in enumerate(zip(self._functions, rows, strict=True))
-        ]
-        return None if by_world[0] is None else stack_worlds(by_world)
+    def __init__(self, worlds: int) -> None:
+        self.starts: list[int | dict[str, Any]] = [0] * worlds
+        self.actions: list[Any] = []
+        self._first = np.zeros(worlds, int)
 
+    def begin(self, worlds: Sequence[int]) -> None:
+        """Begin the episodes of some worlds with the next action; actions that no episode has are forgotten."""
+        self._first[worlds] = len(self.actions)
+        if (ended := int(self._first.min())) > 1000:
+            del self.actions[:ended]
+            self._first -= ended
 
-def _rows(argument: Any, count: int) -> list[Any]:
-    """A column, or a vector of columns, as one number or list per world."""
-    if isinstance(argument, np.ndarray):
-        return list(argument.T.tolist())
-    if isinstance(argument, (tuple, list)):
-        return list(stacked(argument, count).T.tolist())
-    return [argument] * count
-
-
-class BatchChannel:
-    """A channel that delivers each message in the timestep in which it was sent; all formats carry numbers
-    exactly."""
-
-    def __init__(self) -> None:
-        self._message: Any = ()
-
-    def send(self, message: Any) -> None:
-        self._message = message
-
-    def receive(self) -> Any:
-        return self._message
-
-
-class BatchLossyChannel:
-    """A channel on which messages come late or are lost: those of the single worlds, in turn."""
-
-    def __init__(self, channels: Sequence[LossyChannel], batch: BatchSupervisor) -> None:
-        self._channels, self._batch = channels, batch
-
-    @property
-    def age(self) -> Column:
-        return np.array([channel.age for channel in self._channels])
-
-    @property
-    def message_received(self) -> Column:
-        return np.array([channel.message_received for channel in self._channels])
-
-    def send(self, message: Any) -> None:
-        count = len(self._channels)
-        messages = (
-            zip(*(_rows(field, count) for field in message), strict=True) if message else iter([()] * count)
-        )
-        running = self._batch.running
-        for world, (channel, one) in enumerate(zip(self._channels, messages, strict=True)):
-            if running is None or running[world]:
-                channel.send(one)
-
-    def newest(self) -> Any:
+    def snapshot(self) -> list[EpisodeHistory]:
+        """The running episode of each world, from which `BatchSupervisor.restore` goes on; its size is
+        proportional to the number of actions."""
         return [
-            stack_worlds(values)
-            for values in zip(*(channel.newest() for channel in self._channels), strict=True)
+            EpisodeHistory(start, [by_part(itemgetter(world), each) for each in self.actions[first:]])
+            for world, (start, first) in enumerate(zip(self.starts, self._first, strict=True))
         ]
 
-    def receive(self) -> Iterator[Any]:
-        """First the first message of each world that got one, then the second; meanwhile motors of the others
-        are left alone."""
-        arrived = [channel.receive() for channel in self._channels]
-        for number in range(max(map(len, arrived))):
-            having = np.array([len(messages) > number for messages in arrived])
-            usual = arrived[int(having.argmax())][number]
-            messages = [messages[number] if len(messages) > number else usual for messages in arrived]
-            self._batch.engine.write_mask = having
-            yield [stack_worlds(values) for values in zip(*messages, strict=True)]
-        self._batch.engine.write_mask = None
+    def replace(self, episodes: Sequence[EpisodeHistory]) -> None:
+        """Take these episodes, which have ended with the last action, for the running ones."""
+        self.starts = [episode.start for episode in episodes]
+        self._first = np.array([len(self.actions) - len(episode.actions) for episode in episodes])
 
 
-class _BatchPart:
-    """Base of supervisor and controllers, which take over from those of the single worlds when an episode
-    begins."""
-
-    STATE: tuple[str, ...] = ()
-    """The attributes whose columns begin with what the single worlds have: drawn values, and values that the
-    next step reads."""
-
-    def __init__(self, singles: Sequence[Any], batch: BatchSupervisor) -> None:
-        self._singles, self._batch = singles, batch
-        self._loaded: list[BatchMemory | BatchDevice] = []
-
-    def each(self, attribute: str) -> PerWorldCall:
-        """A call of the attribute of this name of each single world."""
-        return PerWorldCall([getattr(single, attribute) for single in self._singles], self._batch.engine)
-
-    def memory(self, attribute: str) -> BatchMemory:
-        """The memory of a stateful function."""
-        memory = BatchMemory(
-            [getattr(single, attribute) for single in self._singles], lambda: self._batch.engine.write_mask
-        )
-        self._loaded.append(memory)
-        return memory
-
-    def take_over(self, worlds: Sequence[int]) -> None:
-        """Begin with what the single worlds began with."""
-        for part in self._loaded:
-            for world in worlds:
-                part.load(world)
-        self._take_columns(worlds, self.STATE)
-
-    def _take_columns(self, worlds: Sequence[int], names: Sequence[str]) -> None:
-        count = len(self._singles)
-        for name in names:
-            values = np.array([getattr(self._singles[world], name) for world in worlds]).T
-            is_new = len(worlds) == count or not hasattr(self, name)
-            column = (
-                np.zeros((*values.shape[:-1], count), values.dtype)
-                if is_new
-                else columns_array(getattr(self, name), count)
-            )
-            column[..., worlds] = values
-            setattr(self, name, column)
-
-
-def columns_array(value: Any, count: int) -> Column:
-    """A column or a vector of columns as an array that can be written."""
-    if isinstance(value, (tuple, list)):
-        return stacked(value, count)
-    return np.array(np.broadcast_to(value, (*np.shape(value)[:-1], count)))
-
-
-class BatchController(_BatchPart):
-    """Base of the generated controllers of robots."""
-
-    def __init__(self, singles: Sequence[RobotController], batch: BatchSupervisor) -> None:
-        super().__init__(singles, batch)
-        self.devices: dict[str, BatchDevice] = {}
-        self.bind(batch.engine)
-
-    def bind(self, engine: BatchEngine) -> None:
-        """Take readers and writers from the engine."""
-
-    def device(self, name: str) -> BatchDevice:
-        """The devices behind a sensor."""
-        sensor: Sensor = next(sensor for sensor in self._singles[0].spec.sensors if sensor.name == name)
-        device = BatchDevice(
-            [single.devices[name] for single in self._singles],
-            sensor,
-            self._singles[0].spec.name,
-            self._batch,
-        )
-        self._loaded.append(device)
-        self.devices[name] = device
-        return device
-
-    def observe(self) -> None:
-        """Sample what is sampled once per tick."""
-
-
-class BatchSupervisor(_BatchPart, ABC):
+class BatchSupervisor(BatchRobots, ObservedColumns):
     """Base of the generated supervisors of a batch, over single supervisors and the engine that holds all of
     their worlds.
 
     A row of columns, observations and actions is an agent. Where worlds have copies of a robot, each world
-    has a row for each copy, and the episode ends for all of them when it ends for one. `by_world` turns rows
-    into what the single worlds take and give.
+    has a row for each copy, and the episode ends for all of them when it ends for one. `rows` turns rows into
+    what the single worlds take and give. `histories` are the running episodes.
     """
 
     TERMS: tuple[str, ...] = ()
 
     def __init__(self, singles: Sequence[Supervisor], engine: BatchEngine) -> None:
-        super().__init__([agent for single in singles for agent in single.agents.values()], self)
-        first: Supervisor = self._singles[0]
-        self.singles, self.engine, self.scenario, self.count = (
-            singles,
-            engine,
-            first.scenario,
-            len(self._singles),
-        )
+        agents = [agent for single in singles for agent in single.agents.values()]
+        BatchRobots.__init__(self, agents, self)
+        ObservedColumns.__init__(self, agents[0].agent, len(agents))
+        self.singles, self.engine, self.scenario = singles, engine, agents[0].scenario
         self.copies = self.count // len(singles)
         """The rows of a world."""
-        self._has_copies = self.scenario.agent.copies is not None
-        self.observation_space, self.action_space = first.observation_space, first.action_space
-        self.controllers: dict[str, BatchController] = {}
-        self.channels: dict[tuple[str, str], BatchChannel | BatchLossyChannel] = {}
+        self.rows = WorldRows(self.copies, has_copies=self.agent.copies is not None)
+        self.observation_space, self.action_space = agents[0].observation_space, agents[0].action_space
         self.losses: list[LostWorld] = []
         """The worlds that were no longer finite, in the order in which it was noticed."""
         self._errors: dict[int, str] = {}
-        self._starts: list[int | dict[str, Any]] = [0] * len(singles)
-        self._first = np.zeros(len(singles), int)
-        """Of each world, how its episode began, and the place of its first action in `_actions`, those of all
-        worlds (`by_world`)."""
-        self._actions: list[Any] = []
-        self._views = frame_indices(self.scenario.agent)
-        self.depth, self.newest = len(self._views), 0
-        self.frames = np.zeros((self.depth, len(self.scenario.agent.numbers), self.count), np.float32)
-        self._ranges = len(self.scenario.agent.range_names)
-        size = len(self.scenario.agent.goal.low) if self.scenario.agent.goal else 0
-        self.goal = np.zeros((2 * size, self.count), np.float32)
-        self._size = size
-        choices = self.scenario.agent.choices
+        self.histories = EpisodeHistories(len(singles))
+        choices = self.agent.choices
         self.forbids_options = any(option.forbidden for part in choices for option in part.options)
-        self._allowed = {part.name: np.ones((len(part.options), self.count), bool) for part in choices}
-        """Which options of each choice may be chosen next, a row per option."""
+        self.options = OptionMasks(self.agent, self.count)
         self._forget()
         self.bind(engine)
 
     def _forget(self) -> None:
         count = self.count
         self.running: Column | None = None
-        """The rows that take part in this tick, as truth values; None for all. `_acting` are those of the
-        step."""
         self._acting: Column | None = None
+        """The rows that take part in this step."""
         self.step_count, self.timestep_count = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.reward: Any = np.zeros(count)
         self.previous_reward: Any = np.zeros(count)
         self.episode_return: Any = np.zeros(count)
-        self.terminated, self.truncated, self.is_success, self._lost = (
+        self.terminated, self.truncated, self.is_success, self.lost = (
             np.zeros(count, bool) for _ in range(4)
         )
         self._holds: dict[str, Column] = {}
         self._limit = ""
-        self._fresh = [True] * count
 
     # What `bind` makes
-
-    @abstractmethod
-    def bind(self, engine: BatchEngine) -> None:
-        """Take readers from the engine."""
 
     @abstractmethod
     def _advance(self, action: Any) -> None:
         """One step of all worlds: act, let them go on, and observe."""
 
-    def robot(self, name: str, controller: type[BatchController]) -> Any:
-        """The controllers of a robot."""
-        robot = self.controllers[name] = controller(
-            [single.controllers[name] for single in self._singles], self
-        )
-        return robot
-
-    def channel(self, name: str, direction: Direction) -> BatchChannel:
-        """The paths of messages to or from a robot, where they are direct."""
-        channel = self.channels[name, direction] = BatchChannel()
-        return channel
-
-    def lossy_channel(self, name: str, direction: Direction) -> BatchLossyChannel:
-        """The paths of messages to or from a robot, where messages come late or may be lost."""
-        attribute = generated.channel(name, direction)
-        channel = self.channels[name, direction] = BatchLossyChannel(
-            [getattr(single, attribute) for single in self._singles], self
-        )
-        return channel
-
     # Rows and worlds
-
-    def rows_of(self, worlds: Any) -> Any:
-        """The numbers of the rows of these worlds."""
-        return (
-            worlds
-            if self.copies == 1
-            else (self.copies * np.asarray(worlds)[:, None] + np.arange(self.copies)).ravel()
-        )
-
-    def by_row(self, values: Any) -> Any:
-        """Actions or observations of worlds with a row per agent."""
-        return by_part(lambda part: part.reshape(-1, *part.shape[2:]), values) if self._has_copies else values
-
-    def by_world(self, values: Any) -> Any:
-        """Actions or observations with a row per agent as those of worlds."""
-        copies = self.copies
-        return (
-            by_part(lambda part: part.reshape(-1, copies, *part.shape[1:]), values)
-            if self._has_copies
-            else values
-        )
-
-    def step_by_world(self, step: BatchStep) -> BatchStep:
-        """The result of a step with a row per world, as the single worlds give it."""
-        if not self._has_copies:
-            return step
-        copies = self.copies
-        rewards, *terms = (
-            reduce(operator.add, row.reshape(-1, copies).T) / copies for row in (step.rewards, *step.terms)
-        )
-        terminated, truncated = (
-            np.any(column.reshape(-1, copies), axis=1) for column in (step.terminated, step.truncated)
-        )
-        results = [
-            CopyResult(float(step.rewards[row]), bool(step.terminated[row]), bool(step.truncated[row]), info)
-            for row, info in zip(step.done.tolist(), step.infos, strict=True)
-        ]
-        return BatchStep(
-            self.by_world(step.observations),
-            rewards,
-            np.array(terms),
-            terminated,
-            truncated & ~terminated,
-            step.done[::copies] // copies,
-            self.by_world(step.final_observations) if results else None,
-            [result_of_all(results[first : first + copies]).info for first in range(0, len(results), copies)],
-        )
-
-    def _of_world(self, flags: Column) -> Column:
-        """Whether a flag is set in any row of the world, for each row."""
-        return flags if self.copies == 1 else flags.reshape(-1, self.copies).any(axis=1).repeat(self.copies)
 
     # Course
 
@@ -435,19 +206,22 @@ class BatchSupervisor(_BatchPart, ABC):
         """One step of all worlds but those that are `resting` (truth values), whose episodes have ended; no
         episode begins."""
         action = by_part(np.array, action)
-        self._actions.append(self.by_world(action))
+        self.histories.actions.append(self.rows.by_world(action))
         resting = None if resting is None else resting.repeat(self.copies)
         self._acting = self.running = None if resting is None else ~resting
         with np.errstate(all="ignore"):
             self._advance(action)
         self._acting = self.running = None
-        if self._lost.any():
+        if self.lost.any():
             self._give_up()
         if self.forbids_options:
-            self._require_choices(resting)
+            going_on = ~(self.terminated | self.truncated)
+            stuck = self.options.without_option(going_on if resting is None else going_on & ~resting)
+            if stuck is not None:
+                raise self.failed(stuck.row, without_option(self.agent, stuck.choice))
         observations, rewards, terms = self.observations(), self.rewards(), self.terms()
         terminated, truncated = self.terminated, self.truncated
-        ended = self._of_world(terminated | truncated)
+        ended = self.rows.any_in_world(terminated | truncated)
         done = np.flatnonzero(ended if resting is None else ended & ~resting)
         if not len(done):
             return BatchStep(observations, rewards, terms, terminated, truncated, done, None, [])
@@ -461,26 +235,10 @@ class BatchSupervisor(_BatchPart, ABC):
         the same `options`."""
         for world, seed in zip(worlds, seeds, strict=True):
             single = self.singles[world]
-            self._starts[world] = single.random_state() if seed is None else seed
+            self.histories.starts[world] = single.random_state() if seed is None else seed
             single.reset(seed=seed, options=options)
-        self._first[worlds] = len(self._actions)
-        if (ended := int(self._first.min())) > 1000:
-            del self._actions[:ended]
-            self._first -= ended
+        self.histories.begin(worlds)
         self._take_over_from(worlds)
-
-    def snapshot(self) -> list[EpisodeHistory]:
-        """The running episode of each world, from which `restore` goes on; its size is proportional to the
-        number of actions."""
-        begun = enumerate(zip(self._starts, self._first, strict=True))
-        return [
-            EpisodeHistory(start, [by_part(itemgetter(w), each) for each in self._actions[first:]])
-            for w, (start, first) in begun
-        ]
-
-    def start_of(self, world: int) -> int | dict[str, Any]:
-        """How the running episode of a world began."""
-        return self._starts[world]
 
     def restore(
         self, episodes: Sequence[EpisodeHistory], on_step: Callable[[Column], None] = lambda acting: None
@@ -497,7 +255,7 @@ class BatchSupervisor(_BatchPart, ABC):
         last = max(len(episode.actions) for episode in episodes)
         idle = next((episode.actions[0] for episode in episodes if episode.actions), None)
         self._forget()
-        self._actions = []
+        self.histories.actions = []
         for step in range(last + 1):
             begun = [world for world, episode in enumerate(episodes) if step == last - len(episode.actions)]
             for start, single in ((episodes[world].start, self.singles[world]) for world in begun):
@@ -512,18 +270,17 @@ class BatchSupervisor(_BatchPart, ABC):
                     episode.actions[place] if place >= 0 else idle
                     for place, episode in zip(places, episodes, strict=True)
                 ]
-                self._actions.append(joined(rows))
+                self.histories.actions.append(joined(rows))
                 with np.errstate(all="ignore"):
-                    self._advance(self.by_row(self._actions[-1]))
+                    self._advance(self.rows.by_row(self.histories.actions[-1]))
                 on_step((np.array(places) >= 0).repeat(self.copies))
-        self._starts = [episode.start for episode in episodes]
-        self._first = np.array([last - len(episode.actions) for episode in episodes])
+        self.histories.replace(episodes)
         return self.observations()
 
     def _take_over_from(self, worlds: Sequence[int]) -> None:
         """Go on from what single worlds have begun with."""
         self.engine.begin_episodes(list(worlds))
-        rows = list(self.rows_of(worlds))
+        rows = list(self.rows.of(worlds))
         for part in (self, *self.controllers.values()):
             part.take_over(rows)
         for row in rows:
@@ -531,18 +288,17 @@ class BatchSupervisor(_BatchPart, ABC):
             self.frames[:, :, row] = single.frames[: self.frames.shape[1]]
             self.goal[:, row] = single.goal
             if self.forbids_options:
-                for mask, allowed in zip(self._allowed.values(), single.allowed(), strict=True):
-                    mask[:, row] = allowed
+                self.options.load(row, single.allowed())
         counts = ("step_count", "timestep_count", "reward", "previous_reward", "episode_return")
         ends = ("terminated", "truncated")
-        for name in (*counts, *ends, "is_success", "_lost"):
+        for name in (*counts, *ends, "is_success", "lost"):
             column = columns_array(getattr(self, name), self.count)
             column[rows] = 0
             setattr(self, name, column)
 
     def _give_up(self) -> None:
         """End the episodes of worlds that are no longer finite."""
-        lost = self._lost
+        lost = self.lost
         for world in np.flatnonzero(lost[:: self.copies]).tolist():
             error = self._errors.pop(world, "the state became infinite or NaN")
             self.losses.append(
@@ -561,7 +317,7 @@ class BatchSupervisor(_BatchPart, ABC):
             tuple(name for name, column in self._holds.items() if column[row]) if self.terminated[row] else ()
         )
         if self.truncated[row]:
-            held = (NOT_FINITE if self._lost[row] else self._limit,)
+            held = (NOT_FINITE if self.lost[row] else self._limit,)
         terms = {
             name: float(np.broadcast_to(getattr(self, generated.term(name)), self.count)[row])
             for name in self.TERMS
@@ -571,7 +327,7 @@ class BatchSupervisor(_BatchPart, ABC):
             "ended_by": held[0] if held else None,
             "endings": held,
         }
-        masks = {"action_mask": self.action_mask(row)} if self.forbids_options else {}
+        masks = {"action_mask": self.options.of_space(self.action_space, row)} if self.forbids_options else {}
         return {**info, **masks, "reward_terms": terms}
 
     def rewards(self) -> Column:
@@ -585,28 +341,9 @@ class BatchSupervisor(_BatchPart, ABC):
             row[:] = getattr(self, generated.term(name))
         return terms
 
-    def observations(self) -> Any:
-        """The observations, float32, a row per agent; a copy."""
-        frames = self.frames.reshape(-1, self.count)
-        seen = np.ascontiguousarray(frames[self._views[self.newest]].T)
-        if not self._size:
-            return seen
-        goals = np.ascontiguousarray(self.goal.T)
-        return {
-            "observation": seen,
-            "achieved_goal": goals[:, : self._size].copy(),
-            "desired_goal": goals[:, self._size :].copy(),
-        }
-
     def action_masks(self) -> Column:
         """`Supervisor.action_masks` of each agent, a row each; a copy."""
-        return np.concatenate(list(self._allowed.values())).T.copy()
-
-    def action_mask(self, rows: Any = slice(None)) -> Any:
-        """`Supervisor.action_mask` of some agents, with a row for each in each array."""
-        return mask_of_space(
-            self.action_space, [mask.T[rows].astype(np.int8) for mask in self._allowed.values()]
-        )
+        return self.options.by_row()
 
     def close(self) -> None:
         """Release all worlds."""
@@ -621,8 +358,8 @@ class BatchSupervisor(_BatchPart, ABC):
         self.engine.step(substeps, self.running)
         lost = self.engine.non_finite_worlds()
         if len(lost):
-            self._lost = self._lost.copy()
-            self._lost[self.rows_of(lost)] = True
+            self.lost = self.lost.copy()
+            self.lost[self.rows.of(lost)] = True
             for world in lost.tolist():
                 member = self.engine.members[world]
                 try:
@@ -639,17 +376,14 @@ class BatchSupervisor(_BatchPart, ABC):
 
     def add(self, column: Any, more: Any) -> Any:
         """The sum, in worlds whose episode goes on."""
-        return self._where_running(column + more, column)
-
-    def _where_running(self, now: Any, before: Any) -> Any:
-        return now if self.running is None else np.where(self.running, now, before)
+        return where_running(self.running, column + more, column)
 
     def ticks(self, count: int) -> Iterator[None]:
         """The ticks of a step; only worlds whose episode goes on take part in the later ones."""
         for number in range(count):
             yield
             if number < count - 1:
-                goes_on = ~self._of_world(self.terminated | self.truncated | self._lost)
+                goes_on = ~self.rows.any_in_world(self.terminated | self.truncated | self.lost)
                 if self._acting is not None:
                     goes_on &= self._acting
                 self.running = None if goes_on.all() else goes_on
@@ -670,7 +404,7 @@ class BatchSupervisor(_BatchPart, ABC):
             )
             draw(single)
         if rows:
-            self._take_columns(rows, names)
+            self.take_columns(rows, names)
 
     def normals(self, stream: str, count: int) -> Column:
         """Standard normal numbers, a column each."""
@@ -681,86 +415,39 @@ class BatchSupervisor(_BatchPart, ABC):
                 drawn[:, row] = single.streams[stream].standard_normal(count)
         return drawn
 
-    def set_observation(self, *numbers: Any) -> None:
-        """Let the policies see these numbers in the newest frame."""
-        frame = self.frames[self.newest]
-        for row, number in zip(frame, numbers, strict=True):
-            if self.running is None:
-                row[:] = number
-            else:
-                np.copyto(row, np.broadcast_to(number, self.count), where=self.running, casting="same_kind")
-        if not np.isfinite(frame).all():
-            worlds = np.flatnonzero(~np.isfinite(frame).all(axis=0) & ~self._lost)
-            if len(worlds):
-                rows = np.flatnonzero(~np.isfinite(frame).all(axis=1))
-                names = ", ".join(dict.fromkeys(self.scenario.agent.numbers[row].name for row in rows))
-                raise self._failed(int(worlds[0]), f"the observation {names} is not finite")
-
     def allow(self, choice: str, *allowed: Any) -> None:
         """Let some options of a choice be allowed next: a column of truth values for each."""
-        for row, may in zip(self._allowed[choice], allowed, strict=True):
-            row[:] = self._where_running(may, row)
-
-    def _require_choices(self, resting: Column | None) -> None:
-        """Raise: EvaluationError: Every option of a choice is forbidden in a world whose episode goes on."""
-        for name, mask in self._allowed.items():
-            stuck = ~(
-                mask.any(axis=0) | self.terminated | self.truncated | (False if resting is None else resting)
-            )
-            if stuck.any():
-                options = next(part.options for part in self.scenario.agent.choices if part.name == name)
-                names = ", ".join(option.name for option in options)
-                raise self._failed(int(stuck.argmax()), f"every option of '{name}' is forbidden: {names}")
-
-    def next_frame(self) -> None:
-        """Make room for what the policies see after this step."""
-        self.newest = (self.newest + 1) % self.depth
-
-    def set_goal_observation(self, achieved: Any, desired: Any) -> tuple[Column, Column]:
-        """See `Supervisor.set_goal_observation`."""
-        goal = self.scenario.agent.goal
-        assert goal is not None
-        low, high = (np.array(ends * 2)[:, None] for ends in (goal.low, goal.high))
-        middle, half = (high + low) / 2, (high - low) / 2
-        seen = np.clip((stacked((*achieved, *desired), self.count) - middle) / half, -1.0, 1.0).astype(
-            np.float32
-        )
-        self.goal = self._where_running(seen, self.goal)
-        meant = middle + half * self.goal.astype(float)
-        return meant[: self._size], meant[self._size :]
+        self.options.allow(choice, allowed, self.running)
 
     def _terminate(self, endings: dict[str, Any], *, success: Any = False) -> None:
         """End the task where one of the endings holds, of which the first counts."""
         self._holds = {
-            name: self._where_running(np.broadcast_to(column, self.count), self._holds.get(name, False))
+            name: where_running(
+                self.running, np.broadcast_to(column, self.count), self._holds.get(name, False)
+            )
             for name, column in endings.items()
         }
         ended = np.logical_or.reduce(list(self._holds.values()))
-        self.is_success = self._where_running(ended & success, self.is_success)
-        self.terminated = self._where_running(ended, self.terminated)
+        self.is_success = where_running(self.running, ended & success, self.is_success)
+        self.terminated = where_running(self.running, ended, self.terminated)
 
     def _truncate(self, limit: str, reached: Any, success: Any = None) -> None:
         """Cut the episodes short that reached a limit."""
         self._limit = limit
         now = reached & ~self.terminated
-        self.truncated = self._where_running(now, self.truncated)
+        self.truncated = where_running(self.running, now, self.truncated)
         if success is not None:
             self.is_success = np.where(now, success, self.is_success)
 
     def require_finite(self, reward: Any) -> None:
         """Raise: EvaluationError: The reward of a world is not finite; names the terms."""
-        wrong = ~(np.abs(reward) < 1e300) & ~self._lost
+        wrong = ~(np.abs(reward) < 1e300) & ~self.lost
         if wrong.any() and (self.running is None or (wrong & self.running).any()):
             world = int(np.flatnonzero(wrong)[0])
-            terms = [
-                name
-                for name, value in zip(self.TERMS, self.terms()[:, world], strict=True)
-                if not np.isfinite(value)
-            ]
-            culprit = f"the reward term '{terms[0]}'" if terms else "the sum of the reward terms"
-            raise self._failed(world, f"{culprit} is not finite")
+            terms = dict(zip(self.TERMS, self.terms()[:, world], strict=True))
+            raise self.failed(world, infinite_reward(terms))
 
-    def _failed(self, row: int, what: str) -> EvaluationError:
+    def failed(self, row: int, what: str) -> EvaluationError:
         world = row // self.copies
         seed = self.singles[world].streams.root
         return EvaluationError(f"step {int(self.step_count[row])} of world {world} (seed {seed}): {what}")

@@ -174,6 +174,11 @@ class BatchMemory:
         return value if self._vector else np.broadcast_to(value, (count, worlds))[0]
 
 
+def where_running(running: Any, now: Any, before: Any) -> Any:
+    """The present values of the `running` rows (truth values, None for all), and of others those before."""
+    return now if running is None else np.where(running, now, before)
+
+
 def stacked(columns: Any, worlds: int) -> Column:
     """A vector of columns as an array with a row per component."""
     return (

@@ -13,9 +13,10 @@ In a batch of worlds the copies are rows of the columns: `BatchOfCopies` is the 
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partialmethod
+from functools import partialmethod, reduce
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
@@ -27,12 +28,12 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.placement import copy_offset
-from deepbots_cli.runtime.spaces import canonical_action, is_canonical, joined
+from deepbots_cli.runtime.spaces import Column, by_part, canonical_action, is_canonical, joined
 from deepbots_cli.runtime.streams import NOTHING_CHOSEN, Drawn, Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
 if TYPE_CHECKING:
-    from deepbots_cli.runtime.batch import BatchSupervisor
+    from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor
 
 _END = object()
 
@@ -222,6 +223,64 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
     return CopyResult(
         sum(copy.reward for copy in copies) / len(copies), bool(ended), bool(over) and not ended, info
     )
+
+
+class WorldRows:
+    """The rows of a batch by world: a row is an agent, and a world with copies has a row for each copy."""
+
+    def __init__(self, per_world: int, *, has_copies: bool) -> None:
+        self._copies, self._has_copies = per_world, has_copies
+
+    def of(self, worlds: Any) -> Any:
+        """The numbers of the rows of these worlds."""
+        if self._copies == 1:
+            return worlds
+        return (self._copies * np.asarray(worlds)[:, None] + np.arange(self._copies)).ravel()
+
+    def by_row(self, values: Any) -> Any:
+        """Actions or observations of worlds with a row per agent."""
+        return by_part(lambda part: part.reshape(-1, *part.shape[2:]), values) if self._has_copies else values
+
+    def by_world(self, values: Any) -> Any:
+        """Actions or observations with a row per agent as those of worlds."""
+        if not self._has_copies:
+            return values
+        return by_part(lambda part: part.reshape(-1, self._copies, *part.shape[1:]), values)
+
+    def step_by_world(self, step: BatchStep) -> BatchStep:
+        """The result of a step with a row per world, as the single worlds give it."""
+        if not self._has_copies:
+            return step
+        copies = self._copies
+        rewards, *terms = (
+            reduce(operator.add, row.reshape(-1, copies).T) / copies for row in (step.rewards, *step.terms)
+        )
+        terminated, truncated = (
+            np.any(column.reshape(-1, copies), axis=1) for column in (step.terminated, step.truncated)
+        )
+        results = [
+            CopyResult(float(step.rewards[row]), bool(step.terminated[row]), bool(step.truncated[row]), info)
+            for row, info in zip(step.done.tolist(), step.infos, strict=True)
+        ]
+        return step._replace(
+            observations=self.by_world(step.observations),
+            rewards=rewards,
+            terms=np.array(terms),
+            terminated=terminated,
+            truncated=truncated & ~terminated,
+            done=step.done[::copies] // copies,
+            final_observations=self.by_world(step.final_observations) if results else None,
+            infos=[
+                result_of_all(results[first : first + copies]).info
+                for first in range(0, len(results), copies)
+            ],
+        )
+
+    def any_in_world(self, flags: Column) -> Column:
+        """Whether a flag is set in any row of the world, for each row."""
+        if self._copies == 1:
+            return flags
+        return flags.reshape(-1, self._copies).any(axis=1).repeat(self._copies)
 
 
 class CopiesSupervisor(Supervisor):

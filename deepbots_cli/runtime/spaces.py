@@ -3,6 +3,7 @@ for other goals."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from struct import Struct
 from typing import Any, cast
@@ -15,8 +16,10 @@ from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.program.task import Agent, Goal
+from deepbots_cli.runtime.columns import stacked, where_running
 from deepbots_cli.runtime.formulas import clip
 
+Column = NDArray[Any]
 Goals = NDArray[np.floating[Any]]
 
 
@@ -261,6 +264,78 @@ class ObservedFrames:
         if achieved.ndim == 1:
             return recompute_rewards(self.agent, achieved[None], np.atleast_2d(desired)).item()
         return recompute_rewards(self.agent, achieved, desired)
+
+
+class ObservedColumns(ABC):
+    """What the policies of a batch see: as `ObservedFrames`, in columns with a number per row.
+
+    Attributes:
+        frames: The numbers, float32 (frame, number, row); the newest ones are in frame `newest`.
+        goal: What is achieved and what is desired, each in [-1, 1], float32 (number, row).
+        running: The rows that take part in this tick, as truth values; None for all.
+        lost: Whether the world of a row is no longer finite.
+    """
+
+    running: Column | None
+    lost: Column
+
+    def __init__(self, agent: Agent, count: int) -> None:
+        """`count` is the number of rows."""
+        self.agent, self.count = agent, count
+        self._views = frame_indices(agent)
+        self.depth, self.newest = len(self._views), 0
+        self.frames = np.zeros((self.depth, len(agent.numbers), count), np.float32)
+        self._size = len(agent.goal.low) if agent.goal else 0
+        self.goal = np.zeros((2 * self._size, count), np.float32)
+
+    @abstractmethod
+    def failed(self, row: int, what: str) -> EvaluationError:
+        """The error of an episode, with the place of its row."""
+
+    def set_observation(self, *numbers: Any) -> None:
+        """Let the policies see these numbers in the newest frame."""
+        frame = self.frames[self.newest]
+        for row, number in zip(frame, numbers, strict=True):
+            if self.running is None:
+                row[:] = number
+            else:
+                np.copyto(row, np.broadcast_to(number, self.count), where=self.running, casting="same_kind")
+        if not np.isfinite(frame).all():
+            worlds = np.flatnonzero(~np.isfinite(frame).all(axis=0) & ~self.lost)
+            if len(worlds):
+                rows = np.flatnonzero(~np.isfinite(frame).all(axis=1))
+                names = ", ".join(dict.fromkeys(self.agent.numbers[row].name for row in rows))
+                raise self.failed(int(worlds[0]), f"the observation {names} is not finite")
+
+    def next_frame(self) -> None:
+        """Make room for what the policies see after this step."""
+        self.newest = (self.newest + 1) % self.depth
+
+    def set_goal_observation(self, achieved: Any, desired: Any) -> tuple[Column, Column]:
+        """See `Supervisor.set_goal_observation`."""
+        goal = self.agent.goal
+        assert goal is not None
+        low, high = (np.array(ends * 2)[:, None] for ends in (goal.low, goal.high))
+        middle, half = (high + low) / 2, (high - low) / 2
+        seen = np.clip((stacked((*achieved, *desired), self.count) - middle) / half, -1.0, 1.0).astype(
+            np.float32
+        )
+        self.goal = where_running(self.running, seen, self.goal)
+        meant = middle + half * self.goal.astype(float)
+        return meant[: self._size], meant[self._size :]
+
+    def observations(self) -> Any:
+        """The observations, float32, a row per agent; a copy."""
+        frames = self.frames.reshape(-1, self.count)
+        seen = np.ascontiguousarray(frames[self._views[self.newest]].T)
+        if not self._size:
+            return seen
+        goals = np.ascontiguousarray(self.goal.T)
+        return {
+            "observation": seen,
+            "achieved_goal": goals[:, : self._size].copy(),
+            "desired_goal": goals[:, self._size :].copy(),
+        }
 
 
 def recompute_rewards(agent: Agent, achieved: Goals, desired: Goals) -> NDArray[np.float64]:

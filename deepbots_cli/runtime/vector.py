@@ -60,7 +60,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             raise UsageError(f"{len(seeds)} seeds for {self.num_envs} worlds")
         if seeds[0] is not None:
             self.action_space.seed(seeds[0])
-        observations = self.batch.by_world(self.batch.reset(seeds, options))
+        observations = self.batch.rows.by_world(self.batch.reset(seeds, options))
         self._begun = True
         infos: dict[str, Any] = {}
         for world, single in enumerate(self.batch.singles):
@@ -72,7 +72,8 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         does not."""
         if not self.batch.forbids_options or self.batch.scenario.agent.copies:
             return {}
-        return {"action_mask": self.batch.action_mask(), "_action_mask": np.ones(self.num_envs, bool)}
+        masks = self.batch.options.of_space(self.batch.action_space)
+        return {"action_mask": masks, "_action_mask": np.ones(self.num_envs, bool)}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One step of all worlds.
@@ -90,7 +91,9 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         if not self._begun:
             raise UsageError("call reset() before step()")
         self._require_fitting(actions)
-        outcome = self.batch.step_by_world(self.batch.step(self.batch.by_row(by_part(np.asarray, actions))))
+        outcome = self.batch.rows.step_by_world(
+            self.batch.step(self.batch.rows.by_row(by_part(np.asarray, actions)))
+        )
         infos: dict[str, Any] = {}
         if len(outcome.done):
             ended = np.zeros(self.num_envs, bool)

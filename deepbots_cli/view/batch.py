@@ -16,7 +16,7 @@ from deepbots_cli.rollout import Driver, Start
 from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, ZERO, action_from_values
 from deepbots_cli.rollout.worlds import BatchEpisodes
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.batch import BatchChannel, columns_array
+from deepbots_cli.runtime.batch_parts import BatchChannel, columns_array
 from deepbots_cli.runtime.spaces import joined
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Player, RunDriver
@@ -53,7 +53,9 @@ class BatchPlayer(Player):
             self.driver = RunDriver(self.opened.run, self.env, self.batch)
         elif name in (HAND, RANDOM, ZERO):
             each = [self._make_driver(single, name) for single in self.batch.singles]
-            self.driver = Driver(lambda _: self.batch.by_row(joined([driver.act(None) for driver in each])))
+            self.driver = Driver(
+                lambda _: self.batch.rows.by_row(joined([driver.act(None) for driver in each]))
+            )
         else:
             raise UsageError(
                 f"'{name}' cannot drive a batch of worlds; use {', '.join(self.opened.drivers)}, or leave"
@@ -88,7 +90,7 @@ class BatchPlayer(Player):
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
         if by_hand:
-            self.action = self.batch.by_row(
+            self.action = self.batch.rows.by_row(
                 joined([action_from_values(self.env, self.manual_values)] * self.worlds)
             )
         else:
@@ -97,7 +99,7 @@ class BatchPlayer(Player):
         outcome = self._running.step_all(self.action)
         self._rewards[acting], self._terms[:, acting] = outcome.rewards[acting], outcome.terms[:, acting]
         self.observation = outcome.observations
-        outcome = self.batch.step_by_world(outcome)
+        outcome = self.batch.rows.step_by_world(outcome)
         self._running.resting[outcome.done] = True
         for world, info in zip(outcome.done.tolist(), outcome.infos, strict=True):
             ended = {name: info[name] for name in ("ended_by", "is_success")}
@@ -122,9 +124,9 @@ class BatchPlayer(Player):
         """The frame of the world: poses, rays and contacts of its own, and what the batch holds as a column
         per number."""
         batch, world = self.batch, self.world
-        action = None if self.action is None else batch.by_world(self.action)
+        action = None if self.action is None else batch.rows.by_world(self.action)
         frame = self.reader.read(
-            value_of_row(batch.by_world(self.observation), world), value_of_row(action, world)
+            value_of_row(batch.rows.by_world(self.observation), world), value_of_row(action, world)
         )
         if step := int(
             batch.step_count[world * batch.copies]
