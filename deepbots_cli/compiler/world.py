@@ -275,10 +275,8 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
     values, fixed = namespace.values, namespace.fixed
     match spec:
         case world_spec.Pit():
-            height, radius = (
-                fixed(spec, "height"),
-                _PIT_RIM_M if spec.radius is None else fixed(spec, "radius"),
-            )
+            height = fixed(spec, "height")
+            radius = _PIT_RIM_M if spec.radius is None else fixed(spec, "radius")
             noise = fixed(spec, "noise")
             return None if height is None or radius is None or noise is None else Pit(height, radius, noise)
         case world_spec.MeshTerrain():
@@ -322,10 +320,8 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
         if not (isinstance(grid, Const) and abs(grid.value) < _MAX_HEIGHT_M):
             place = f"at x = {x:g} m, y = {y:g} m"
             if isinstance(grid, Const) and math.isfinite(grid.value):
-                headline, help = (
-                    f"the ground is {grid.value:g} m high {place}",
-                    "write heights between -10 km and 10 km",
-                )
+                headline = f"the ground is {grid.value:g} m high {place}"
+                help = "write heights between -10 km and 10 km"
             else:
                 headline = f"the height of the ground cannot be computed {place}"
                 help = (
@@ -481,10 +477,8 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
     parameters = _parameters(spec, namespace)
     gravity = parameters.get("gravity")
     if gravity is not None and gravity[2] > 0:
-        span, downwards = (
-            values.field(spec, "gravity").span,
-            f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2",
-        )
+        span = values.field(spec, "gravity").span
+        downwards = f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
         fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)  # a draw says more
         values.add("DB505", span, "gravity that pulls upwards", f"z points up: write `{downwards}`", fix=fix)
     objects = [
@@ -560,11 +554,9 @@ def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
 
 
 def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:
-    size, height, thickness = (
-        namespace.pair(spec, "size"),
-        namespace.fixed(spec, "wall_height"),
-        namespace.fixed(spec, "wall_thickness"),
-    )
+    size = namespace.pair(spec, "size")
+    height = namespace.fixed(spec, "wall_height")
+    thickness = namespace.fixed(spec, "wall_thickness")
     friction = namespace.scalar_or_randomized(spec, "friction", "walls_friction", OfWalls(ARENA_WALLS), 1.0)
     if size is None or height is None or thickness is None:
         return None

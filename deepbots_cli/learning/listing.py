@@ -122,10 +122,8 @@ def _listed_run(path: Path) -> ListedRun:
     evaluation = verdict.evaluation
     steps, episodes = recent[-1][:2] if recent else (result.steps, result.episodes) if result else (0, 0)
     if evaluation is not None:
-        mean, success = (
-            evaluation.mean_return,
-            evaluation.success_rate if evaluation.success_defined else None,
-        )
+        mean = evaluation.mean_return
+        success = evaluation.success_rate if evaluation.success_defined else None
     elif recent:
         mean, success = fmean(total for _, _, total, _ in recent), fmean(won for *_, won in recent)
     else:

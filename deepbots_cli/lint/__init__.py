@@ -89,11 +89,9 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
     """
     if checked.findings.errors or checked.program is None or checked.namespace is None:
         return
-    context, cascade, source = (
-        RuleContext(checked, checked.program, checked.namespace),
-        CascadeFilter(checked),
-        checked.document.source,
-    )
+    context = RuleContext(checked, checked.program, checked.namespace)
+    cascade = CascadeFilter(checked)
+    source = checked.document.source
     checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
         (code_of(rule), partial(rule, context)) for rule in STATIC_RULES
     ]

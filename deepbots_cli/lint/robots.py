@@ -936,10 +936,8 @@ def _passing_over(
     else:
         wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`
         places = ("objects", base), ("robots", base), ("world", "walls", wall), ("reset", "layouts", wall)
-        named, span = (
-            f"`{wall or base}`",
-            values.key_span(next((place for place in places if values.is_present(place)), ("world",))),
-        )
+        named = f"`{wall or base}`"
+        span = values.key_span(next((place for place in places if values.is_present(place)), ("world",)))
     also = (Label(span, f"{top} high"),)
     headline = (
         f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, "

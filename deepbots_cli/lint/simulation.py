@@ -34,11 +34,9 @@ from deepbots_cli.robots.model import RobotModel
 HOLD_STEPS = 8
 """Steps for which a random action is held. Actions that are new in every step cancel each other, and move
 little."""
-RANDOM, HELD_RANDOM, IDLE = (
-    "random actions",
-    f"random actions held for {HOLD_STEPS} steps each",
-    "doing nothing",
-)
+RANDOM = "random actions"
+HELD_RANDOM = f"random actions held for {HOLD_STEPS} steps each"
+IDLE = "doing nothing"
 
 _RESETS = 24
 _RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH_STEPS = 24, 250, 1500
@@ -360,10 +358,8 @@ class SimulationReport:
                 self.driven.append(DrivenEpisode(**row))
             case {"measured": Mapping() as policies}:
                 for by, (steps, rows, numbers, terms) in policies.items():
-                    numbers, terms = (
-                        [NumberStatistics(*row) for row in numbers],
-                        [TermStatistics(*row) for row in terms],
-                    )
+                    numbers = [NumberStatistics(*row) for row in numbers]
+                    terms = [TermStatistics(*row) for row in terms]
                     self.measured[by] = PolicyStatistics(steps, rows, numbers, terms)
             case {"still": still, "silent": silent}:
                 self.constant_numbers, self.zero_terms = still, silent

@@ -219,10 +219,8 @@ class MeshReader:
                 self._known[path] = self._digest(path)
         except OSError as error:
             return UnusableMesh(f"the mesh cannot be read: {error.strerror}")
-        known, better = (
-            self._known[path],
-            resolved.reference if isinstance(resolved, MeshAboveRobot) else None,
-        )
+        known = self._known[path]
+        better = resolved.reference if isinstance(resolved, MeshAboveRobot) else None
         if isinstance(known, UnusableMesh):
             return known
         digest, coverage = known

@@ -173,10 +173,8 @@ def test_a_wheel_is_a_cylinder_to_everything_but_flat_ground(build):
         RobotBody("eye", eye, fixed_base=True, pose=Pose((-0.08, 0.5, 0.099))),
     )
     engine = build("mujoco", WorldModel(0.01, 1, ground=Ground(1.0), objects=(ball,), robots=robots))
-    touches, force = (
-        engine.contact(("robot", "wheel"), [("ground", None)]),
-        engine.contact_force(("robot", "wheel")),
-    )
+    touches = engine.contact(("robot", "wheel"), [("ground", None)])
+    force = engine.contact_force(("robot", "wheel"))
     see = engine.rays(("eye", None), [((0.0, 0.0, 0.0), quaternion(0.0, 0.0, -pi / 2))], 2.0)
     drive, speed = engine.velocity_motor("robot", ["axle"], [0.01]), engine.joint_states("robot", ["axle"])
     for _ in range(10):

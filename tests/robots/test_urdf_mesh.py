@@ -92,10 +92,8 @@ def sheets(name: str, count: int, *, scale: float = 1.0) -> bytes:
             vertices
             + "".join(f"f {3 * n + 1} {3 * n + 2}/1/1 {3 * n - len(points) + 2}\n" for n in range(count))
         ).encode()
-    numbers, indices = (
-        " ".join(f"{each:.9g}" for point in points for each in point),
-        " ".join(f"0 {n}" for n in range(len(points))),
-    )
+    numbers = " ".join(f"{each:.9g}" for point in points for each in point)
+    indices = " ".join(f"0 {n}" for n in range(len(points)))
     return f"""<COLLADA><asset/><library_geometries><geometry id="g"><mesh>
 <source id="s"><float_array id="f" count="{3 * len(points)}">{numbers}</float_array>
 <technique_common><accessor/></technique_common></source>

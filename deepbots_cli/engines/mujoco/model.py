@@ -231,10 +231,8 @@ class ModelBuilder:
             friction, color = Friction(lateral=world.terrain.friction), world.terrain.color or TERRAIN_COLOR
         elif world.ground is not None:
             shape = {"type": mj.mjtGeom.mjGEOM_PLANE, "size": (0.0, 0.0, 1.0)}
-            friction, color = (
-                Friction(lateral=world.ground.friction, restitution=world.ground.restitution),
-                world.ground.color,
-            )
+            friction = Friction(lateral=world.ground.friction, restitution=world.ground.restitution)
+            color = world.ground.color
         else:
             return
         body = Body(
