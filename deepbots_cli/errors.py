@@ -9,6 +9,7 @@
     │       └── StorageError    a file cannot be written: the disk is full, or read-only
     ├── MessageError            a message between robot and supervisor does not have the expected layout
     ├── EvaluationError         an expression has no value in the present state of the world
+    │   └── EndsAtResetError    an ending is already true when an episode begins
     ├── PluginError             the code of a callback or logger of another package failed
     └── EngineError             the physics failed: a pose is not finite, a body cannot be loaded
 
@@ -139,6 +140,10 @@ class MessageError(DeepbotsError):
 
 class EvaluationError(DeepbotsError):
     """An expression of the scenario has no value in the present state of the world; shows the line."""
+
+
+class EndsAtResetError(EvaluationError):
+    """An ending is already true when an episode begins; names it."""
 
 
 class PluginError(DeepbotsError):

@@ -48,8 +48,6 @@ _REMEDIES = {
 def unwritable_message(path: Path, error: OSError) -> str:
     """A sentence: the file that cannot be written, why, and what to do."""
     reason = (error.strerror or str(error).strip().partition("\n")[0] or "no reason given").lower()
-    if "ffmpeg" in str(error):  # which writes through a pipe, and says at length that it has ended
-        reason = "ffmpeg has ended, as it does on a full disk"
     return f"{path} cannot be written: {reason}{_REMEDIES.get(error.errno or 0, '')}"
 
 

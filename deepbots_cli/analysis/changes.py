@@ -12,9 +12,11 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from fnmatch import fnmatchcase
+from itertools import chain
 from typing import Any, Literal
 
-from deepbots_cli.document import Node, inline_text
+from deepbots_cli.document import Node, SequenceNode, inline_text
 from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at
 from deepbots_cli.expressions.scalar import Const, Draw, Scalar, names_in
 from deepbots_cli.expressions.text import formula_text, value_text
@@ -53,6 +55,37 @@ class WrittenScenario:
         node = self._written(path)
         return "" if node is None else inline_text(node)
 
+    def text_at_key(self, path: str, key: str) -> str:
+        """What is written at a key of the mapping at a path; the key may have dots."""
+        entry = entries_at(self._written(path)).get(key)
+        return "" if entry is None else inline_text(entry.value)
+
+    def text_of_value(self, path: str) -> str:
+        """What is written at a path; of a mapping, the values without their keys."""
+        entries = entries_at(self._written(path))
+        return (
+            " ".join(inline_text(entry.value) for entry in entries.values())
+            if entries
+            else self.text_at(path)
+        )
+
+    def members(self, robot: str, name: str) -> list[str]:
+        """The patterns of joints and links in a group of a robot; the name itself where it is no group."""
+        found: list[str] = []
+        waiting, known = [name], set[str]()
+        while waiting:
+            name = waiting.pop(0)
+            group = self._written(f"robots.{robot}.groups.{name}")
+            if group is None or name in known:
+                found.append(name)
+            else:
+                known.add(name)
+                waiting += [
+                    inline_text(item)
+                    for item in (group.items if isinstance(group, SequenceNode) else (group,))
+                ]
+        return found
+
     def keys_at(self, path: str) -> list[str]:
         """The keys that are written at a path."""
         return list(entries_at(self._written(path)))
@@ -70,7 +103,8 @@ class WrittenScenario:
 class Change:
     """`one` and `other` are the texts of both sides.
 
-    `through` has the parameters and poses of robots in them that differ, and the texts of each on both sides.
+    `through` has the parameters, and the poses and groups of robots, behind them that differ, and the texts
+    of each on both sides.
     """
 
     path: str
@@ -262,6 +296,7 @@ _CONTAINER_RECORDS = (
     Network,
 )
 """Records that only hold other records; their class is not compared."""
+_JOINT_STATE = re.compile(r"joint_starts/[^/]+/states/[^/]+$")
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _MAX_LISTED = 3
 
@@ -358,31 +393,32 @@ def _change(
         path = f"augment.{name}"
     written = f"{path.removeprefix(APPEARANCE_PREFIX)}.color" if path.startswith(APPEARANCE_PREFIX) else path
     texts = one.text_at(written), other.text_at(written)
-    if not any(texts) and (group_of := _entry_of_joint(path, one)):
-        texts = one.text_at(group_of), other.text_at(group_of)
+    entry = None if any(texts) else (_entry_of_joint(path, one) or _entry_of_joint(path, other))
+    if entry is not None:
+        texts = one.text_at(entry), other.text_at(entry)
     kind = "changed" if all(texts) else _kind(bool(old), bool(new))
+    known = {name} if section == "parameters" else set[str]()
+    through = _altered_names(texts[0], one, other, known)
     if texts[0] != texts[1]:
-        both = all(texts) and not path.startswith("parameters.")
-        also = _altered_parameters(texts[0], one, other, set()) if both else {}
-        return Change(
-            path,
-            group,
-            kind,
-            *texts,
-            {name: sides for name, sides in also.items() if name.split()[-1] in texts[1]},
-        )
-    through = _altered_parameters(texts[0], one, other, set())
-    return Change(path, group, kind, *(texts if through else _differing(old, new)), through)
+        reached = _altered_names(texts[1], one, other, known) if all(texts) else {}
+        shared = {name: sides for name, sides in through.items() if name in reached}
+        return Change(entry or path, group, kind, *texts, shared)
+    if through:
+        return Change(entry or path, group, kind, *texts, through)
+    return Change(path, group, kind, *_differing(old, new))
 
 
 def _entry_of_joint(path: str, scenario: WrittenScenario) -> str | None:
-    """The only entry of `reset.joints` for the robot of a joint that has no entry of its own: that of a group
-    with the joint."""
+    """The entry of `reset.joints` with a joint that has no entry of its own: that of a group or of a
+    pattern."""
     if not path.startswith("reset.joints."):
         return None
-    robot = path.split(".")[2]
-    entries = [key for key in scenario.keys_at("reset.joints") if key.startswith(f"{robot}.")]
-    return f"reset.joints.{entries[0]}" if len(entries) == 1 else None
+    robot, joint = path.split(".")[2:4]
+    for key in scenario.keys_at("reset.joints"):
+        owner, _, name = key.partition(".")
+        if owner == robot and any(fnmatchcase(joint, pattern) for pattern in scenario.members(robot, name)):
+            return f"reset.joints.{key}"
+    return None
 
 
 def _kind(before: bool, after: bool) -> Kind:
@@ -408,26 +444,58 @@ def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str
     )
 
 
-def _altered_parameters(
-    text: str, one: WrittenScenario, other: WrittenScenario, visited: set[str]
+def _altered_names(
+    text: str, one: WrittenScenario, other: WrittenScenario, known: set[str]
 ) -> dict[str, tuple[str, str]]:
-    """The parameters whose texts differ, of those in a text and of those that they are computed from; and
-    both texts of each.
+    """The parameters, and the poses and groups of robots, whose texts differ: of those in a text and of those
+    behind them.
 
-    A pose of a robot is one too: `the pose stand`.
+    Each has both of its texts. A pose is called `the pose stand`, and a group `the group legs`. `known` are
+    names that are not looked up.
     """
-    altered: dict[str, tuple[str, str]] = {}
-    for name in dict.fromkeys(_NAME.findall(text)):
-        for robot in one.keys_at("robots"):
-            poses = one.text_at(f"robots.{robot}.poses.{name}"), other.text_at(f"robots.{robot}.poses.{name}")
-            if poses[0] != poses[1]:
-                altered[f"the pose {name}"] = poses
-        here, there = one.text_at(f"parameters.{name}"), other.text_at(f"parameters.{name}")
-        if here != there:
-            altered[name] = here, there
-        elif here and name not in visited:
-            altered |= _altered_parameters(here, one, other, visited | {name})
-    return altered
+    found: dict[str, tuple[str, str]] = {}
+    met, waiting = set(known), [text]
+    while waiting:
+        names = [name for name in dict.fromkeys(_NAME.findall(waiting.pop(0))) if name not in met]
+        met |= {*names}
+        for name in names:
+            for called, before, after in _definitions(name, one, other):
+                if before != after:
+                    found[called] = before, after
+            sides = [side.text_of_value(path) for path in _places(name, one) for side in (one, other)]
+            waiting += dict.fromkeys(filter(None, sides))
+    return found
+
+
+def _places(name: str, scenario: WrittenScenario) -> list[str]:
+    """Where a parameter or a pose of this name is written."""
+    return [f"parameters.{name}", *(f"robots.{robot}.poses.{name}" for robot in scenario.keys_at("robots"))]
+
+
+def _definitions(name: str, one: WrittenScenario, other: WrittenScenario) -> Iterator[tuple[str, str, str]]:
+    """What is called by a name: a parameter, poses, groups; how a sentence calls it, and both of its
+    texts."""
+    for path in _places(name, one):
+        yield (f"the pose {name}" if ".poses." in path else name), *_differing_entries(path, one, other)
+    for robot in one.keys_at("robots"):
+        sides = [", ".join(side.members(robot, name)) for side in (one, other)]
+        yield f"the group {name}", sides[0], sides[1]
+
+
+def _differing_entries(path: str, one: WrittenScenario, other: WrittenScenario) -> tuple[str, str]:
+    """The texts at a path; of two mappings, the entries that differ."""
+    keys = [side.keys_at(path) for side in (one, other)]
+    if not all(keys):
+        return one.text_at(path), other.text_at(path)
+    entries = {
+        key: (one.text_at_key(path, key), other.text_at_key(path, key)) for key in dict.fromkeys(chain(*keys))
+    }
+    differing = {key: sides for key, sides in entries.items() if sides[0] != sides[1]}
+    before, after = (
+        ", ".join(f"{key}: {sides[side]}" for key, sides in differing.items() if sides[side])
+        for side in (0, 1)
+    )
+    return f"{{{before}}}" if before else "", f"{{{after}}}" if after else ""
 
 
 def _of_variants(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
@@ -497,10 +565,13 @@ def values(scenario: Program) -> dict[str, str]:
     """Every value of a scenario as text, by path; without cases, stages and paths of files."""
     kinds = dict.fromkeys(scenario.failures, "failure") | dict.fromkeys(scenario.agent.success, "success")
     leaves = _leaves(replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=()), "")
-    return {
-        re.sub(r"^endings/(\w+)", lambda found: f"endings/{kinds[found[1]]}/{found[1]}", path): text
-        for path, text in leaves
-    }
+    found: dict[str, str] = {}
+    for path, text in leaves:
+        path = re.sub(r"^endings/(\w+)", lambda match: f"endings/{kinds[match[1]]}/{match[1]}", path)
+        while path in found:  # two entries of one name, such as two of `reset.joints` for one robot
+            path += "#"
+        found[path] = text
+    return found
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
@@ -521,16 +592,18 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
             for name, member in members.items()
             if name not in ("name", "body", "robot") or member != key
         }
-    elif (
-        isinstance(value, tuple)
+    entries = None if members is None else [*members.items()]
+    if (
+        members is None
+        and isinstance(value, tuple)
         and not isinstance(value, Scalar)
-        and not all(isinstance(entry, str) for entry in value)
+        and not all(isinstance(each, str) for each in value)
     ):
-        members = _keyed(value, path)
-    elif isinstance(value, Mapping):
-        members = dict(value)
-    if members is not None:
-        for name, member in members.items():
+        entries = _keyed(value, path)
+    elif members is None and isinstance(value, Mapping):
+        entries = [*value.items()]
+    if entries is not None:
+        for name, member in entries:
             yield from _leaves(member, f"{path}/{name}".strip("/"))
     elif path.endswith("/fixed_base"):
         yield path, "fixed" if value else "free"
@@ -542,14 +615,17 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
         yield path, value_text(list(value)) if isinstance(value, tuple) else value_text(value)
 
 
-def _keyed(entries: tuple[Any, ...], path: str) -> dict[str, Any]:
-    """The entries of a list by name where they have one, or by axis or position."""
+def _keyed(entries: tuple[Any, ...], path: str) -> list[tuple[str, Any]]:
+    """The entries of a list with their names where they have one, or with axis or position."""
+    if _JOINT_STATE.search(path):
+        return [*zip(("position", "velocity"), entries[1:], strict=True)]
     axes = _AXES.get(path.rpartition("/")[2], ())
     if len(entries) == len(axes):
-        return dict(zip(axes, entries, strict=True))
-    return {
-        _key(entry) or (str(index) if len(entries) > 1 else ""): entry for index, entry in enumerate(entries)
-    }
+        return [*zip(axes, entries, strict=True)]
+    return [
+        (_key(entry) or (str(index) if len(entries) > 1 else ""), entry)
+        for index, entry in enumerate(entries)
+    ]
 
 
 def _key(entry: Any) -> str:

@@ -56,6 +56,15 @@ class Column(NamedTuple):
         return f"[a{self.item} for a in {self.code}]" if self.item else self.code
 
 
+class _Update(NamedTuple):
+    """The statement that updates a memory: its place in the lines, the local that takes the value, and the
+    code of the value."""
+
+    place: int
+    local: str
+    call: str
+
+
 class Printer:
     """Lines of Python for one method body.
 
@@ -78,6 +87,7 @@ class Printer:
         self._renamed = renamed
         self._hoisted: dict[State, tuple[str, str]] = {}
         """The local that holds the value of a memory, and what is taken from it, such as `[0]`."""
+        self._newest_update: _Update | None = None
         self.reads_at = 0
 
     def line(self, text: str) -> None:
@@ -104,13 +114,14 @@ class Printer:
 
     def assign(self, target: str, code: str, text: str = "") -> None:
         """An assignment, with the text of the scenario that it was made from."""
-        made = f"{code} = "
-        if self.lines and self.lines[-1].startswith(made) and code in self.context.memories:
+        newest = self._newest_update
+        if newest is not None and newest.place == len(self.lines) - 1 and newest.local == code:
             self._hoisted = {
                 state: (target if local == code else local, item)
                 for state, (local, item) in self._hoisted.items()
             }
-            code = self.lines.pop().removeprefix(made)
+            del self.lines[newest.place]  # the value needs no local of its own
+            code = newest.call
         self.lines += with_comment(f"{target} = {code}", text)
 
     def add_in_place(self, target: str, code: str) -> None:
@@ -263,7 +274,7 @@ class Printer:
         if state not in self._hoisted:
             name = self._memory([state])
             arguments = ", ".join(self.value(argument) for argument in state.args)
-            self.line(f"{name} = self.{name}.update({arguments})")
+            self._update(name, arguments)
             self._hoisted[state] = name, ""
         return "".join(self._hoisted[state])
 
@@ -281,9 +292,14 @@ class Printer:
             return None
         arguments = [self.vector(trees) for trees in zip(*(state.args for state in states), strict=True)]
         name = self._memory(states)
-        self.line(f"{name} = self.{name}.update({', '.join(arguments)})")
+        self._update(name, ", ".join(arguments))
         self._hoisted |= {state: (name, f"[{index}]") for index, state in enumerate(states)}
         return Column(name)
+
+    def _update(self, name: str, arguments: str) -> None:
+        """The statement that updates a memory."""
+        self._newest_update = _Update(len(self.lines), name, f"self.{name}.update({arguments})")
+        self.line(f"{name} = {self._newest_update.call}")
 
     def _memory(self, states: Sequence[State]) -> str:
         """The attribute that holds memories, and the local that holds their values."""

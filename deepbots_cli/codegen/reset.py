@@ -14,7 +14,7 @@ from deepbots_cli.codegen.robot import ActuatorBindings
 from deepbots_cli.codegen.text import Constants, block, indent, quoted, quoted_tuple, tuple_code
 from deepbots_cli.codegen.workspace import SupervisorPrinter
 from deepbots_cli.expressions.scalar import Const, Scalar, names_in
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.resets import (
     Cells,
     Disturbance,
@@ -28,7 +28,7 @@ from deepbots_cli.program.resets import (
     Region,
     Top,
 )
-from deepbots_cli.program.robots import Route
+from deepbots_cli.program.robots import Direction, Route
 from deepbots_cli.program.values import Expression, Noise
 
 
@@ -60,7 +60,7 @@ def begin_method(supervisor: SupervisorPrinter) -> list[str]:
         printer.lines += _reset_paths_lines(supervisor)
     _print_first_pushes(supervisor, printer)
     printer.lines += [
-        f"self.robot_{robot.name}.hold()"
+        f"self.{generated.robot(robot.name)}.hold()"
         for robot in scenario.robots
         if ActuatorBindings(scenario, robot, supervisor.constants).actuators
     ]
@@ -129,7 +129,7 @@ def _arrange(supervisor: SupervisorPrinter) -> list[str]:
 def _releasing(scenario: Program) -> list[str]:
     """Statements after which no actuator remembers the episode before."""
     return [
-        f"self.robot_{robot.name}.release()"
+        f"self.{generated.robot(robot.name)}.release()"
         for robot in scenario.robots
         if ActuatorBindings(scenario, robot, Constants()).has_devices
     ]
@@ -258,7 +258,7 @@ def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str])
     match of:
         case OfActuator():
             name = variation.what.removeprefix("actuator_")
-            drive = f"self.robot_{of.robot}.drive_{of.actuator}"
+            drive = f"self.{generated.robot(of.robot)}.{generated.drive(of.actuator)}"
             return (
                 f"{drive}.response.{name} = {values[0]}"
                 if variation.what in _OF_RESPONSE
@@ -343,10 +343,9 @@ def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None
 def _settings(supervisor: SupervisorPrinter) -> Iterator[tuple[str, Expression]]:
     """Every value of every route, with the attribute that holds it."""
     for robot in supervisor.scenario.robots:
-        for channel, route in (
-            (f"to_{robot.name}", robot.to_route),
-            (f"from_{robot.name}", robot.from_route),
-        ):
+        routes: dict[Direction, Route] = {"to_robot": robot.to_route, "from_robot": robot.from_route}
+        for direction, route in routes.items():
+            channel = generated.channel(robot.name, direction)
             yield from ((f"{channel}.{name}", value) for name, value in route.settings)
 
 
@@ -411,7 +410,7 @@ def bind_pushes(supervisor: SupervisorPrinter) -> list[str]:
     """Statements that take what pushes from `engine`."""
     substep = supervisor.scenario.world.timestep / supervisor.scenario.world.substeps
     return [
-        f"self.push_{push.name} = Push(engine, ({quoted(push.body)},"
+        f"self.{generated.push(push.name)} = Push(engine, ({quoted(push.body)},"
         f" {quoted(push.link) if push.link else None}), "
         f"self._draw_{push.name}, {substep!r})"
         for push in supervisor.scenario.disturbances
@@ -425,7 +424,7 @@ def _print_first_pushes(supervisor: SupervisorPrinter, printer: Printer) -> None
         * supervisor.scenario.world.substeps
     )
     for push in supervisor.scenario.disturbances:
-        printer.line(f"self.push_{push.name}.reset({printer.value(push.begins)}, {settling})")
+        printer.line(f"self.{generated.push(push.name)}.reset({printer.value(push.begins)}, {settling})")
 
 
 def push_methods(supervisor: SupervisorPrinter) -> list[str]:

@@ -24,7 +24,7 @@ from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys, whole_vecto
 from deepbots_cli.compiler.robots import rigid_root
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Op, Scalar, State, names_in, walk
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
 
 _CLASS = """
@@ -72,11 +72,11 @@ class ControllerPrinter(ClassPrinter):
         ]
         writers = ActuatorBindings(self.scenario, robot, self.constants).bind_lines(on_columns=not on_floats)
         kept = (
-            [f"emitted_{self.names(entry.name)}" for entry in robot.emitted]
+            [generated.emitted(self.names(entry.name)) for entry in robot.emitted]
             if self._keeps_state and not on_floats
             else []
         )
-        devices = [f"self.sense_{name} = self.device({quoted(name)})" for name in self._devices]
+        devices = [f"self.{generated.sense(name)} = self.device({quoted(name)})" for name in self._devices]
         return fill_template(
             _CLASS,
             name=controller_name(robot),
@@ -107,7 +107,7 @@ class ControllerPrinter(ClassPrinter):
 
     def _observe(self) -> list[str]:
         """Sampling, and what advances once per timestep."""
-        sampling = [f"self.sense_{name}()" for name in self._devices]
+        sampling = [f"self.{generated.sense(name)}()" for name in self._devices]
         if not self._keeps_state:
             return (
                 block("def observe(self) -> None:", ['"""Read the sensors, once per timestep."""', *sampling])
@@ -133,7 +133,7 @@ class ControllerPrinter(ClassPrinter):
             printer.line(f"{targets_code(received)} = message")
         printer.insert_readers_here()
         for entry, values in zip(self._robot.commands, self._applied, strict=True):
-            printer.line(f"self.drive_{entry.name}({printer.vector(values)})")
+            printer.line(f"self.{generated.drive(entry.name)}({printer.vector(values)})")
         doc = docstring(
             f"Drive the actuators by {sentence_list(list(self._received)) or 'an empty message'}."
         )
@@ -156,7 +156,7 @@ class ControllerPrinter(ClassPrinter):
         return block("def create_message(self) -> tuple[Any, ...]:", [*doc, *lines, answer])
 
     def _stored(self, name: str) -> str:
-        return f"self.emitted_{self.names(name)}"
+        return f"self.{generated.emitted(self.names(name))}"
 
     # What names mean
 
@@ -166,17 +166,15 @@ class ControllerPrinter(ClassPrinter):
 
     def _finished(self, printer: Printer, doc: Sequence[str]) -> list[str]:
         """The lines of a method; what devices delivered last is taken where engines are read."""
-        lines = [f"{local} = self.sense_{name}.reading" for name, local in self._read.items()]
+        lines = [f"{local} = self.{generated.sense(name)}.reading" for name, local in self._read.items()]
         printer.lines[printer.reads_at : printer.reads_at] = lines
         return printer.method_lines(doc) if printer.lines or printer.needs or not doc else [*doc]
 
     def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
         if isinstance(leaf, EngineRead):
-            return (
-                f"self.sense_{leaf.subjects[0].partition('.')[2]}.age"
-                if leaf.function == "age"
-                else self.readers.code(leaf, needs)
-            )
+            if leaf.function != "age":
+                return self.readers.code(leaf, needs)
+            return f"self.{generated.sense(leaf.subjects[0].partition('.')[2])}.age"
         if leaf.name in self._received:
             components = self._received[leaf.name]
             return (
@@ -265,7 +263,7 @@ class ActuatorBindings:
     def bind_lines(self, *, on_columns: bool = False) -> list[str]:
         """Statements that take each motor from `engine`; for a batch (`on_columns`), devices from the single
         worlds."""
-        names = [f"drive_{actuator.name}" for actuator in self.actuators]
+        names = [generated.drive(actuator.name) for actuator in self.actuators]
         apart = [on_columns and self._is_device(actuator) for actuator in self.actuators]
         parts = zip(names, self.actuators, apart, strict=True)
         return [

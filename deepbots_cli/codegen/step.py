@@ -18,6 +18,7 @@ from deepbots_cli.codegen.text import block, indent, quoted, targets_code, tuple
 from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
 from deepbots_cli.expressions.lower import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
+from deepbots_cli.program import generated
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise
@@ -118,7 +119,7 @@ def _zeroed(targets: list[str]) -> list[str]:
 
 
 def _terms(supervisor: SupervisorPrinter) -> list[str]:
-    return [f"self.term_{term.name}" for term in supervisor.agent.reward]
+    return [f"self.{generated.term(term.name)}" for term in supervisor.agent.reward]
 
 
 # Acting
@@ -160,11 +161,11 @@ def _print_acting(supervisor: SupervisorPrinter, printer: Printer) -> None:
     if supervisor.has_history:
         printer.line("self.next_frame()")
     printer.lines += [
-        f"{local} = {supervisor.attribute(f'last_{local}')}" for local in supervisor.sent_names()
+        f"{local} = {supervisor.attribute(generated.last(local))}" for local in supervisor.sent_names()
     ]
     printer.insert_readers_here()
     for robot in supervisor.scenario.robots:
-        channel = f"self.to_{robot.name}"
+        channel = f"self.{generated.channel(robot.name, 'to_robot')}"
         values = [printer.vector_or_number(entry.components, entry.scalars) for entry in robot.received]
         _print_draws_of_message(supervisor, printer, channel, robot.to_route)
         printer.line(f"{channel}.send({tuple_code(values) if values else '()'})")
@@ -276,7 +277,8 @@ def _delivers_in_ticks(supervisor: SupervisorPrinter, robot: Robot) -> bool:
 
 
 def _print_delivering(supervisor: SupervisorPrinter, printer: Printer, robot: Robot) -> None:
-    controller, channel = f"self.robot_{robot.name}", f"self.to_{robot.name}"
+    controller = f"self.{generated.robot(robot.name)}"
+    channel = f"self.{generated.channel(robot.name, 'to_robot')}"
     if supervisor.scenario.is_direct(robot, "to_robot"):
         printer.line(f"{controller}.use_message_data({channel}.receive())")
     else:
@@ -286,7 +288,8 @@ def _print_delivering(supervisor: SupervisorPrinter, printer: Printer, robot: Ro
 
 def _print_receiving(supervisor: SupervisorPrinter, printer: Printer, robot: Robot) -> None:
     """The message of one robot into local variables; the first of an episode arrives at once."""
-    controller, channel = f"self.robot_{robot.name}", f"self.from_{robot.name}"
+    controller = f"self.{generated.robot(robot.name)}"
+    channel = f"self.{generated.channel(robot.name, 'from_robot')}"
     targets = [supervisor.local(f"{robot.name}.{entry.name}") for entry in robot.emitted]
     drawing = supervisor.printer()
     _print_draws_of_message(supervisor, drawing, channel, robot.from_route)
@@ -308,7 +311,7 @@ def _print_tick(supervisor: SupervisorPrinter, printer: Printer) -> None:
     else:
         printer.line(f"self.physics({supervisor.scenario.world.substeps})")
     printer.lines += [
-        f"self.robot_{robot.name}.observe()"
+        f"self.{generated.robot(robot.name)}.observe()"
         for robot in supervisor.scenario.robots
         if observes_each_timestep(supervisor.scenario, robot)
     ]
@@ -330,7 +333,7 @@ def _start_memories_of_messages(supervisor: SupervisorPrinter) -> list[str]:
         for name, components in supervisor.variables
         if name in used
     ]
-    printer.lines += [f"{local} = self.last_{local}" for local in supervisor.sent_names()]
+    printer.lines += [f"{local} = self.{generated.last(local)}" for local in supervisor.sent_names()]
     printer.insert_readers_here()
     printer.update_memories(supervisor.sent)
     return printer.method_lines()
@@ -504,7 +507,9 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
     for term in terms:
         printer.update_memories([term.scalar])
     names = [
-        supervisor.names(f"{term.name} term") if supervisor.repeats_actions else f"self.term_{term.name}"
+        supervisor.names(f"{term.name} term")
+        if supervisor.repeats_actions
+        else f"self.{generated.term(term.name)}"
         for term in terms
     ]
     lines: list[str] = []
@@ -524,7 +529,7 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
     summing = supervisor.printer()
     if supervisor.repeats_actions:
         for name, term in zip(names, terms, strict=True):
-            summing.add_in_place(f"self.term_{term.name}", name)
+            summing.add_in_place(f"self.{generated.term(term.name)}", name)
         summing.add_in_place("self.reward", "reward")
     summing.lines += (
         ["if not -1e300 < reward < 1e300:", "    self._not_finite()"]
@@ -605,7 +610,7 @@ def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
     )
     for part in supervisor.choices:
         if any(option.forbidden is not None for option in part.options):
-            allowed = f"self.allowed_{part.name}"
+            allowed = f"self.{generated.allowed(part.name)}"
             options = [_allowed(printer, option) for option in part.options]
             if not printer.on_floats:
                 printer.line(f"self.allow({', '.join([quoted(part.name), *options])})")

@@ -3,6 +3,8 @@ hand-written policies."""
 
 from __future__ import annotations
 
+from typing import get_args
+
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.reset import begin_method, bind_pushes, needs_arrangement, push_methods
 from deepbots_cli.codegen.robot import controller_name
@@ -27,7 +29,8 @@ from deepbots_cli.codegen.text import (
 from deepbots_cli.codegen.workspace import SupervisorPrinter
 from deepbots_cli.expressions.lower import BATCH, fold_operation
 from deepbots_cli.expressions.scalar import Const, Scalar
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
+from deepbots_cli.program.robots import Direction
 from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
 
 _CLASS = '''
@@ -107,7 +110,9 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
     asked = [*_allowed(supervisor), *_compute_reward(supervisor), *_between_steps(supervisor)]
     methods = [*begin_method(supervisor), *pushing, *start_method(supervisor), *acting, *observing]
     tables = choice_tables(supervisor)
-    terms = ", ".join(f"{quoted(term.name)}: self.term_{term.name}" for term in supervisor.agent.reward)
+    terms = ", ".join(
+        f"{quoted(term.name)}: self.{generated.term(term.name)}" for term in supervisor.agent.reward
+    )
     info = '"is_success": self.is_success, "ended_by": self.ended_by, "endings": self.endings'
     return fill_template(
         _CLASS,
@@ -131,11 +136,14 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
 def _bind_robots(supervisor: SupervisorPrinter) -> list[str]:
     lines = []
     for robot in supervisor.scenario.robots:
-        lines.append(f"self.robot_{robot.name} = self.robot({quoted(robot.name)}, {controller_name(robot)})")
-        for which, direction in (("to", "to_robot"), ("from", "from_robot")):
-            method = "channel" if supervisor.scenario.is_direct(robot, direction) else "lossy_channel"  # type: ignore[arg-type]
+        lines.append(
+            f"self.{generated.robot(robot.name)} = self.robot({quoted(robot.name)}, {controller_name(robot)})"
+        )
+        for direction in get_args(Direction):
+            method = "channel" if supervisor.scenario.is_direct(robot, direction) else "lossy_channel"
             lines.append(
-                f"self.{which}_{robot.name} = self.{method}({quoted(robot.name)}, {quoted(direction)})"
+                f"self.{generated.channel(robot.name, direction)} = self.{method}({quoted(robot.name)},"
+                f" {quoted(direction)})"
             )
     return lines
 
@@ -192,7 +200,7 @@ def _allowed(supervisor: SupervisorPrinter) -> list[str]:
     if not supervisor.forbids_options:
         return []
     rows = [
-        f"self.allowed_{part.name}"
+        f"self.{generated.allowed(part.name)}"
         if any(option.forbidden for option in part.options)
         else tuple_code(["True"] * len(part.options))
         for part in supervisor.choices
@@ -220,14 +228,14 @@ def _between_steps(supervisor: SupervisorPrinter) -> list[str]:
     only."""
     lines = [line for script in supervisor.agent.scripts for line in _script(supervisor, script)]
     for test in supervisor.scenario.tests:
-        asked = {
+        asked: dict[generated.TestQuestion, tuple[tuple[Scalar, ...], str]] = {
             "holds": (test.scalars, "Whether each condition"),
             "compared": (test.compared, "The compared values of the conditions"),
         }
-        for name, (scalars, note) in asked.items():
+        for question, (scalars, note) in asked.items():
             printer = _printer_after(supervisor, scalars)
             printer.line(f"return {printer.tuple(scalars) if scalars else '()'}")
-            head = f"def test_{test.name}_{name}(self) -> tuple[Any, ...]:"
+            head = f"def {generated.test(test.name, question)}(self) -> tuple[Any, ...]:"
             lines += block(head, printer.method_lines(docstring(f"{note} of the test {test.name}.")))
     return lines
 
@@ -237,7 +245,7 @@ def _printer_after(supervisor: SupervisorPrinter, scalars: tuple[Scalar, ...]) -
     printer = Printer(supervisor, settable=supervisor.settable, renamed={"previous_reward": "self.reward"})
     used = supervisor.names_read(scalars)
     kept = [supervisor.local(name) for name in supervisor.stored_names() if name in used]
-    printer.lines += [f"{local} = self.last_{local}" for local in kept]
+    printer.lines += [f"{local} = self.{generated.last(local)}" for local in kept]
     printer.insert_readers_here()
     return printer
 
@@ -256,7 +264,7 @@ def _script(supervisor: SupervisorPrinter, script: Script) -> list[str]:
         f" {tuple_code(ranges) if ranges else '()'})"
     )
     return block(
-        f"def script_{script.name}(self) -> Any:",
+        f"def {generated.script(script.name)}(self) -> Any:",
         printer.method_lines(docstring(f"The next action of the script {script.name}.")),
     )
 

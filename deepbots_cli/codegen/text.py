@@ -19,6 +19,7 @@ from functools import lru_cache
 from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
 from deepbots_cli.expressions.lower import number_code
 from deepbots_cli.expressions.scalar import NamedFloat
+from deepbots_cli.program import generated
 
 FORMULA_NAMES = frozenset(function.name for function in FUNCTIONS.values() if function.tree) | frozenset(
     function.helper for function in (*OPERATORS.values(), *FUNCTIONS.values()) if function.helper
@@ -98,7 +99,7 @@ class Names:
     def identifier(self, key: Hashable, *parts: str | None) -> str:
         """The identifier for `key`, made of these parts."""
         if key not in self._given:
-            wanted = re.sub(r"\W", "_", "_".join(part for part in parts if part))
+            wanted = generated.identifier(*parts)
             self._given[key] = _unused(f"_{wanted}" if wanted[0].isdigit() else wanted, self._used)
             self._used.add(self._given[key])
         return self._given[key]

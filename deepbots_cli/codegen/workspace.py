@@ -16,7 +16,7 @@ from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import action_names
 
 # Readers of the engine
@@ -57,7 +57,7 @@ _SCALAR_READERS = {
     "path_distance": "self.ways.distance({0}, {1})",
     "path_bearing": "self.ways.bearing({0}, {1})",
     "reachable": "self.ways.reachable({0}, {1})",
-    "visible": "self.robot_{robot}.sees({sensor}, {body})",
+    "visible": "self.{robot}.sees({sensor}, {body})",
 }
 """Facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the
 world."""
@@ -150,7 +150,10 @@ class Readers:
 
     def bind_lines(self) -> list[str]:
         """Statements that take the readers from `engine`."""
-        return [f"self.read_{self._local(key)} = {self._reader(key)}" for key in self._sorted(self._bound)]
+        return [
+            f"self.{generated.reader(self._local(key))} = {self._reader(key)}"
+            for key in self._sorted(self._bound)
+        ]
 
     def call_lines(self, needs: ReaderKeys) -> list[str]:
         """Statements that read once what a method needs."""
@@ -159,17 +162,16 @@ class Readers:
             local = self._local(key)
             place = f"{self._local(ReaderKey('pose', key.parts[:1]))}[0]" if key.kind == "line" else ""
             many = key.kind == "contacts"
-            lines.append(
-                f"{local} = [a() for a in self.read_{local}]"
-                if many
-                else f"{local} = self.read_{local}({place})"
-            )
+            reader = f"self.{generated.reader(local)}"
+            lines.append(f"{local} = [a() for a in {reader}]" if many else f"{local} = {reader}({place})")
         return lines
 
     def start_lines(self) -> list[str]:
         """Statements that begin an episode."""
         return [
-            f"self.read_{self._local(key)}.reset()" for key in self._sorted(self._bound) if key.kind == "line"
+            f"self.{generated.reader(self._local(key))}.reset()"
+            for key in self._sorted(self._bound)
+            if key.kind == "line"
         ]
 
     @property
@@ -190,7 +192,7 @@ class Readers:
         kind, parts = key
         body, _, link = parts[0].partition(".")
         if self._on_columns and kind not in _OF_COLUMNS:
-            return f"self.each({quoted(f'read_{self._local(key)}')})"
+            return f"self.each({quoted(generated.reader(self._local(key)))})"
         match kind:
             case "joints" | "torques":
                 method = "joint_states" if kind == "joints" else "joint_torques"
@@ -213,7 +215,9 @@ class Readers:
                 return f"[{touched} for {variable} in {self._constants.strings(tuple(links))}]"
             case "visible":
                 robot, _, sensor = parts[0].partition(".")
-                return _SCALAR_READERS[kind].format(robot=robot, sensor=quoted(sensor), body=quoted(parts[1]))
+                return _SCALAR_READERS[kind].format(
+                    robot=generated.robot(robot), sensor=quoted(sensor), body=quoted(parts[1])
+                )
             case _:
                 return _SCALAR_READERS[kind].format(*map(_part, parts))
 
@@ -406,7 +410,8 @@ class SupervisorPrinter(ClassPrinter):
         """Statements that store the values of this timestep that the next message to a robot, or a script,
         uses."""
         return [
-            f"{self.attribute(f'last_{local}')} = {local}" for local in map(self.local, self.stored_names())
+            f"{self.attribute(generated.last(local))} = {local}"
+            for local in map(self.local, self.stored_names())
         ]
 
     def _results(self) -> list[str]:
@@ -476,7 +481,7 @@ class SupervisorPrinter(ClassPrinter):
             )
         robot = next(robot for robot in self.scenario.robots if robot.name == name.partition(".")[0])
         if self.scenario.format != "none" and not robot.from_route.perfect:
-            return f"self.from_{robot.name}.{leaf.function}"
+            return f"self.{generated.channel(robot.name, 'from_robot')}.{leaf.function}"
         if leaf.function == "message_received":
             return "True"
         late = self.scenario.format != "none" and self.scenario.timing == "delayed"

@@ -42,12 +42,14 @@ class Source:
     """A text and where it came from.
 
     `name` is what the user sees: the path as given on the command line, or relative to the working directory.
-    `included_from` is the span of the `include` or `extends` that brought this file in.
+    `included_from` is the span of the `include` or `extends` that brought this file in. `assigned` is the
+    path that the text assigns a value to, with dots, if it is that of a `--set`.
     """
 
     name: str
     text: str
     included_from: Span | None = None
+    assigned: str | None = None
 
     @property
     def inclusion_chain(self) -> Iterator[Span]:

@@ -99,7 +99,12 @@ _CATALOG = (
     Rule("DB304", "limit-beyond-urdf", "warning", "a limit wider than the robot file allows"),
     Rule("DB305", "missing-inertial", "warning", "a link without inertia, which has no mass"),
     Rule("DB306", "implausible-inertia", "warning", "an inertia that no rigid body can have"),
-    Rule("DB307", "missing-joint-limits", "warning", "a revolute or prismatic joint without limits"),
+    Rule(
+        "DB307",
+        "missing-joint-limits",
+        "warning",
+        "a joint without limits, or with limits that have no effect",
+    ),
     Rule("DB308", "rate-mismatch", "error", "a period that is not a multiple of the timestep"),
     Rule("DB309", "unstable-simulation", "error", "a world that the engine cannot simulate", deep="only"),
     Rule("DB310", "spawn-overlap", "error", "bodies that overlap when an episode begins", deep="only"),

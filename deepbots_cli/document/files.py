@@ -57,14 +57,20 @@ class UnusableFile:
     """The file that names it."""
 
     @property
-    def headline(self) -> str:
+    def problem(self) -> str:
+        """The predicate of the headline."""
         outside = (
             "leads outside the project through a symbolic link"
             if self.through_link
             else "lies outside the project"
         )
-        problem = {"missing": "does not exist", "outside": outside, "irregular": "is not a regular file"}
-        return f"`{self.reference}` {problem[self.reason]}"
+        return {"missing": "does not exist", "outside": outside, "irregular": "is not a regular file"}[
+            self.reason
+        ]
+
+    @property
+    def headline(self) -> str:
+        return f"`{self.reference}` {self.problem}"
 
     @property
     def help(self) -> str:

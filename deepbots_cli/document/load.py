@@ -413,10 +413,10 @@ def apply_assignment(
     the old one; mappings are not merged. A section that the file leaves out is added. The text of the
     assignment is the source of its nodes.
     """
-    source = Source(f"--set {assignment.partition('=')[0].strip() or assignment}", assignment)
+    path, equals, text = assignment.partition("=")
+    source = Source(f"--set {path.strip() or assignment}", assignment, assigned=path.strip())
     if not files.check_characters(source, findings):
         return root
-    path, equals, text = assignment.partition("=")
     whole = Span(source, 0, len(assignment))
     if not path.strip():
         findings.add("DB102", whole, "there is no path before the `=`", "write --set path=value")

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.scalar import is_drawn, names_in
 from deepbots_cli.expressions.types import Invocation, Operation, Reference, Typed
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import Goal
 from deepbots_cli.program.values import Expression
 from deepbots_cli.runtime import Supervisor
@@ -111,7 +111,7 @@ class InstrumentedProgram:
 
     def read(self, agent: Supervisor) -> StepValues:
         """What this step left in a supervisor of the program."""
-        signals = {name: getattr(agent, f"last_{name}") for name in self.program.stored_signals}
+        signals = {name: getattr(agent, generated.last(name)) for name in self.program.stored_signals}
         goal = self.program.agent.goal
         values = {
             name: tuple(value) if isinstance(value, list | tuple) else (float(value),)

@@ -83,9 +83,9 @@ from deepbots_cli.insight.training import (
     training_command,
 )
 from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.failures import Failure
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
-from deepbots_cli.runtime.supervisor import TRUE_AT_RESET
 
 _UNLEARNABLE = {
     "DB705": "Failing early pays",
@@ -309,11 +309,14 @@ def _met_while_exploring(t: TrainingEvidence) -> bool:
     " counts the starts that end at once.",
 )
 def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
-    return (
-        {"likelihood": 1.0, "steps": t.steps, "error": t.failure.rstrip(".")}
-        if TRUE_AT_RESET in t.failure
-        else None
-    )
+    if t.failure is None or not t.failure.ends_at_reset:
+        return None
+    return {"likelihood": 1.0, "steps": t.steps, "error": _error(t.failure)}
+
+
+def _error(failure: Failure) -> str:
+    """The error of an episode, within a sentence."""
+    return f"episode {failure.episode:,}, {failure.error}".rstrip(".")
 
 
 @statement(
@@ -323,9 +326,9 @@ def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
     " `train.learning_rate`. `deepbots diagnose RUN/failures/NNNN.json` explains the episode.",
 )
 def not_finite(t: TrainingEvidence) -> Numbers | None:
-    if not t.has_failed or TRUE_AT_RESET in t.failure:
+    if not t.has_failed or (t.failure is not None and t.failure.ends_at_reset):
         return None
-    reason = t.failure.rstrip(".") or "the last value in its log is not a number (NaN)"
+    reason = "the last value in its log is not a number (NaN)" if t.failure is None else _error(t.failure)
     return {"likelihood": 1.0, "steps": t.steps, "error": reason, "episodes": len(t.episodes)}
 
 

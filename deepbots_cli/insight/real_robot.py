@@ -146,8 +146,7 @@ def scored(program: Program, readings: Sequence[Reading]) -> tuple[Program, list
     dropped = {name: lacking for name, lacking in lacks.items() if lacking}
     rewards = tuple(term for term in program.agent.reward if f"reward.{term.name}" not in dropped)
     if not rewards:
-        rewards = (replace(program.agent.reward[0]),)
-        vars(rewards[0])["scalars"] = (Const(0.0),)  # what a lowered expression keeps there
+        rewards = (replace(program.agent.reward[0], lowered=(Const(0.0),)),)
     kept = tuple(ending for ending in program.endings if f"termination.{ending.name}" not in dropped)
     names = {ending.name for ending in kept}
     program = program.with_agents(
@@ -286,11 +285,8 @@ class RobotEpisodes:
         ]
         self.outputs = outputs
         self._watch = Watch(self.environment, (), outputs)
-        for controller in self.environment.controllers.values():
-            for name in [name for name in vars(controller) if name.startswith("drive_")]:
-                drive = getattr(controller, name)
-                if hasattr(drive, "switch"):
-                    drive.switch(notes=True, acts=False)
+        for drive in self._watch.drives:
+            drive.switch(notes=True, acts=False)
         self._devices = {
             reading.info.name: self.environment.controllers[reading.device[0]].device(reading.device[1])
             for reading in readings

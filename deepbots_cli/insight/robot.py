@@ -28,7 +28,7 @@ from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, Sta
 from deepbots_cli.insight.export.actuators import output
 from deepbots_cli.insight.export.readings import Reading, Readings
 from deepbots_cli.insight.export.recording import Watch, with_probes
-from deepbots_cli.program import Program, identity
+from deepbots_cli.program import Program, generated, identity
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.topics import mapping
 from deepbots_cli.rollout import Driver, Episode, Start, play
@@ -180,7 +180,7 @@ class SimulatedRobot(Driver):
         supervisor."""
         controller = environment.controllers[robot]
         drives = [
-            (f"{robot}.{entry.name}", getattr(controller, f"drive_{entry.name}"))
+            (f"{robot}.{entry.name}", getattr(controller, generated.drive(entry.name)))
             for entry in controller.spec.commands
         ]
 

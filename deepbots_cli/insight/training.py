@@ -27,10 +27,10 @@ from deepbots_cli.insight.linted import named_source
 from deepbots_cli.insight.scenario_facts import ScenarioFacts
 from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
-from deepbots_cli.learning import failures
 from deepbots_cli.learning.decline import Decline, decline
 from deepbots_cli.learning.directories import is_training
 from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.failures import FAILURES_FOLDER, Failure, read_failure
 from deepbots_cli.learning.order import measure_of
 from deepbots_cli.learning.records import changed_settings
 from deepbots_cli.learning.run import Run
@@ -65,7 +65,7 @@ class TrainingEvidence:
     `all_episodes` and `all_evaluations` are those of `logs_of`; the quoted evaluation since the training is
     the last one, in stage "". `episodes` and `evaluations` are those of the stage in which the training
     stands, and so is `program`: returns of another stage say nothing about it. `scalars` are curves of
-    TensorBoard by tag: steps and values. `failure` is the error that ended the training. The short episodes
+    TensorBoard by tag: steps and values. `failure` is the episode that ended the training. The short episodes
     have the same starts, in the present stage: `policy` those of the last policy, `random` those of random
     actions, `idle` those of an action that commands zeros, and `constant_actions` one for each constant
     action, by the part of the action that alone differs. `scripts` are whole episodes of the script that
@@ -77,7 +77,7 @@ class TrainingEvidence:
     all_episodes: Any
     all_evaluations: Sequence[Mapping[str, Any]]
     scalars: Mapping[str, tuple[Array, Array]]
-    failure: str = ""
+    failure: Failure | None = None
     final_episodes: Sequence[Episode] = ()
     verdict: RunVerdict = RunVerdict(None, None)
     is_running: bool = False
@@ -177,7 +177,7 @@ class TrainingEvidence:
 
     @property
     def has_failed(self) -> bool:
-        return bool(self.failure) or self.run.record.status == "failed"
+        return self.failure is not None or self.run.record.status == "failed"
 
     @property
     def probes(self) -> list[Trace]:
@@ -334,14 +334,13 @@ def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
 
 def latest_failure(run: Path) -> Path | None:
     """The file of the last episode that raised an error."""
-    return max((run / failures.FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"), default=None)
+    return max((run / FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"), default=None)
 
 
 def read_training(run: Run) -> TrainingEvidence:
     """The logs of a run, without short episodes. Raises: RunError: A log is damaged."""
     file = latest_failure(run.path)
-    failure = failures.read_failure(file)[0] if file is not None else None
-    error = "" if failure is None else f"episode {failure.episode:,}, {failure.error}"
+    failure = read_failure(file)[0] if file is not None else None
     episodes, evaluations = logs_of(run.path)
     running = is_training(run.path)
     done: Sequence[Episode] = ()
@@ -351,7 +350,7 @@ def read_training(run: Run) -> TrainingEvidence:
         evaluations.append({"stage": "", "returns": returns, "successes": successes})
     verdict = run_verdict(run.path, run.record)
     return TrainingEvidence(
-        run, episodes, evaluations, scalars_of(run.tensorboard), error, done, verdict, running
+        run, episodes, evaluations, scalars_of(run.tensorboard), failure, done, verdict, running
     )
 
 

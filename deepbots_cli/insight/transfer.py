@@ -41,6 +41,7 @@ from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.robustness import (
     DELAY,
     FACTOR,
+    MASS,
     SHARE_OF_NOMINAL,
     Change,
     Plan,
@@ -747,24 +748,26 @@ def _kinds(
     assert isinstance(root, MappingNode)
     times = _times(program.world.timestep)
     for plan in (
-        *(plan for plan in plans(root, program) if not plan.name.startswith("mass of ")),
+        *(plan for plan in plans(root, program) if plan.kind != MASS),
         *masses(root, program, _MAX_LINKS),
         *_frictions(root, program),
         *_latencies(root, program),
         *_commands(root, program),
     ):
-        family = plan.name.partition(" of ")[0]
         if plan.form == DELAY:
-            yield _Kind(family, plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY)
+            yield _Kind(
+                plan.kind, plan.name, with_plan(plan), times, (times[len(times) // 3], times[-1]), DELAY
+            )
         elif plan.form == FACTOR:
-            is_mass = family == "mass"
-            amounts, probes = (_MASS_FACTORS, _PROBED_MASSES) if is_mass else (_FACTORS, _PROBED_FACTORS)
-            yield _Kind(family, plan.name, with_plan(plan), amounts, probes, FACTOR)
+            amounts, probes = (
+                (_MASS_FACTORS, _PROBED_MASSES) if plan.kind == MASS else (_FACTORS, _PROBED_FACTORS)
+            )
+            yield _Kind(plan.kind, plan.name, with_plan(plan), amounts, probes, FACTOR)
     for plan, largest in _torque_limits(program):
         limits, first = (
             tuple(factor * largest for factor in each if factor < 1.0) for each in (_FACTORS, _PROBED_FACTORS)
         )
-        yield _Kind("torque limit", plan.name, with_plan(plan), limits, first, plan.form)
+        yield _Kind(plan.kind, plan.name, with_plan(plan), limits, first, plan.form)
 
 
 def _times(timestep: float) -> tuple[float, ...]:
@@ -780,7 +783,7 @@ def _frictions(root: MappingNode, program: Program) -> Iterator[Plan]:
         for body in program.world.objects
         if not body.fixed and body.name in entries_at(root, "objects")
     ):
-        yield Plan(f"friction of {name}", partial(_friction_of, root, name))
+        yield Plan("friction", partial(_friction_of, root, name), subject=name)
 
 
 def _friction_of(root: MappingNode, name: str, factor: float) -> Change:
@@ -792,9 +795,8 @@ def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
     for robot in program.robots:
         for sensor in entries_at(root, "robots", robot.name, "sensors"):
             path = ("robots", robot.name, "sensors", sensor, "latency")
-            yield Plan(
-                f"latency of the sensor {robot.name}.{sensor}", partial(_later, root, [path]), form=DELAY
-            )
+            subject = f"the sensor {robot.name}.{sensor}"
+            yield Plan("latency", partial(_later, root, [path]), form=DELAY, subject=subject)
 
 
 def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
@@ -811,10 +813,10 @@ def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
     for words, actuators in chosen.items():
         paths = [("robots", robot, "apply", name) for robot, name in actuators]
         if commands := [path for path in paths if written(root, *path)]:
-            yield Plan(f"command of {words}", partial(_scaled_texts, root, commands))
+            yield Plan("command", partial(_scaled_texts, root, commands), subject=words)
         for key in ("time_constant", "delay"):
             keys = [("robots", robot, "actuators", name, key) for robot, name in actuators]
-            yield Plan(f"{key.replace('_', ' ')} of {words}", partial(_later, root, keys), form=DELAY)
+            yield Plan(key.replace("_", " "), partial(_later, root, keys), form=DELAY, subject=words)
 
 
 def _torque_limits(program: Program) -> Iterator[tuple[Plan, float]]:
@@ -826,10 +828,9 @@ def _torque_limits(program: Program) -> Iterator[tuple[Plan, float]]:
                 continue
             path = ("robots", robot.name, "actuators", motor.name, "max_torque")
             form = "{:g} N" if models[robot.name].joint(motor.joints[0]).type == "prismatic" else "{:g} N*m"
-            yield (
-                Plan(f"torque limit of {robot.name}.{motor.name}", partial(_limit, path, form), form=form),
-                max(limits),
-            )
+            subject = f"{robot.name}.{motor.name}"
+            plan = Plan("torque limit", partial(_limit, path, form), form=form, subject=subject)
+            yield plan, max(limits)
 
 
 def _limit(path: tuple[str, ...], form: str, limit: float) -> Change:
@@ -928,10 +929,18 @@ def _ordered(places: Any) -> Callable[[Any], Any]:
 
 
 class Gate(NamedTuple):
-    """A requirement, and whether it is met."""
+    """A requirement of an evaluation, and whether it is met; `subject` names the world or the condition."""
 
-    text: str
+    subject: str
+    requirement: str
     met: bool
+
+    @property
+    def text(self) -> str:
+        return f"{self.subject}: {self.requirement}"
+
+    def as_json(self) -> dict[str, Any]:
+        return {"text": self.text, "met": self.met}
 
 
 @dataclass(frozen=True)
@@ -1081,13 +1090,11 @@ def transfer(
         if min_success is not None:
             met = result.success_rate >= min_success
             gates.append(
-                Gate(f"{name}: success rate {result.success_rate:.0%} of at least {min_success:.0%}", met)
+                Gate(name, f"success rate {result.success_rate:.0%} of at least {min_success:.0%}", met)
             )
         if min_return is not None:
             met = result.mean_return >= min_return
-            gates.append(
-                Gate(f"{name}: mean return {result.mean_return:.4g} of at least {min_return:g}", met)
-            )
+            gates.append(Gate(name, f"mean return {result.mean_return:.4g} of at least {min_return:g}", met))
     works, required = _works(names, (here, there), gates, trained_in.program.agent.solved)
     return Transfer(
         run.path, names, between, here, there, comparison, robustness, tuple(gates), works, required
@@ -1102,7 +1109,7 @@ def _works(
 ) -> tuple[tuple[bool | None, bool | None], str]:
     """Whether the policy works in each of two worlds, and what that means."""
     if gates:
-        one, other = (all(gate.met for gate in gates if gate.text.startswith(f"{name}: ")) for name in names)
+        one, other = (all(gate.met for gate in gates if gate.subject == name) for name in names)
         return (one, other), "the given requirements"
     if solved is None:
         return (None, None), ""

@@ -31,6 +31,7 @@ from deepbots_cli.learning.statistics import (
     mean_interval,
 )
 from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.program.identity import timing_differences
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.policies import StopCondition
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
@@ -318,6 +319,7 @@ def compare(
         for group, world in zip(groups[1:], worlds[1:], strict=True)
     )
     notes = _notes(members, groups, differences, worlds, named=scenario is not None)
+    notes += _timing_notes(members, worlds, judged, case)
     name = None if any(world.own for world in worlds) else groups[0].evaluations[0].scenario
     return Comparison(
         name, groups[0].evaluations[0].episodes, seed, measure, tuple(groups), differences, tuple(notes)
@@ -577,14 +579,21 @@ def _notes(
             "the rewards of the runs differ, and all runs are evaluated with the reward of one scenario:"
             " compare success rates, not returns"
         )
-    for group in groups:
-        notes += dict.fromkeys(
-            f"{group.name}: {note}"
-            for result in group.evaluations
-            for note in result.notes
-            if "trained with" in note
-        )
     return notes
+
+
+def _timing_notes(
+    members: Sequence[_GroupMembers], worlds: Sequence[_World], judged: Compiled, case: str | None
+) -> list[str]:
+    """Where the timing of an evaluation differs from that of the training, once for each group."""
+    notes: dict[str, None] = {}
+    for group, world in zip(members, worlds, strict=True):
+        for run in (ref.run for ref in group.models):
+            program = (run.compiled if world.own else judged).program.variant(case, None)
+            notes |= dict.fromkeys(
+                f"{group.name}: {difference}" for difference in timing_differences(run.program, program)
+            )
+    return [*notes]
 
 
 def _notes_on_scenarios(difference: GroupDifference, *, named: bool) -> list[str]:

@@ -24,7 +24,14 @@ from pydantic import BaseModel, NonNegativeInt, PositiveInt
 
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, RunError, UsageError
+from deepbots_cli.errors import (
+    DeepbotsError,
+    EndsAtResetError,
+    EngineError,
+    EvaluationError,
+    RunError,
+    UsageError,
+)
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.directories import read_json, write_numbered
 from deepbots_cli.learning.run import Run
@@ -47,7 +54,7 @@ class Failure(BaseModel, strict=True):
 
     `start` is the seed of its reset, or the states of the random generators before it. `actions` are in the
     action space, one per step. `case` and `stage` name the variant of the scenario, if it is not the scenario
-    itself.
+    itself. With `ends_at_reset`, the error is that an ending was already true when the episode began.
     """
 
     error: str
@@ -57,6 +64,7 @@ class Failure(BaseModel, strict=True):
     stage: str | None
     start: NonNegativeInt | dict[str, Any]
     actions: list[Any]
+    ends_at_reset: bool = False
 
 
 class FailureRecorder(HistoryRecorder):
@@ -140,7 +148,13 @@ class FailureRecorder(HistoryRecorder):
             1 + self.seeds.index(start) if isinstance(start, int) and start in self.seeds else self._episode()
         )
         text = _failure_text(
-            str(error), number, self.history, run=self._run, case=self._case, stage=self._stage
+            str(error),
+            number,
+            self.history,
+            run=self._run,
+            case=self._case,
+            stage=self._stage,
+            ends_at_reset=isinstance(error, EndsAtResetError),
         )
         raise type(error)(text) from error
 
@@ -224,6 +238,7 @@ def _failure_text(
     run: Run | None,
     case: str | None = None,
     stage: str | None = None,
+    ends_at_reset: bool = False,
 ) -> str:
     """The error with its episode, and with the command that repeats it if a file could be written."""
     start = history.start
@@ -233,7 +248,14 @@ def _failure_text(
         return text
     actions = [_plain(action) for action in history.actions]
     failure = Failure(
-        error=error, step=len(actions), episode=number, case=case, stage=stage, start=start, actions=actions
+        error=error,
+        step=len(actions),
+        episode=number,
+        case=case,
+        stage=stage,
+        start=start,
+        actions=actions,
+        ends_at_reset=ends_at_reset,
     )
     try:
         path = write_numbered(run.path / FAILURES_FOLDER, failure.model_dump_json() + "\n")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 from deepbots_cli.display import Display
 from deepbots_cli.learning.executor import Watcher
@@ -131,11 +131,10 @@ class ProgressReporter(Reporter):
             values = progress_values(progress, speed, seconds_left)
             values.pop("episodes", None)
             if progress.evaluations == self._evaluations:  # said by an earlier line
-                values = {name: text for name, text in values.items() if not name.endswith("evaluation")}
+                values = {name: value for name, value in values.items() if not value.is_evaluation}
             self._tenth, self._evaluations, self._shown = tenth, progress.evaluations, now
             parts = [
-                text if name in ("speed", "stage", "remaining") else f"{name} {text}"
-                for name, text in values.items()
+                value.text if value.is_clear else f"{name} {value.text}" for name, value in values.items()
             ]
             self._display.print("  ".join([f"{progress.steps:,} of {progress.total_steps:,} steps", *parts]))
 
@@ -231,8 +230,11 @@ class GroupProgressReporter(GroupReporter):
         if progress is None:
             return cells
         values = progress_values(progress)
-        cells |= {"steps": f"{progress.steps:,} of {progress.total_steps:,}", "episodes": values["episodes"]}
-        return cells | {name: values[name] for name in ("return", "success") if name in values}
+        cells |= {
+            "steps": f"{progress.steps:,} of {progress.total_steps:,}",
+            "episodes": values["episodes"].text,
+        }
+        return cells | {name: values[name].text for name in ("return", "success") if name in values}
 
     def _summary(self) -> str:
         """The trainings by their state, the steps of all, and how long the rest will take."""
@@ -290,34 +292,56 @@ def reporter(progress: bool | Reporter) -> Reporter:
     return ProgressReporter() if progress else Reporter()
 
 
+class ProgressValue(NamedTuple):
+    """A row of the display.
+
+    `is_evaluation`: it stays the same until the next evaluation. `is_clear`: the text says what it is, as
+    `589 steps/s`.
+    """
+
+    text: str
+    is_evaluation: bool = False
+    is_clear: bool = False
+
+
 def progress_values(
     progress: TrainingProgress, speed: float = 0.0, seconds_left: float | None = None
-) -> dict[str, str]:
+) -> dict[str, ProgressValue]:
     """The rows of the display, by name: what is reached, beside what `solved` asks for."""
-    solved, rows = progress.solved, {}
+    solved, rows = progress.solved, dict[str, ProgressValue]()
     if progress.success_rate is not None:
         goal = (
             f" (needs {100 * solved.success_rate:g}%)" if solved and solved.success_rate is not None else ""
         )
-        rows["success"] = f"{progress.success_rate:.0%}{goal}"
+        rows["success"] = ProgressValue(f"{progress.success_rate:.0%}{goal}")
     if progress.mean_return is not None:
         goal = f" (needs {solved.mean_return:g})" if solved and solved.mean_return is not None else ""
-        rows["return"] = f"{progress.mean_return:.1f}{goal}"
-    for name, model in (("last evaluation", progress.evaluated), ("best evaluation", progress.best)):
-        if model is not None:
-            is_rate = progress.measure == "success_rate"
-            score = f"{model.success_rate:.0%} success" if is_rate else f"return {model.mean_return:.4g}"
-            rows[name] = score if name == "last evaluation" else f"{score} at {model.steps:,} steps"
+        rows["return"] = ProgressValue(f"{progress.mean_return:.1f}{goal}")
+    if progress.evaluated is not None:
+        rows["last evaluation"] = ProgressValue(
+            _score(progress.evaluated, progress.measure), is_evaluation=True
+        )
+    if progress.best is not None:
+        score = f"{_score(progress.best, progress.measure)} at {progress.best.steps:,} steps"
+        rows["best evaluation"] = ProgressValue(score, is_evaluation=True)
     if progress.activity:
-        rows["now"] = progress.activity
+        rows["now"] = ProgressValue(progress.activity)
     if progress.stage:
-        rows["stage"] = progress.stage
-    rows["episodes"] = f"{progress.episodes:,}"
+        rows["stage"] = ProgressValue(progress.stage, is_clear=True)
+    rows["episodes"] = ProgressValue(f"{progress.episodes:,}")
     if speed >= 1.0:
-        rows["speed"] = f"{speed:,.0f} steps/s"
+        rows["speed"] = ProgressValue(f"{speed:,.0f} steps/s", is_clear=True)
     if seconds_left is not None:
-        rows["remaining"] = f"at most {duration(seconds_left)} to go"
+        rows["remaining"] = ProgressValue(f"at most {duration(seconds_left)} to go", is_clear=True)
     return rows
+
+
+def _score(model: Candidate, measure: Measure) -> str:
+    return (
+        f"{model.success_rate:.0%} success"
+        if measure == "success_rate"
+        else f"return {model.mean_return:.4g}"
+    )
 
 
 def longer_goal(steps: int) -> int:
@@ -343,7 +367,7 @@ def _table(progress: TrainingProgress, speed: float, elapsed: float, seconds_lef
     from rich.table import Table
     from rich.text import Text
 
-    values = progress_values(progress, speed, seconds_left)
+    values = {name: value.text for name, value in progress_values(progress, speed, seconds_left).items()}
     values["time"] = "  ".join(filter(None, [f"{duration(elapsed)} so far", values.pop("remaining", "")]))
     if "speed" in values and progress.period:
         values["speed"] += f", {speed * progress.period:,.0f} times real time"

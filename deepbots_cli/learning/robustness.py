@@ -425,21 +425,29 @@ def _bar(
 # The conditions
 
 
+MASS = "mass"
+
+
 class Plan(NamedTuple):
     """A condition that can be changed by any amount.
 
     Attributes:
-        name: Its name.
+        kind: What is changed, such as `friction`; `subject` says of what, and may be empty.
         change: The change of the scenario by an amount.
         sides: The amounts of a robustness evaluation by side, from the smallest change on; a condition with
             one side has the side "".
         form: The format of an amount: `FACTOR`, `DELAY` in ms, or that of a share.
     """
 
-    name: str
+    kind: str
     change: Callable[[float], Change]
     sides: dict[str, tuple[float, ...]] = FACTORS
     form: str = FACTOR
+    subject: str = ""
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind} of {self.subject}" if self.subject else self.kind
 
     def level(self, amount: float) -> tuple[str, Change]:
         """The label of an amount, and the change by it."""
@@ -473,7 +481,9 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
         yield _mass_plan(root, mass)
     if surfaces := _surfaces(root, program):
         yield Plan(
-            f"friction of {_named(surfaces)}", lambda factor: _frictions(root, surfaces.values(), factor)
+            "friction",
+            lambda factor: _frictions(root, surfaces.values(), factor),
+            subject=_named(surfaces),
         )
     if any(entries_at(root, "robots", robot, "actuators") for robot in entries_at(root, "robots")):
         yield Plan(
@@ -601,7 +611,7 @@ def _mass_plan(root: MappingNode, name: str) -> Plan:
         else ("robots", name.partition(".")[0], "links", name.partition(".")[2])
     )
     own = written(root, *path, "mass") or "urdf"
-    return Plan(f"mass of {name}", lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"}))
+    return Plan(MASS, lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"}), subject=name)
 
 
 def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:

@@ -3,7 +3,6 @@ the text, a simulation."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +14,7 @@ from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Finding, Span
 from deepbots_cli.lint.simulation import SimulationPosition, SimulationReport, TermStatistics, simulation_plan
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import ARENA_WALLS, GROUND
@@ -161,10 +160,8 @@ class Simulation(RuleContext):
             if name in terms:
                 return FailedExpression(name, terms[name].span, "reward", notes)
         identifiers = dict(self._identifiers())
-        for line in map(
-            str, stop.get("lines", ())
-        ):  # an assignment names its target first, then what it reads
-            for word in re.findall(r"(?:self\.)?([A-Za-z_]\w*)", line):
+        for line in map(str, stop.get("lines", ())):
+            for word in generated.names_in(line):
                 if word in identifiers:
                     value, section = identifiers[word]
                     return FailedExpression(value.name, value.span, section, notes)
@@ -175,11 +172,14 @@ class Simulation(RuleContext):
         to a taken one."""
         program = self.program
         for entry in program.agent.observation:
-            for name in (_identifier("seen", entry.value.name), _identifier(entry.value.name)):
+            for name in (
+                generated.identifier("seen", entry.value.name),
+                generated.identifier(entry.value.name),
+            ):
                 yield name, (entry.value, "observation")
         for term in program.agent.reward:
-            yield _identifier("term", term.name), (term, "reward")
-            yield _identifier(term.name, "term"), (term, "reward")
+            yield generated.term(term.name), (term, "reward")
+            yield generated.identifier(term.name, "term"), (term, "reward")
         seen = self._names_behind([entry.value for entry in program.agent.observation])
         paid = self._names_behind(program.agent.reward)
         for value in program.signals:
@@ -190,9 +190,9 @@ class Simulation(RuleContext):
                 section = "reward"
             else:
                 section = "other"
-            yield _identifier(value.name), (value, section)
+            yield generated.identifier(value.name), (value, section)
         for ending in program.endings:
-            yield _identifier(ending.name), (ending, "other")
+            yield generated.identifier(ending.name), (ending, "other")
 
     def _names_behind(self, values: Iterable[Expression]) -> set[str]:
         analysis = self.analysis.ideal
@@ -202,10 +202,6 @@ class Simulation(RuleContext):
             for tree in analysis.scalars(value)
             for name in analysis.dependencies(tree)
         }
-
-
-def _identifier(*parts: str) -> str:
-    return re.sub(r"\W", "_", "_".join(part for part in parts if part))
 
 
 # Rules

@@ -44,7 +44,7 @@ from deepbots_cli.lint.simulation import (
     variant_plan,
 )
 from deepbots_cli.port import Engine, JointReader, MotionReader, PoseReader
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Cartesian as CartesianActuator
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import idle_action
@@ -653,7 +653,7 @@ class ArmWatch:
         models = {body.name: body.model for body in world.scenario.world.robots}
         for robot in world.scenario.robots:
             for actuator in robot.actuators:
-                drive = getattr(getattr(world, f"robot_{robot.name}"), f"drive_{actuator.name}", None)
+                drive = getattr(world.controllers[robot.name], generated.drive(actuator.name), None)
                 if isinstance(actuator, CartesianActuator) and isinstance(drive, Cartesian):
                     drive.watch = partial(self._check, world, robot.name, models[robot.name], actuator, drive)
                     yield actuator.name

@@ -20,6 +20,7 @@ robots.py   sensors, actuators, messages, controllers task.py     agents, ending
 resets.py   placements, randomized parameters         identity.py canonical JSON, digests, interfaces
 draws.py    what a reset draws, by name                 topics.py   sensors and commands as fields of ROS 2 messages
 dependencies.py  what values are made of, through names
+generated.py  the names in the code that is generated from it
 
 Everything is frozen, in SI units, and free of YAML and of any engine. Rules read the typed tree and the place
 of an expression (`.typed`, `.span`), generated code its scalar trees (`.scalars`), which are made when first

@@ -50,7 +50,8 @@ class Expression:
     it. With `per_component` there is one scalar tree for each of these components, and a draw that is written
     once is drawn anew for each. `redraw` says how often draws are repeated within an episode, None for not at
     all. Of a `foreign` expression, a function of Python, the tree tells the type only. With `noise`, the name
-    has a noisy value, which is drawn once per tick.
+    has a noisy value, which is drawn once per tick. With `lowered`, these are the scalar trees, and the typed
+    tree tells the type only.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Expression:
     redraw: Redraw | None = None
     foreign: Foreign | None = None
     noise: Noise | None = None
+    lowered: tuple[Scalar, ...] | None = None
 
     def __repr__(self) -> str:
         return f"Expression({self.owner!r}, {self.text!r})"
@@ -74,6 +76,8 @@ class Expression:
     @cached_property
     def scalars(self) -> tuple[Scalar, ...]:
         """One tree per component, in SI units."""
+        if self.lowered is not None:
+            return self.lowered
         return lower(self.typed, self.owner, self.per_component)
 
     @property

@@ -47,6 +47,7 @@ MAX_NAME = 200  # PyBullet cuts names off at 1023 bytes
 MAX_WORDS = 200  # unknown words that are compared with the known ones
 _LIMIT_TOLERANCE = 0.02  # of the range that a follower needs; files round
 _FULL_TURN = 6.29  # rad: above 2 pi as files round it
+_ENDLESS_RANGE = 100.0  # rad; wider limits mean none
 _BALL = "spherical"  # a type of joint that URDF lacks and PyBullet reads
 _AXES: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
@@ -536,6 +537,17 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
                 help="swap the two limits, or change the type of the joint to continuous",
                 code="DB307",
             )
+    elif (
+        kind == "continuous" and lower < upper < lower + _ENDLESS_RANGE and joint.attributes["type"] != _BALL
+    ):
+        headline = (
+            f"joint {quoted(name)} is continuous, so its limits from {lower:.4g} to {upper:.4g} rad"
+            " have no effect"
+        )
+        help = 'write type="revolute" to limit the joint, or remove lower and upper'
+        element.warn(
+            headline, attribute="lower" if "lower" in element.attributes else "upper", help=help, code="DB307"
+        )
     return Limit(None, None, velocity, effort)
 
 

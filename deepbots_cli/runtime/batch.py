@@ -18,6 +18,7 @@ import numpy as np
 
 from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.port import BatchEngine
+from deepbots_cli.program import generated
 from deepbots_cli.runtime.batch_parts import BatchController, BatchRobots, OptionMasks, columns_array
 from deepbots_cli.runtime.columns import where_running
 from deepbots_cli.runtime.copies import WorldRows
@@ -318,7 +319,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         if self.truncated[row]:
             held = (NOT_FINITE if self.lost[row] else self._limit,)
         terms = {
-            name: float(np.broadcast_to(getattr(self, f"term_{name}"), self.count)[row])
+            name: float(np.broadcast_to(getattr(self, generated.term(name)), self.count)[row])
             for name in self.TERMS
         }
         info = {
@@ -337,7 +338,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         """The terms of the last rewards, a row each; a copy."""
         terms = np.zeros((len(self.TERMS), self.count))
         for row, name in zip(terms, self.TERMS, strict=True):
-            row[:] = getattr(self, f"term_{name}")
+            row[:] = getattr(self, generated.term(name))
         return terms
 
     def action_masks(self) -> Column:

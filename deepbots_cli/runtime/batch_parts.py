@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from deepbots_cli.port import BatchEngine
+from deepbots_cli.program import generated
 from deepbots_cli.program.robots import Direction, Sensor
 from deepbots_cli.program.task import Agent
 from deepbots_cli.runtime.columns import BatchMemory, stacked, where_running
@@ -252,7 +253,7 @@ class BatchRobots(BatchPart, ABC):
 
     def lossy_channel(self, name: str, direction: Direction) -> BatchLossyChannel:
         """The paths of messages to or from a robot, where messages come late or may be lost."""
-        attribute = f"{'to' if direction == 'to_robot' else 'from'}_{name}"
+        attribute = generated.channel(name, direction)
         channel = self.channels[name, direction] = BatchLossyChannel(
             [getattr(single, attribute) for single in self._singles], self._batch
         )

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from deepbots_cli.errors import MessageError
 from deepbots_cli.port import Engine, MotorWriter
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Actuator, CustomActuator, Direction, MessageLayout, Motor, Robot
 from deepbots_cli.runtime.actuation import CustomMotor, Site
 from deepbots_cli.runtime.formulas import Memories, Memory, memory_of_vector
@@ -60,7 +60,9 @@ class RobotController(WithMemories):
         self.devices: dict[str, Device] = {}
         self._world, self._engine = scenario.world, engine
         self.bind(engine)
-        drives = [(actuator, getattr(self, f"drive_{actuator.name}", None)) for actuator in spec.actuators]
+        drives = [
+            (actuator, getattr(self, generated.drive(actuator.name), None)) for actuator in spec.actuators
+        ]
         driven = [(actuator, drive) for actuator, drive in drives if drive is not None]
         self._holds: list[Callable[[], object]] = [
             drive.hold if hasattr(drive, "hold") else partial(_hold, engine, spec.name, actuator, drive)

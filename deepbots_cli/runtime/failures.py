@@ -4,12 +4,12 @@ without an option."""
 from __future__ import annotations
 
 import math
-import re
 import traceback
 from collections.abc import Mapping
 
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.port import Engine
+from deepbots_cli.program import generated
 from deepbots_cli.program.task import Agent
 
 
@@ -21,8 +21,7 @@ def without_value(error: Exception, engine: Engine, step: int) -> Exception:
     if not frames or not isinstance(error, (ArithmeticError, ValueError, NameError)):
         return error
     engine.require_finite()  # a world that blew up is the engine's failure, not the expression's
-    # Without the text of the scenario, which the comment repeats; the scenario has names without a prefix.
-    statement = re.sub(r"\bself\.(term_)?", "", (frames[-1].line or "").partition("  # ")[0])
+    statement = generated.as_written(frames[-1].line or "")
     return EvaluationError(f"step {step}: no value for `{statement}`: {error}")
 
 

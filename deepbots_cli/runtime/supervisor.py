@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from deepbots_cli.errors import EvaluationError, UsageError
+from deepbots_cli.errors import EndsAtResetError, EvaluationError, UsageError
 from deepbots_cli.port import Engine, View
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.runtime.controllers import SupervisedRobots
 from deepbots_cli.runtime.failures import infinite_reward, without_option, without_value
 from deepbots_cli.runtime.formulas import clip
@@ -32,10 +32,6 @@ from deepbots_cli.runtime.streams import Streams, SupervisedDraws
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
-
-TRUE_AT_RESET = "is already true at reset"
-"""Part of the error of an episode that ends before its first step; `deepbots diagnose` recognizes it in the
-records of a run."""
 
 _CLOSED = "the environment is closed; make a new one"
 
@@ -141,9 +137,9 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         except (ArithmeticError, ValueError, NameError) as error:
             raise without_value(error, self.engine, self.step_count) from error
         if self.terminated:
-            raise EvaluationError(
-                f"the ending '{self.ended_by}' {TRUE_AT_RESET} (seed {self.streams.root}); change the start"
-                " or the ending"
+            raise EndsAtResetError(
+                f"the ending '{self.ended_by}' is already true at reset (seed {self.streams.root}); change"
+                " the start or the ending"
             )
         self._go_on = self._advance
         return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}
@@ -215,9 +211,9 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
 
     def scripted(self, name: str) -> Any:
         """The next action of a script, without a check that the script exists."""
-        return getattr(self, f"script_{name}")()
+        return getattr(self, generated.script(name))()
 
-    def tested(self, test: str, what: Literal["holds", "compared"]) -> tuple[Any, ...]:
+    def tested(self, test: str, question: generated.TestQuestion) -> tuple[Any, ...]:
         """Whether each condition of a test holds after the last step, or the values that the conditions
         compare, in SI units.
 
@@ -225,7 +221,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
             EvaluationError: An expression has no value; shows which.
         """
         try:
-            values: tuple[Any, ...] = getattr(self, f"test_{test}_{what}")()
+            values: tuple[Any, ...] = getattr(self, generated.test(test, question))()
         except (ArithmeticError, ValueError, NameError) as error:
             raise without_value(error, self.engine, self.step_count) from error
         return values

@@ -20,7 +20,7 @@ from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.port import ZERO_VECTOR
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices
 from deepbots_cli.program.world import Variant
@@ -359,7 +359,7 @@ class FrameReader:
         """The links that disturbances push; without a link, the root of a robot or an object."""
         for name, agent in self.env.agents.items():
             for disturbance in self.env.scenario.disturbances:
-                push = getattr(agent, f"push_{disturbance.name}", None)
+                push = getattr(agent, generated.push(disturbance.name), None)
                 if isinstance(push, Push):
                     body = self._called(disturbance.body, name)
                     root = models[body].root if body in models else body

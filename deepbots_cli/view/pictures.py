@@ -3,6 +3,7 @@ browser."""
 
 from __future__ import annotations
 
+import errno
 import html
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -457,7 +458,13 @@ def _write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
     writer: Any
     with imageio.get_writer(path, format="FFMPEG", fps=rate, macro_block_size=2, quality=7) as writer:
         for image in pictures:
-            writer.append_data(image)
+            try:
+                writer.append_data(image)
+            except OSError as error:
+                if error.errno is not None:
+                    raise
+                # Of imageio, at length: ffmpeg has ended, to which it writes through a pipe.
+                raise OSError(errno.EPIPE, "ffmpeg has ended, as it does on a full disk") from error
 
 
 def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:

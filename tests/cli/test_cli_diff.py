@@ -322,3 +322,76 @@ def test_figures_along_axes_are_told_by_the_names_of_the_axes(deepbots, tmp_path
     )
     told = deepbots("diff", "cartpole.yaml", "other.yaml").out
     assert "xyz.y 0.0123" in told
+
+
+SHARES = """\
+deepbots: 1
+extends: cartpole
+name: Shares
+parameters: {top: 6 cm, high: 2 * top, where: uniform(0 m .. high)}
+reward: {far: -abs(x) / high, near: -abs(x) / top, place: where / m}
+"""
+
+
+def test_a_parameter_that_changed_is_told_although_one_that_is_computed_from_it_changed_too(
+    deepbots, tmp_path
+):
+    (tmp_path / "one.yaml").write_text(SHARES)
+    text = SHARES.replace("top: 6 cm", "top: 7 cm").replace("high: 2 *", "high: 3 *")
+    (tmp_path / "other.yaml").write_text(
+        text.replace("near: -abs", "near: -2 * abs").replace("uniform(0 m", "uniform(1 cm")
+    )
+    told = deepbots("diff", "one.yaml", "other.yaml").out
+    both = "changed by the parameters high: 2 * top -> 3 * top, top: 6 cm -> 7 cm\n"
+    assert f"  reward.far\n      -abs(x) / high\n      {both}" in told
+    near = (
+        "    - -abs(x) / top\n    + -2 * abs(x) / top\n      also changed by the parameter top: 6 cm -> 7"
+        " cm\n"
+    )
+    assert f"  reward.near\n{near}" in told
+    assert f"    - uniform(0 m .. high)\n    + uniform(1 cm .. high)\n      also {both}" in told
+
+
+@pytest.mark.parametrize("bent", ["", "bent"])
+def test_a_pose_is_told_by_the_entries_that_changed_and_not_by_compiled_numbers(deepbots, tmp_path, bent):
+    deepbots("new", "dog", "--from", "quadruped", "--json")
+    text = (tmp_path / "dog.yaml").read_text(encoding="utf-8")
+    written = '"*_upper_joint": 45 deg'
+    assert written in text
+    if bent:
+        text = text.replace(written, '"*_upper_joint": bent').replace(
+            "parameters:\n", "parameters:\n  bent: 45 deg\n", 1
+        )
+    (tmp_path / "one.yaml").write_text(text)
+    (tmp_path / "other.yaml").write_text(text.replace("45 deg", "50 deg", 1))
+    told = deepbots("diff", "one.yaml", "other.yaml").out
+    by = (
+        "the parameter bent: 45 deg -> 50 deg"
+        if bent
+        else "the pose stand: {*_upper_joint: 45 deg} -> {*_upper_joint: 50 deg}"
+    )
+    assert f"  robots.dog.apply.legs\n      stand + reach * stride\n      changed by {by}\n" in told
+    assert f"  reset.joints.dog.legs\n      stand + uniform(-0.1 .. 0.1 rad)\n      changed by {by}\n" in told
+    assert "0.785" not in told
+
+
+def test_the_start_of_a_group_of_joints_is_told_where_a_robot_has_several(deepbots, tmp_path):
+    """Of two entries for one robot, only the last was compared."""
+    deepbots("new", "push", "--from", "panda_push", "--json")
+    text = (tmp_path / "push.yaml").read_text(encoding="utf-8")
+    both = text.replace("joints: {panda.arm: low}", "joints: {panda.arm: low, panda.fingers: 1 cm}")
+    assert both != text
+    (tmp_path / "both.yaml").write_text(both)
+    (tmp_path / "other.yaml").write_text(both.replace("panda_joint2: 12.5 deg", "panda_joint2: 13.5 deg"))
+    _, found = differences(deepbots, "push.yaml", "both.yaml")
+    ((key, row),) = found.items()
+    assert (key, row["kind"], row["one"], row["other"]) == (
+        ("world", "reset.joints.panda.fingers"),
+        "added",
+        "",
+        "1 cm",
+    )
+    _, found = differences(deepbots, "both.yaml", "other.yaml")
+    ((key, row),) = found.items()
+    assert key == ("world", "reset.joints.panda.arm")
+    assert row["through"] == {"the pose low": ["{panda_joint2: 12.5 deg}", "{panda_joint2: 13.5 deg}"]}

@@ -118,7 +118,7 @@ def test_of_many_episodes_the_first_are_shown_and_all_are_counted(deepbots, scri
     assert "\n        4 " in shown.out
     assert "\n        5 " not in shown.out
     assert "\n  and 16 more\n" in shown.out
-    assert "of 21 episodes  " in shown.err
+    assert "of 21 episodes\n" in shown.err
     data = json.loads(deepbots(*words, "--json").out)
     assert len(data["episodes"]) == 21
 

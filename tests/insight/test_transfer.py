@@ -389,9 +389,9 @@ def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -
     names: Any = ("here", "there")
     results: Any = (Result(mean_return=200.0, success_rate=0.9), Result(mean_return=80.0, success_rate=0.9))
     gates = [
-        Gate("here: success rate", True),
-        Gate("there: success rate", False),
-        Gate("there: mean return", True),
+        Gate("here", "success rate", True),
+        Gate("there", "success rate", False),
+        Gate("there", "mean return", True),
     ]
     assert _works(names, results, gates, None)[0] == (True, False)
     assert _works(names, results, [], Solved(100, 195.0, None)) == (

@@ -459,9 +459,24 @@ def test_a_single_bound_leaves_the_other_at_zero_as_urdf_says(read_text):
     assert robot.model.joint("elbow").limit.lower == 0.0
 
 
-def test_a_continuous_joint_keeps_its_effort_and_has_no_bounds(read_text):
-    robot, findings = read_text(broken("revolute", "continuous"))
+@pytest.mark.parametrize(
+    "limit", ['lower="0" upper="0"', 'lower="1" upper="-1"', 'lower="-1e16" upper="1e16"', ""]
+)
+def test_limits_of_a_continuous_joint_that_mean_none_are_no_fault(read_text, limit):
+    _, findings = read_text(broken("revolute", "continuous").replace('lower="-1" upper="2"', limit))
     assert findings == []
+
+
+@pytest.mark.parametrize(("limit", "place"), [('lower="-1" upper="2"', "-1"), ('upper="2"', "2")])
+def test_limits_of_a_continuous_joint_that_have_no_effect_are_warned_about(read_text, limit, place):
+    finding = warning(read_text, broken("revolute", "continuous").replace('lower="-1" upper="2"', limit))
+    assert (finding.code, finding.span.text) == ("DB307", place)
+    assert finding.headline.startswith("joint 'elbow' is continuous, so its limits from ")
+    assert finding.help == 'write type="revolute" to limit the joint, or remove lower and upper'
+
+
+def test_a_continuous_joint_keeps_its_effort_and_has_no_bounds(read_text):
+    robot, _ = read_text(broken("revolute", "continuous"))
     assert robot.model.joint("elbow").limit == Limit(effort=5.0)
 
 

@@ -15,7 +15,7 @@ from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 
 SHIPPED = Path(__file__).parents[2] / "robots/urdf"
 PUBLISHED = {
-    "r2d2.urdf": set(),
+    "r2d2.urdf": {"DB307"},  # its head is continuous, from -0.38 to 0 rad
     "husky/husky.urdf": {"DB305", "DB311"},
     "quadruped/minitaur.urdf": {"DB307", "DB311"},
     "laikago/laikago.urdf": {"DB306"},
@@ -27,7 +27,10 @@ PUBLISHED = {
     "biped/biped2d_pybullet.urdf": {"DB306", "DB307", "DB311"},
     "differential/diff_ring.urdf": {"DB311"},
     "quadruped/microtaur/microtaur.urdf": {"DB311"},
-    "racecar/racecar_differential.urdf": {"DB311"},
+    "racecar/racecar_differential.urdf": {
+        "DB307",
+        "DB311",
+    },  # one of its steering hinges is continuous, from -1 to 1 rad
     "humanoid/humanoid.urdf": {"DB311"},
     "spherical_joint_limit.urdf": {"DB306", "DB311"},
 }

@@ -4,7 +4,7 @@ reach (`Gates`)."""
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -69,6 +69,7 @@ _REQUIREMENTS = "Requirements"
 
 
 def command(
+    ctx: typer.Context,
     run: Annotated[
         Path,
         typer.Argument(
@@ -193,15 +194,13 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Run `deepbots eval`."""
-    present = {
-        name.replace("_", "-"): value
-        for name, value in locals().items()
-        if value is not None and value is not False
-    }
+    present = _given_options(ctx)
     single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
         others = [
-            name for name in present if name not in ("run", "episodes", "force", "as-json", "permissions")
+            name
+            for name in present
+            if name not in ("episodes", "force", "as_json", "allow_paths", "allow_code")
         ]
         _refuse(
             "cannot be combined with --episodes failed, which repeats the last evaluation unchanged",
@@ -404,11 +403,26 @@ def _kept(
     return kept
 
 
-def _refuse(reason: str, present: Container[str], options: Iterable[str]) -> None:
+def _given_options(ctx: typer.Context) -> dict[str, str]:
+    """The names of the options that have a value, such as `--set`, by their parameters."""
+    return {
+        parameter.name: parameter.opts[0]
+        for parameter in ctx.command.params
+        if parameter.name is not None
+        and parameter.param_type_name == "option"
+        and _is_set(ctx.params.get(parameter.name))
+    }
+
+
+def _is_set(value: object) -> bool:
+    return value is not None and value is not False and value != ()
+
+
+def _refuse(reason: str, present: Mapping[str, str], options: Iterable[str]) -> None:
     """Raises: UsageError: One of the options is given."""
     for name in options:
         if name in present:
-            raise UsageError(f"--{'set' if name == 'overrides' else name} {reason}")
+            raise UsageError(f"{present[name]} {reason}")
 
 
 def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_json: bool) -> None:

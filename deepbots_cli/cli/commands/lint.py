@@ -61,6 +61,7 @@ _RULES = "Rules"
 
 
 def lint(
+    ctx: typer.Context,
     scenarios: Annotated[
         list[str] | None,
         typer.Argument(
@@ -141,7 +142,6 @@ def lint(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Run `deepbots lint`."""
-    given = {**locals(), "watch": False}
     project = settings()
     previewed = bool(project.preview) if preview is None else preview
     selection = Selection(
@@ -166,7 +166,9 @@ def lint(
         "--watch reads files and changes none; leave out --fix, --diff and -",
     )
     if watch:
-        _watch(partial(lint, **given), partial(scenario_names, scenarios or ["."], project), look)
+        assert ctx.command.callback is not None  # this function, after the options are converted
+        once = partial(ctx.command.callback, **{**ctx.params, "watch": False})
+        _watch(once, partial(scenario_names, scenarios or ["."], project), look)
         return
     format_ = Format.json if as_json else format or Format(project.format or Format.full)
     failing = _FAILING_SEVERITIES["never" if exit_zero else fail_on or project.fail_on or "error"]

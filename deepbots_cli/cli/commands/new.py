@@ -220,7 +220,7 @@ def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
     if isinstance(referenced, UnusableFile):
         raise UsageError(
             f"a scenario in {folder.resolve()} may not read {robot}, because the file"
-            f" {referenced.headline.partition('` ')[2]}; "
+            f" {referenced.problem}; "
             f"allow its folder with `--allow-path {quote(os.path.dirname(robot) or '.')}`, here and in later"
             " commands, or copy it with "
             "its meshes into the folder; a robot of an installed package is named as package://PACKAGE/PATH"

@@ -329,7 +329,7 @@ def _data(compared: Transfer) -> dict[str, Any]:
         "causes": [each._asdict() for each in compared.comparison.causes],
         "tried": compared.comparison.tried,
         "robustness": None if compared.robustness is None else records.robustness_json(compared.robustness),
-        "gates": [each._asdict() for each in compared.gates],
+        "gates": [each.as_json() for each in compared.gates],
         "works": dict(zip(compared.names, compared.works, strict=True)),
         "passed": compared.passed,
     }

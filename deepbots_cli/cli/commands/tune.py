@@ -30,6 +30,7 @@ from deepbots_cli.cli.command import (
 from deepbots_cli.cli.studies import continue_study
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.document import Permissions
+from deepbots_cli.document.load import TUNE
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.study import Objective, create_study
@@ -166,7 +167,7 @@ def _checked(
         tests=True,
     )
     for finding in checked.findings.errors:
-        if finding.span.source.name.startswith("--set tune"):
+        if (finding.span.source.assigned or "").partition(".")[0] == TUNE:
             name = next(
                 (
                     f" {path}={values}"

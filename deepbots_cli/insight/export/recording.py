@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from deepbots_cli import api
 from deepbots_cli.expressions.types import Constant, Type
 from deepbots_cli.insight.export.readings import Reading
-from deepbots_cli.program import Program
+from deepbots_cli.program import Program, generated
 from deepbots_cli.program.values import Expression
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.episode import Driver
@@ -85,10 +85,10 @@ def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
             typed = Constant(
                 Type(components=components, boolean=reading.info.dtype == "bool"), 0, 0, (0.0,) * count
             )
+            name = f"{_PREFIX}{number}"
             probe = Expression(
-                f"{_PREFIX}{number}", place.span, reading.info.name, typed, f"signals.{_PREFIX}{number}"
+                name, place.span, reading.info.name, typed, f"signals.{name}", lowered=tuple(reading.trees)
             )
-            vars(probe)["scalars"] = reading.trees  # what a lowered expression keeps there
             probes.append(probe)
     stored = program.stored_signals | {probe.name for probe in probes}
     return replace(program, signals=(*program.signals, *probes), stored_signals=stored)
@@ -133,13 +133,13 @@ class Watch:
         }
         self._infos = {reading.info.name: reading.info for reading in readings}
         self._commands: dict[str, Array] = {}
+        self.drives: list[_Drive] = []
+        """The actuators that note their commands."""
         for output in outputs:
-            controller, attribute = agent.controllers[output.robot], f"drive_{output.actuator}"
-            setattr(
-                controller,
-                attribute,
-                _Drive(getattr(controller, attribute), partial(self._note, output.name)),
-            )
+            controller, attribute = agent.controllers[output.robot], generated.drive(output.actuator)
+            drive = _Drive(getattr(controller, attribute), partial(self._note, output.name))
+            setattr(controller, attribute, drive)
+            self.drives.append(drive)
         for robot in {output.robot for output in outputs}:
             if not agent.scenario.is_direct(
                 next(each for each in agent.scenario.robots if each.name == robot), "to_robot"
@@ -170,7 +170,7 @@ class Watch:
     @staticmethod
     def _reader(agent: Supervisor, number: int, reading: Reading) -> Callable[[], Any]:
         if reading.device is None:
-            return lambda: getattr(agent, f"last_{_PREFIX}{number}")
+            return lambda: getattr(agent, generated.last(f"{_PREFIX}{number}"))
         robot, sensor = reading.device
         device = agent.controllers[robot].device(sensor)
         return lambda: device.reading

@@ -27,7 +27,7 @@ from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.her import HerReplayBuffer
 
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.demonstrations import Demonstrations
@@ -186,7 +186,7 @@ class StableLearner(Learner):
                 observation, state=state, episode_start=episode_start, deterministic=deterministic, **masks
             )
             if not np.isfinite(actions).all():
-                raise ValueError(models.OVERFLOW)
+                raise RunError(models.NOT_FINITE)
         return actions, state
 
     # Numbers

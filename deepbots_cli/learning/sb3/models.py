@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
+from traceback import walk_tb
 from typing import Any
 
 import torch
@@ -41,8 +42,9 @@ _PLAIN_GLOBALS = {
     *(f"torch {name}Storage" for name in _STORAGES),
 }
 _OVERHEAD_BYTES = 8_000_000
-OVERFLOW = "found invalid values"
-"""Words of torch, where it refuses the parameters of a distribution."""
+NOT_FINITE = "the policy gives actions that are not finite: its weights are damaged, or the training diverged"
+_DISTRIBUTION = "torch.distributions.distribution"
+"""The module that checks the parameters of each distribution of torch."""
 _MAX_MEMBERS = 32
 # What a model cannot be loaded without, and JSON cannot hold; all of it is pickled by reference to
 # Stable-Baselines3, Gymnasium and torch.
@@ -55,17 +57,18 @@ _HINDSIGHT_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
 def overflow_explained() -> Iterator[None]:
     """Within, a distribution of torch with parameters that are not finite becomes one sentence.
 
+    torch raises a plain ValueError for these, so the module that raises it tells it from others.
+
     Raises:
         RunError: There was one.
     """
     try:
         yield
     except ValueError as error:
-        if OVERFLOW not in str(error):
+        *_, (frame, _) = walk_tb(error.__traceback__)
+        if frame.f_globals["__name__"] != _DISTRIBUTION:
             raise
-        raise RunError(
-            "the policy gives actions that are not finite: its weights are damaged, or the training diverged"
-        ) from error
+        raise RunError(NOT_FINITE) from error
 
 
 def save(path: Path, model: BaseAlgorithm) -> None:

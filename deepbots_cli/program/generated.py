@@ -1,0 +1,105 @@
+"""The names of attributes and methods in generated classes.
+
+`codegen` prints them; the runtime, `lint`, `insight` and `view` ask for them by the names of the scenario.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Literal
+
+from deepbots_cli.program.robots import Direction
+
+TestQuestion = Literal["holds", "compared"]
+"""Whether each condition of a test holds, or the values that the conditions compare."""
+
+_TERM = "term_"
+
+
+def identifier(*parts: str | None) -> str:
+    """A name of the scenario, such as `cart.pole_angle`, as an identifier: `cart_pole_angle`."""
+    return re.sub(r"\W", "_", "_".join(part for part in parts if part))
+
+
+# Of a supervisor
+
+
+def robot(name: str) -> str:
+    """The controller of a robot."""
+    return f"robot_{name}"
+
+
+def channel(robot: str, direction: Direction) -> str:
+    """The path of messages to or from a robot."""
+    return f"to_{robot}" if direction == "to_robot" else f"from_{robot}"
+
+
+def term(name: str) -> str:
+    """A term of the last reward."""
+    return f"{_TERM}{name}"
+
+
+def last(local: str) -> str:
+    """A value of the last timestep, by the local that held it."""
+    return f"last_{local}"
+
+
+def push(disturbance: str) -> str:
+    """The device that pushes."""
+    return f"push_{disturbance}"
+
+
+def allowed(choice: str) -> str:
+    """Which options of a choice may be chosen next."""
+    return f"allowed_{choice}"
+
+
+def script(name: str) -> str:
+    """The method that computes the next action of a script."""
+    return f"script_{name}"
+
+
+def test(name: str, question: TestQuestion) -> str:
+    """The method that answers a question about a test."""
+    return f"test_{name}_{question}"
+
+
+# Of a controller
+
+
+def drive(actuator: str) -> str:
+    """An actuator."""
+    return f"drive_{actuator}"
+
+
+def sense(sensor: str) -> str:
+    """The device of a sensor."""
+    return f"sense_{sensor}"
+
+
+def emitted(local: str) -> str:
+    """A value of the last message, by the local that held it."""
+    return f"emitted_{local}"
+
+
+# Of both
+
+
+def reader(local: str) -> str:
+    """A reader of the engine, by the local that holds what it returned."""
+    return f"read_{local}"
+
+
+# Lines of methods
+
+
+def as_written(statement: str) -> str:
+    """A statement with names as the scenario has them: without `self.`, the prefix of terms, and the
+    comment."""
+    return re.sub(rf"\bself\.({_TERM})?", "", statement.partition("  # ")[0])
+
+
+def names_in(line: str) -> Iterator[str]:
+    """The names in a line in their order: an assignment names its target first, then what it reads."""
+    return (found[1] for found in re.finditer(r"(?:self\.)?([A-Za-z_]\w*)", line))

@@ -1,0 +1,58 @@
+"""`python -OO -m deepbots_cli` prints the same: no text for users is a docstring, and no assertion is needed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deepbots_cli.cli.commands import COMMANDS
+
+LINES = [
+    ("explain", "DB603"),
+    ("explain", "DB611"),
+    ("explain", "gyro"),
+    ("lint", "cartpole"),
+    pytest.param(("lint", "cartpole", "--deep"), marks=pytest.mark.slow),
+]
+EVERY_HELP = f"""
+from deepbots_cli.cli import main
+for words in ([], *([name] for name in {[*COMMANDS]})):
+    main([*words, "--help"])
+"""
+
+
+@pytest.fixture(autouse=True)
+def same_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+
+
+def without_docstrings(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-OO", *words], cwd=folder, capture_output=True, text=True, check=True
+    )
+
+
+@pytest.mark.parametrize("line", LINES, ids=" ".join)
+def test_a_command_prints_the_same_without_docstrings(deepbots, tmp_path, line):
+    ran = without_docstrings(tmp_path, "-m", "deepbots_cli", *line)
+    assert ran.stdout
+    assert ran.stdout == deepbots(*line).out
+
+
+def test_the_help_of_each_command_is_the_same_without_docstrings(deepbots, tmp_path):
+    helps = [deepbots(*words, "--help").out for words in ([], *([name] for name in COMMANDS))]
+    assert without_docstrings(tmp_path, "-c", EVERY_HELP).stdout == "".join(helps)
+
+
+@pytest.mark.slow
+def test_a_training_is_diagnosed_the_same_without_docstrings(deepbots, tmp_path):
+    trained = without_docstrings(
+        tmp_path, "-m", "deepbots_cli", "train", "cartpole", "--timesteps", "2000", "--run", "mine"
+    )
+    assert "most likely cause: The training is short." in trained.stdout + trained.stderr
+    found = without_docstrings(tmp_path, "-m", "deepbots_cli", "diagnose", "mine").stdout
+    assert "Try: Continue the training" in found
+    assert found == deepbots("diagnose", "mine").out
