@@ -57,7 +57,16 @@ from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import number_fix
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ONLY_AGENT, Agent, Evaluation, ScenarioTest, Truncation
+from deepbots_cli.program.task import (
+    ONLY_AGENT,
+    ActionPart,
+    Agent,
+    Evaluation,
+    RobotCopies,
+    ScenarioTest,
+    Truncation,
+)
+from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.base import visit_values
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.search import SearchSpace
@@ -195,29 +204,11 @@ def _program(namespace: Namespace) -> Program:
     timestep = bare.timestep
     reset, walls = compile_reset(namespace, bare)
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
-    each, action_repeat = copies(namespace), spec.agent.action_repeat
+    each = copies(namespace)
     routes = route("to_robot", namespace), route("from_robot", namespace)
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.robot.name: builder.poses for builder in builders}
-    agent = Agent(
-        name=ONLY_AGENT,
-        robots=(),
-        action=action,
-        observation=Observations(namespace).entries(),
-        reward=rewards,
-        success=tuple(spec.termination.success),
-        goal=goals.goal(rewards),
-        solved=solved(namespace, limits, timestep),
-        frame_stack=spec.agent.frame_stack,
-        copies=each,
-        scripts=scripts(namespace, action),
-        training=training(
-            namespace,
-            action,
-            each,
-            limits.max_episode_steps(timestep * action_repeat) if limits != Truncation() else None,
-        ),
-    )
+    agent = _agent(namespace, goals, limits, timestep, action, rewards, each)
     ordered = signals.ordered()  # as the observation, the reward and the goal have asked for them
     program = Program(
         name=spec.name,
@@ -245,7 +236,7 @@ def _program(namespace: Namespace) -> Program:
             variations=(*namespace.fields.variations, *namespace.fields.colors),
             groups=tuple(namespace.groups.values()),
         ),
-        action_repeat=action_repeat,
+        action_repeat=spec.agent.action_repeat,
         evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(namespace),
         engine=spec.world.engine,
@@ -255,6 +246,36 @@ def _program(namespace: Namespace) -> Program:
         replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True)
     )
     return with_reading_ages(replace(program, robots=sending, ros=topics(namespace, program)))
+
+
+def _agent(
+    namespace: Namespace,
+    goals: Goals,
+    limits: Truncation,
+    timestep: float,
+    action: tuple[ActionPart, ...],
+    rewards: tuple[Expression, ...],
+    each: RobotCopies | None,
+) -> Agent:
+    """What the agent sees, does and is rewarded for, without its robots and the conditions on its action."""
+    spec = namespace.scenario
+    period = timestep * spec.agent.action_repeat
+    return Agent(
+        name=ONLY_AGENT,
+        robots=(),
+        action=action,
+        observation=Observations(namespace).entries(),
+        reward=rewards,
+        success=tuple(spec.termination.success),
+        goal=goals.goal(rewards),
+        solved=solved(namespace, limits, timestep),
+        frame_stack=spec.agent.frame_stack,
+        copies=each,
+        scripts=scripts(namespace, action),
+        training=training(
+            namespace, action, each, limits.max_episode_steps(period) if limits != Truncation() else None
+        ),
+    )
 
 
 def _joined(findings: Findings) -> Findings:

@@ -137,9 +137,8 @@ class EpisodeDraws:
         """Each draw with the body that it belongs to, if it belongs to one."""
         reset, agent = self.program.reset, self.program.agent
         robot = agent.copies.robot if agent.copies else None
-        changing: set[str] = (
-            set()
-        )  # parameters with new values within an episode: their own, or those of what they depend on
+        # Parameters with new values within an episode: their own, or those of what they depend on.
+        changing: set[str] = set()
         for value in self.program.parameters:
             if value.redraw is not None or _reads(value, changing):
                 changing.add(value.name)
@@ -151,15 +150,7 @@ class EpisodeDraws:
                 for full, tree in value.numbers
                 if is_drawn(tree)
             )
-        units = {name: _units(value.typed) for name, value in reset.expressions}
-        for named in reset.drawn:
-            body = None if named.name.startswith("reset.layouts.") else named.name.split(".")[2]
-            unit = units.get(named.name, _SI)
-            yield from (
-                (body, EpisodeDraw(full, full, tree, **unit))
-                for full, tree in named.numbers
-                if is_drawn(tree)
-            )
+        yield from self._of_reset()
         for spec in self.program.robots:
             for route in (spec.to_route, spec.from_route):
                 lasting = (
@@ -183,20 +174,28 @@ class EpisodeDraws:
             for entry in _draws(push.first)
         )
         if len(reset.layouts) > 1:
-            yield (
-                None,
-                EpisodeDraw(
-                    "reset.layout", "reset.layout", words=tuple(layout.name for layout in reset.layouts)
-                ),
-            )
+            names = tuple(layout.name for layout in reset.layouts)
+            yield None, EpisodeDraw("reset.layout", "reset.layout", words=names)
         yield from ((None, entry) for group in reset.groups for entry in _draws(group.count))
         for thing in self.program.world.objects:
             if len(thing.variants) > 1:
-                name = kind_key(thing.name)
-                yield (
-                    thing.name,
-                    EpisodeDraw(name, name, words=tuple(variant.name for variant in thing.variants)),
-                )
+                name, names = kind_key(thing.name), tuple(variant.name for variant in thing.variants)
+                yield thing.name, EpisodeDraw(name, name, words=names)
+        yield from self._of_placements()
+
+    def _of_reset(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
+        """The numbers of poses and joints."""
+        units = self._reset_units
+        for named in self.program.reset.drawn:
+            body = None if named.name.startswith("reset.layouts.") else named.name.split(".")[2]
+            unit = units.get(named.name, _SI)
+            for full, tree in named.numbers:
+                if is_drawn(tree):
+                    yield body, EpisodeDraw(full, full, tree, **unit)
+
+    def _of_placements(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
+        """The positions that are looked for."""
+        reset, units = self.program.reset, self._reset_units
         groups = {group.name: group for group in reset.groups}
         arranged = (
             ("reset.place", reset.placements),
@@ -204,9 +203,12 @@ class EpisodeDraws:
         )
         for path, places in arranged:
             for place in places:
-                yield from (
-                    (place.body, entry) for entry in _places(path, place, groups.get(place.body), units)
-                )
+                for entry in _places(path, place, groups.get(place.body), units):
+                    yield place.body, entry
+
+    @cached_property
+    def _reset_units(self) -> dict[str, _Units]:
+        return {name: _units(value.typed) for name, value in self.program.reset.expressions}
 
 
 def _units(value: Typed) -> _Units:

@@ -125,7 +125,7 @@ class Streams:
         return self.take(name, options[int(self[name].integers(len(options)))])
 
 
-class EpisodeDraws:
+class SupervisedDraws:
     """What a supervisor draws in an episode, or takes from `options` of `reset` in place of a draw.
 
     Attributes:

@@ -28,7 +28,7 @@ from deepbots_cli.runtime.spaces import (
     mask_of_space,
     observation_space,
 )
-from deepbots_cli.runtime.streams import EpisodeDraws, Streams
+from deepbots_cli.runtime.streams import Streams, SupervisedDraws
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
@@ -36,7 +36,7 @@ Info = dict[str, Any]
 _CLOSED = "the environment is closed; make a new one"
 
 
-class Supervisor(SupervisedRobots, EpisodeDraws, ObservedFrames, gym.Env[Observation, Any], ABC):
+class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Observation, Any], ABC):
     """Base of the generated supervisor classes.
 
     A generated class adds `bind` (robots, channels, and readers from the engine), `_begin` (draws and placing
@@ -69,7 +69,7 @@ class Supervisor(SupervisedRobots, EpisodeDraws, ObservedFrames, gym.Env[Observa
                 f"the engine '{engine.name}' cannot render; use the engine 'pybullet' for pictures"
             )
         SupervisedRobots.__init__(self, scenario, engine)
-        EpisodeDraws.__init__(self, scenario)
+        SupervisedDraws.__init__(self, scenario)
         ObservedFrames.__init__(self, scenario.agent)
         self.render_mode = render_mode
         self.metadata = {

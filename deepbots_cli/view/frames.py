@@ -8,7 +8,7 @@ does not change in an episode.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
@@ -280,7 +280,6 @@ class FrameReader:
         """Bind the readers; `units` are those of the file, in which fields are shown."""
         self.env, units = env, units or ShownUnits()
         program, engine, world = env.scenario, env.engine, env.world
-        copies = program.agent.copies
         models = {robot.name: robot.model for robot in world.robots}
         self._poses = {
             (name, link.name): engine.pose(name, link.name)
@@ -296,18 +295,10 @@ class FrameReader:
         touching = [
             (name, link.name) for name, model in models.items() for link in model.links if link.collisions
         ]
-        self._forces = (
-            {part: engine.contact_force(part) for part in touching}
-            if "contacts" in engine.capabilities
-            else {}
-        )
-
-        def called(body: str, agent: str) -> str:
-            """What a body of an agent is called: a copy of a robot has the name of its agent."""
-            return agent if copies and copies.robot == body else body
-
+        reported = touching if "contacts" in engine.capabilities else []
+        self._forces = {part: engine.contact_force(part) for part in reported}
         controllers = {
-            called(name, copy): each
+            self._called(name, copy): each
             for copy, agent in env.agents.items()
             for name, each in agent.controllers.items()
         }
@@ -324,13 +315,7 @@ class FrameReader:
         }
         self._cameras = {key: device for key, device in devices.items() if key in cameras}
         self._sensors = {key: device for key, device in devices.items() if key not in cameras}
-        self._message_recorders: dict[str, tuple[Channel | LossyChannel, MessageRecorder]] = {}
-        for copy, agent in env.agents.items():
-            for (name, direction), channel in agent.channels.items():
-                assert channel.wire is not None  # only those of tests have none
-                tap = MessageRecorder(channel.wire, units)
-                channel.wire = cast("FieldCodec", tap)
-                self._message_recorders[f"{called(name, copy)}/{direction}"] = channel, tap
+        self._message_recorders = dict(self._recorded_channels(units))
         beams = {
             f"{body}.{sensor.name}": _beams((body, sensor.subjects[0]), sensor)
             for body, controller in controllers.items()
@@ -346,21 +331,39 @@ class FrameReader:
             {key: tap.fields for key, (_, tap) in self._message_recorders.items()},
         )
         self._rays = {key: engine.rays(beam.part, rays, beam.reach) for key, (beam, rays) in beams.items()}
-        self._pushes: list[tuple[LinkName, Push]] = []
-        for name, agent in env.agents.items():
-            for disturbance in program.disturbances:
-                beam = getattr(agent, generated.push(disturbance.name), None)
-                if isinstance(beam, Push):
-                    body = called(disturbance.body, name)
-                    self._pushes.append(
-                        ((body, disturbance.link or (models[body].root if body in models else body)), beam)
-                    )
+        self._pushes = list(self._pushed_links(models))
         self._pooled = {thing.name for thing in world.objects if thing.pooled}
         self._variants = {thing.name: thing.variants[0].name for thing in world.objects if thing.variants}
         self._newest = np.array(program.agent.newest, np.intp)
         self._truths = [number.is_truth for number in program.agent.numbers]
         self._ranges = [(f.low, f.high) for f in self.layout.observation]
         self._returns: dict[str, float] = {}
+
+    def _called(self, body: str, agent: str) -> str:
+        """What a body of an agent is called: a copy of a robot has the name of its agent."""
+        copies = self.env.scenario.agent.copies
+        return agent if copies and copies.robot == body else body
+
+    def _recorded_channels(
+        self, units: ShownUnits
+    ) -> Iterator[tuple[str, tuple[Channel | LossyChannel, MessageRecorder]]]:
+        """The channels by robot and direction, from now on with the messages that they decode."""
+        for copy, agent in self.env.agents.items():
+            for (name, direction), channel in agent.channels.items():
+                assert channel.wire is not None  # only those of tests have none
+                recorder = MessageRecorder(channel.wire, units)
+                channel.wire = cast("FieldCodec", recorder)
+                yield f"{self._called(name, copy)}/{direction}", (channel, recorder)
+
+    def _pushed_links(self, models: Mapping[str, RobotModel]) -> Iterator[tuple[LinkName, Push]]:
+        """The links that disturbances push; without a link, the root of a robot or an object."""
+        for name, agent in self.env.agents.items():
+            for disturbance in self.env.scenario.disturbances:
+                push = getattr(agent, generated.push(disturbance.name), None)
+                if isinstance(push, Push):
+                    body = self._called(disturbance.body, name)
+                    root = models[body].root if body in models else body
+                    yield (body, disturbance.link or root), push
 
     def read(self, observation: Any, action: Any = None) -> WorldFrame:
         """The frame of this moment, given the observation that `reset` or `step` returned and the action of

@@ -156,19 +156,8 @@ def command(
     compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
     terminal.note_warnings(compiled.findings, scenario)
     program = compiled.program.variant(case, stage)
-    driver, episodes = RANDOM if driver is None else driver, episodes or COUNT
-    with closing(api.make(program, permissions=permissions)) as environment:
-        name = environment.engine.name
-        acting = named_driver(environment, driver)
-        running = run_episodes(
-            environment, acting, count=episodes, seed=seed, max_steps=steps, options=options
-        )
-        done: list[Episode] = []
-        with terminal.progress() as show:
-            for episode in running:
-                done.append(episode)
-                if episodes > MAX_SHOWN:
-                    show(len(done), episodes)
+    driver = RANDOM if driver is None else driver
+    done, name = _simulate(program, driver, episodes or COUNT, seed, steps, options, permissions)
     _show(
         program,
         done,
@@ -176,6 +165,30 @@ def command(
         (),
         as_json=as_json,
     )
+
+
+def _simulate(
+    program: Program,
+    driver: str,
+    count: int,
+    seed: int,
+    max_steps: int | None,
+    options: dict[str, Any],
+    permissions: Permissions,
+) -> tuple[list[Episode], str]:
+    """Episodes in the simulation, and the name of its engine; many are counted while they run."""
+    with closing(api.make(program, permissions=permissions)) as environment:
+        acting = named_driver(environment, driver)
+        running = run_episodes(
+            environment, acting, count=count, seed=seed, max_steps=max_steps, options=options
+        )
+        done: list[Episode] = []
+        with terminal.progress() as show:
+            for episode in running:
+                done.append(episode)
+                if count > MAX_SHOWN:
+                    show(len(done), count)
+        return done, environment.engine.name
 
 
 def _on_robot(

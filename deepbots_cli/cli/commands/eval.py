@@ -219,95 +219,144 @@ def command(
             present,
             judging,
         )
-    chosen: dict[str, Any] = {"episodes": episodes, "model": "last" if last else "best"}
-    chosen |= {"permissions": permissions, "deterministic": not stochastic}
-    several: Sequence[str | None] = engine or [None]
-    if len(several) > 1:
+    if engine is not None and len(engine) > 1:
         _refuse("needs a single engine; name only one with --engine", present, single)
     if source.kind is SourceKind.GROUP:
-        group = Group.open(source)
-        one = (
-            f"needs a single run, but {run} is a group; name one of its runs, such as"
-            f" {group.runs[0] if group.runs else run}"
-        )
+        runs = Group.open(source).runs
+        one = f"needs a single run, but {run} is a group; name one of its runs, such as {runs[0] if runs else run}"
         _refuse(one, present, (*single, "keep"))
-        scenarios = [
-            evaluation_scenario(source, group.record.engine, scenario, overrides, name) for name in several
-        ]
-        chosen |= {"seed": seed or 0, "case": case, "stage": stage}
-        count = len(group.runs_with_model)
-        processes.check_dividable(
-            workers, address, count, f"{run} contains {count} trained run{'' if count == 1 else 's'}"
-        )
-        with processes.executor(workers, address, count) as executor:
-            _evaluate_group(
-                run, scenarios, gates, csv=csv, junit=junit, as_json=as_json, executor=executor, **chosen
-            )
+    request = _Request(
+        run=run,
+        source=source,
+        scenario=scenario,
+        overrides=overrides or (),
+        engines=engine or (None,),
+        case=case,
+        stage=stage,
+        gates=gates,
+        csv=csv,
+        junit=junit,
+        as_json=as_json,
+        workers=workers,
+        address=address,
+        options={"episodes": episodes, "deterministic": not stochastic, "permissions": permissions},
+    )
+    if source.kind is SourceKind.GROUP:
+        _evaluate_group(request, seed=seed or 0, model="last" if last else "best")
         return
-    ref = ModelRef.open(source, model=chosen["model"])
+    ref = ModelRef.open(source, model="last" if last else "best")
     kept = _kept(ref, workers, address, permissions, as_json=as_json) if keep else None
-    ref = ref if kept is None else ModelRef(kept.run)
-    trained = ref.run
-    chosen |= {"seed": seed, "model": ref.name}
-    compiled = [
-        evaluation_scenario(source, trained.record.engine, scenario, overrides, name) for name in several
-    ]
-    programs = [trained.program if each is None else each.program for each in compiled]
+    _evaluate_run(
+        request, ref if kept is None else ModelRef(kept.run), kept, seed, baselines=baselines, details=details
+    )
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What to evaluate in which scenario and engines, what the result must reach, and where it goes.
+
+    `options` are those of the functions that evaluate.
+    """
+
+    run: Path
+    source: Source
+    scenario: str | None
+    overrides: Sequence[str]
+    engines: Sequence[str | None]
+    case: str | None
+    stage: str | None
+    gates: Gates
+    csv: Path | None
+    junit: Path | None
+    as_json: bool
+    workers: int | None
+    address: str | None
+    options: Mapping[str, Any]
+
+    def scenarios(self, trained_in: str) -> list[Compiled | None]:
+        """The scenario of each engine; None is that of the run or group."""
+        return [
+            evaluation_scenario(self.source, trained_in, self.scenario, self.overrides, name)
+            for name in self.engines
+        ]
+
+
+def _evaluate_run(
+    request: _Request,
+    ref: ModelRef,
+    kept: KeptModel | None,
+    seed: int | None,
+    *,
+    baselines: bool,
+    details: bool,
+) -> None:
+    """Evaluate a model of a run in each engine; `kept` is the choice of that model."""
+    run, gates, case, stage = ref.run, request.gates, request.case, request.stage
+    scenarios = request.scenarios(run.record.engine)
+    programs = [run.program if each is None else each.program for each in scenarios]
     for program in programs:
         gates.check(program)
         program.variant(case, stage)
-    planned = [episodes or each.evaluation_episodes(case) for each in programs]
+    planned = [request.options["episodes"] or each.evaluation_episodes(case) for each in programs]
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE  # which imports torch
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
-    processes.check_dividable(workers, address, parts, reason)
+    processes.check_dividable(request.workers, request.address, parts, reason)
     evaluations: list[_EngineEvaluations] = []
     requirements: list[Requirement] = []
-    with processes.executor(workers, address, parts) as executor:
-        for name, judged, program, count in zip(several, compiled, programs, planned, strict=True):
-            until = gates.stop_condition(program.variant(case, stage), count) if len(several) == 1 else None
-            with terminal.progress(
-                "episodes" if name is None else f"episodes in {name}", always=False
-            ) as show_episode:
-                options = chosen | {"scenario": judged, "engine": name, "on_episode": show_episode}
-                result = learning.evaluate(
-                    trained, case=case, stage=stage, until=until, executor=executor, **options
-                )
-                alone = case is not None or stage is not None
-                cases = (
-                    ()
-                    if alone
-                    else learning.evaluate_cases(trained, stages=details, executor=executor, **options)
-                )
-                scripted: Sequence[EvaluationResult] = ()
-                if baselines:
-                    options = {
-                        key: value for key, value in options.items() if key not in ("model", "deterministic")
-                    }
-                    scripted = learning.evaluate_baselines(
-                        trained, case=case, stage=stage, **options | {"episodes": result.episodes}
-                    )
+    with processes.executor(request.workers, request.address, parts) as executor:
+        for name, judged, program, count in zip(request.engines, scenarios, programs, planned, strict=True):
+            until = gates.stop_condition(program.variant(case, stage), count) if len(scenarios) == 1 else None
+            chosen = {"seed": seed, "model": ref.name, "scenario": judged, "engine": name}
             evaluations.append(
-                _EngineEvaluations(
-                    result, cases, scripted, scenario_label(trained, scenario, overrides or (), judged)
+                _evaluate_in_engine(
+                    request, run, chosen, until, executor, baselines=baselines, details=details
                 )
             )
-            records.write_evaluation(trained, evaluations[-1].as_json())
-            of = f"{result.engine}: " if len(several) > 1 else ""
+            result = evaluations[-1].result
+            records.write_evaluation(run, evaluations[-1].as_json())
+            of = f"{result.engine}: " if len(scenarios) > 1 else ""
             requirements += [
                 (f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, count)
             ]
-    if csv is not None:
-        records.write_csv(
-            csv, [each for one in evaluations for each in (one.result, *one.cases, *one.baselines)]
-        )
+    if request.csv is not None:
+        rows = [each for one in evaluations for each in (one.result, *one.cases, *one.baselines)]
+        records.write_csv(request.csv, rows)
     if len(evaluations) > 1:
-        _show_engines(trained, evaluations, as_json=as_json)
+        _show_engines(run, evaluations, as_json=request.as_json)
     else:
         data = evaluations[0].as_json() | ({} if kept is None else {"kept": records.kept_json(kept)})
-        terminal.show(data, *evaluations[0].lines(details=details), as_json=as_json)
-    _require(requirements, [each.result for each in evaluations], junit)
+        terminal.show(data, *evaluations[0].lines(details=details), as_json=request.as_json)
+    _require(requirements, [each.result for each in evaluations], request.junit)
+
+
+def _evaluate_in_engine(
+    request: _Request,
+    run: Run,
+    chosen: Mapping[str, Any],
+    until: StopCondition | None,
+    executor: Executor,
+    *,
+    baselines: bool,
+    details: bool,
+) -> _EngineEvaluations:
+    """Evaluate a model of a run, and what is compared with it; `chosen` are further options."""
+    case, stage, engine = request.case, request.stage, chosen["engine"]
+    unit = "episodes" if engine is None else f"episodes in {engine}"
+    with terminal.progress(unit, always=False) as show_episode:
+        options = {**request.options, **chosen, "on_episode": show_episode}
+        result = learning.evaluate(run, case=case, stage=stage, until=until, executor=executor, **options)
+        cases: Sequence[EvaluationResult] = ()
+        if case is None and stage is None:
+            cases = learning.evaluate_cases(run, stages=details, executor=executor, **options)
+        scripted: Sequence[EvaluationResult] = ()
+        if baselines:
+            del options["model"], options["deterministic"]
+            options["episodes"] = result.episodes
+            scripted = learning.evaluate_baselines(run, case=case, stage=stage, **options)
+    label = scenario_label(run, request.scenario, request.overrides, chosen["scenario"])
+    return _EngineEvaluations(result, cases, scripted, label)
 
 
 @dataclass(frozen=True)
@@ -547,53 +596,49 @@ class Gates:
         return [(f"{words}{remarks}", met, reason) for words, met, reason in requirements]
 
 
-def _evaluate_group(
-    folder: Path,
-    scenarios: Sequence[Compiled | None],
-    gates: Gates,
-    *,
-    csv: Path | None,
-    junit: Path | None,
-    as_json: bool,
-    executor: Executor,
-    **chosen: Any,
-) -> None:
-    """Evaluate a group in each of the `scenarios`, which differ in their engine; None is the scenario of the
-    group."""
-    with terminal.transient_line("loading the policies ..."):
-        from deepbots_cli.learning.comparison import compare_engines, evaluate_group  # which import torch
-    ready = Group.open(folder).runs_with_model
+def _evaluate_group(request: _Request, **chosen: Any) -> None:
+    """Evaluate a group in each engine; `chosen` are further options of `evaluate_group`."""
+    group, gates = Group.open(request.source), request.gates
+    scenarios, ready = request.scenarios(group.record.engine), group.runs_with_model
+    reason = f"{request.run} contains {len(ready)} trained run{'' if len(ready) == 1 else 's'}"
+    processes.check_dividable(request.workers, request.address, len(ready), reason)
+    options = {**request.options, **chosen, "case": request.case, "stage": request.stage}
     groups: list[GroupResult] = []
     requirements: list[Requirement] = []
-    for compiled in scenarios:
-        planned = 0
-        if ready:
-            program = Run.open(ready[0]).program if compiled is None else compiled.program
-            gates.check(program)
-            planned = (chosen["episodes"] or program.evaluation_episodes(chosen["case"])) * len(ready)
-        until = partial(gates.decided_of_group, planned=planned) if planned and len(scenarios) == 1 else None
-        with terminal.progress("runs", always=False) as show_run:
-            group_result = evaluate_group(
-                folder, scenario=compiled, on_run=show_run, until=until, executor=executor, **chosen
-            )
-        for result in group_result.evaluations:
-            records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
-        of = f"{group_result.evaluations[0].engine}: " if len(scenarios) > 1 else ""
-        requirements += [
-            (f"{of}{words}", met, reason)
-            for words, met, reason in gates.requirements_of_group(group_result, planned)
-        ]
-        groups.append(group_result)
-        if not as_json:
-            terminal.print_result(
-                (f"in {group_result.evaluations[0].engine}: " if of else "")
-                + records.group_text(group_result)
-                + ("\n" if of else "")
-            )
-    if csv is not None:
-        records.write_csv(csv, [result for group_result in groups for result in group_result.evaluations])
+    with processes.executor(request.workers, request.address, len(ready)) as executor:
+        with terminal.transient_line("loading the policies ..."):
+            from deepbots_cli.learning.comparison import compare_engines, evaluate_group  # which import torch
+        for compiled in scenarios:
+            planned = 0
+            if ready:
+                program = Run.open(ready[0]).program if compiled is None else compiled.program
+                gates.check(program)
+                planned = (options["episodes"] or program.evaluation_episodes(request.case)) * len(ready)
+            until = None
+            if planned and len(scenarios) == 1:
+                until = partial(gates.decided_of_group, planned=planned)
+            with terminal.progress("runs", always=False) as show_run:
+                result = evaluate_group(
+                    request.run, scenario=compiled, on_run=show_run, until=until, executor=executor, **options
+                )
+            for each in result.evaluations:
+                records.write_evaluation(Run.open(each.run), records.evaluation_json(each))
+            engine = result.evaluations[0].engine if len(scenarios) > 1 else None
+            of = "" if engine is None else f"{engine}: "
+            requirements += [
+                (f"{of}{words}", met, reason)
+                for words, met, reason in gates.requirements_of_group(result, planned)
+            ]
+            groups.append(result)
+            if not request.as_json:
+                text = records.group_text(result)
+                terminal.print_result(text if engine is None else f"in {engine}: {text}\n")
+    if request.csv is not None:
+        records.write_csv(
+            request.csv, [result for group_result in groups for result in group_result.evaluations]
+        )
     pairs = [compare_engines(groups[0], other) for other in groups[1:]]
-    if as_json:
+    if request.as_json:
         rows = [records.group_json(group_result) for group_result in groups]
         terminal.show_json({"groups": rows, "differences": pairs} if pairs else rows[0])
     elif pairs:
@@ -601,7 +646,11 @@ def _evaluate_group(
             "differences of each run on the same starts, with 95 % intervals over the seeds"
         )
         terminal.print_result(records.engines_table(pairs))
-    _require(requirements, [result for group_result in groups for result in group_result.evaluations], junit)
+    _require(
+        requirements,
+        [result for group_result in groups for result in group_result.evaluations],
+        request.junit,
+    )
 
 
 def scenario_label(

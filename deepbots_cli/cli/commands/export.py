@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import Annotated
 
@@ -17,7 +18,7 @@ from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import check_new_folder, refuse_links_within
-from deepbots_cli.learning.run import ModelRef
+from deepbots_cli.learning.run import ModelName, ModelRef
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -112,9 +113,17 @@ def command(
         write_new(files, folder, force=force)
         terminal.show({"folder": folder}, f"{folder}: {', '.join(map(str, files))}", as_json=as_json)
         return
+    write_new(files, folder, force=force)
+    _show_bundle(folder, files, ref.name, source, as_json=as_json)
+
+
+def _show_bundle(
+    folder: Path, files: Mapping[PurePosixPath, bytes], model: ModelName, source: Path, *, as_json: bool
+) -> None:
+    """Print what a new bundle is, and what it lacks; `source` is the run as it was named."""
+    from deepbots_cli.insight.export import bundle
     from deepbots_robot.model import plain
 
-    write_new(files, folder, force=force)
     info = bundle.read_bundle(folder)
     sizes = [
         f"{name} ({len(content) / 1000:,.0f} kB)" for name, content in files.items() if len(name.parts) == 1
@@ -133,7 +142,7 @@ def command(
         terminal.note(
             f"no robot measures {', '.join(missing)}; README.md of the bundle says what must supply them"
         )
-    if info.evaluation is None and ref.name == "best" and not as_json:
+    if info.evaluation is None and model == "best" and not as_json:
         terminal.note(
             f"evaluate the run first for a result in the bundle: deepbots eval {quote(str(source))}"
         )

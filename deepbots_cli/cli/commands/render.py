@@ -213,8 +213,6 @@ def command(
         "--steps": steps,
         "--seconds": seconds,
         "--speed": speed,
-    }
-    options |= {
         "--size": size,
         "--from": eye,
         "--at": target,
@@ -222,36 +220,22 @@ def command(
         "--episodes": episodes,
         "--start": start,
     }
-    kind = _checked_kind(file, [name for name, value in options.items() if value])
+    present = [name for name, value in options.items() if value]
+    kind = _checked_kind(file, present)
     from deepbots_cli.view import pictures
 
     width, height = size or _DEFAULT_SIZES.get(kind, (480, 320))
     shot = pictures.Viewpoint(width, height, eye, target, follow)
     if is_robot(shown):
-        of_episodes = [value for name, value in options.items() if name not in ("--size", "--from", "--at")]
-        if kind != PICTURE or any((*of_episodes, driver, seed, episode, overrides, case, stage)):
-            names = [
-                name for name, value in options.items() if value and name not in ("--size", "--from", "--at")
-            ]
-            odd = f", and {names[0]} needs a scenario" if names else ""
-            raise UsageError(
-                f"{shown} is a robot file{odd}: a picture (.png) of it takes --size, --from and --at"
-            )
+        has_episode = any((driver, seed, episode, overrides, case, stage))
+        _check_robot_options(shown, kind, present, has_episode=has_episode)
         pictures.check_target(file, SUFFIXES, force=force)
         _draw_robot(shown, file, shot, engine_or_default(engine), permissions)
         terminal.show({"files": [_made(file)]}, str(file), as_json=as_json)
         return
-    from deepbots_cli.view.episodes import SHOWN_KINDS, Showing, closing_player
+    from deepbots_cli.view.episodes import Showing, closing_player
 
-    opened = Source.open(shown, permissions, *SHOWN_KINDS)
-    if kind == RECORDING_SUFFIX and opened.kind is SourceKind.RECORDING:
-        raise UsageError(
-            f"{shown} is already a recording; `deepbots render {shown} -o video.mp4` makes a video of it"
-        )
-    is_run = opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT)
-    ref = ModelRef.open(opened, model="last" if last else "best") if is_run else None
-    if last and ref is None:
-        raise UsageError(f"--last chooses a model of a run, but {shown} is not a run")
+    ref = _model(shown, kind, permissions, last=last)
     if episodes == FAILED_EPISODES:
         if ref is None or last or any(value is not None for value in (seed, episode, driver)):
             raise UsageError(
@@ -260,56 +244,57 @@ def command(
             )
         wanted = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS)
     else:
-        first = episode or 0
-        root = seed or 0
-        if seed is None and ref is not None:
-            root = ref.run.record.seed
-        wanted = _Episodes(root, range(first, first + (episodes or 1)), "best" if ref is None else ref.name)
+        wanted = _Episodes.of(ref, seed, episode or 0, episodes or 1)
     files = [file]
     if episodes is not None and kind != RECORDING_SUFFIX:
         files = [file.with_name(f"{file.stem}-{number}{file.suffix}") for number in wanted.numbers]
     for drawn in files:
         pictures.check_target(drawn, SUFFIXES, force=force)
-    acts: dict[str, Any] = {"model": wanted.model, "deterministic": wanted.deterministic}
-    reference = shown if ref is None else str(ref.run.path)
     source = Showing(
-        reference, overrides or (), permissions, engine, case, stage, start=start_values(start), **acts
+        shown if ref is None else str(ref.run.path),
+        overrides or (),
+        permissions,
+        engine,
+        case,
+        stage,
+        start=start_values(start),
+        model=wanted.model,
+        deterministic=wanted.deterministic,
     )
     with closing_player(source, driver) as world:
-        if kind == RECORDING_SUFFIX:
-            ends = _record(world, file, wanted, steps)
-        elif kind == PICTURE:
-            trace = list(
-                world.episode(wanted.seed, wanted.numbers[0], None if path and not steps else steps or 0)
-            )
-            image = pictures.render_picture(world, shot, labels=labels, rays=rays, path=trace if path else ())
-            with atomic_write(file) as draft:
-                image.save(draft, "PNG")
-            ends = [trace[-1]]
-        else:
-            with terminal.transient_line("running the episode ...") as show:
-                play = partial(
-                    pictures.write_clip,
-                    seed=wanted.seed,
-                    seconds=seconds,
-                    speed=speed or 1.0,
-                    on_frame=lambda frame: show(f"{frame.time:.1f} s of the episode are drawn ..."),
-                )
-                ends = [
-                    play(world, drawn, shot, episode=number)
-                    for number, drawn in zip(wanted.numbers, files, strict=True)
-                ]
-    rows = records.recorded_rows(zip(wanted.numbers, ends, strict=True))
-    per_file = [rows] if len(files) == 1 else [[row] for row in rows]
-    data = {
-        "files": [{**_made(drawn), "episodes": listed} for drawn, listed in zip(files, per_file, strict=True)]
-    }
-    further = (
-        [f"deepbots view {quote(str(file))}", f"deepbots replay --verify {quote(str(file))}"]
-        if kind == RECORDING_SUFFIX
-        else []
-    )
-    terminal.show(data, *_lines(kind, files, rows), as_json=as_json, next_commands=further)
+        ends = _draw_episodes(world, kind, files, wanted, shot, options)
+    _show_files(kind, files, wanted, ends, as_json=as_json)
+
+
+def _check_robot_options(shown: str, kind: str, present: Sequence[str], *, has_episode: bool) -> None:
+    """Raises: UsageError: A picture of a robot file does not take an option."""
+    needing_scenario = [name for name in present if name not in ("--size", "--from", "--at")]
+    if kind != PICTURE or needing_scenario or has_episode:
+        odd = f", and {needing_scenario[0]} needs a scenario" if needing_scenario else ""
+        raise UsageError(
+            f"{shown} is a robot file{odd}: a picture (.png) of it takes --size, --from and --at"
+        )
+
+
+def _model(shown: str, kind: str, permissions: Permissions, *, last: bool) -> ModelRef | None:
+    """The model of a run that acts; None for other sources.
+
+    Raises:
+        UsageError: There is no such source, it is a recording that would be recorded again, or it has no
+            models to choose from.
+    """
+    from deepbots_cli.view.episodes import SHOWN_KINDS
+
+    opened = Source.open(shown, permissions, *SHOWN_KINDS)
+    if kind == RECORDING_SUFFIX and opened.kind is SourceKind.RECORDING:
+        raise UsageError(
+            f"{shown} is already a recording; `deepbots render {shown} -o video.mp4` makes a video of it"
+        )
+    if opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
+        return ModelRef.open(opened, model="last" if last else "best")
+    if last:
+        raise UsageError(f"--last chooses a model of a run, but {shown} is not a run")
+    return None
 
 
 @dataclass(frozen=True)
@@ -320,6 +305,13 @@ class _Episodes:
     numbers: Sequence[int]
     model: ModelName = "best"
     deterministic: bool = True
+
+    @staticmethod
+    def of(ref: ModelRef | None, seed: int | None, first: int, count: int) -> _Episodes:
+        """Some episodes from a seed, by default that of the run, and 0 without one."""
+        default = 0 if ref is None else ref.run.record.seed
+        numbers = range(first, first + count)
+        return _Episodes(default if seed is None else seed, numbers, "best" if ref is None else ref.name)
 
     @staticmethod
     def failed(ref: ModelRef, maximum: int | None) -> _Episodes:
@@ -335,6 +327,42 @@ class _Episodes:
                 f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {ref.run.path} failed"
             )
         return _Episodes(numbers=numbers, **kept.replay_options)
+
+
+def _draw_episodes(
+    world: Player,
+    kind: str,
+    files: Sequence[Path],
+    wanted: _Episodes,
+    shot: Viewpoint,
+    options: Mapping[str, Any],
+) -> list[WorldFrame]:
+    """Make the files, as the options say; the last frames of the episodes."""
+    from deepbots_cli.view import pictures
+
+    steps = options["--steps"]
+    if kind == RECORDING_SUFFIX:
+        return _record(world, files[0], wanted, steps)
+    if kind == PICTURE:
+        last = None if options["--path"] and not steps else steps or 0
+        trace = list(world.episode(wanted.seed, wanted.numbers[0], last))
+        path = trace if options["--path"] else ()
+        image = pictures.render_picture(
+            world, shot, labels=options["--labels"], rays=options["--rays"], path=path
+        )
+        with atomic_write(files[0]) as draft:
+            image.save(draft, "PNG")
+        return [trace[-1]]
+    with terminal.transient_line("running the episode ...") as show:
+        play = partial(
+            pictures.write_clip,
+            seed=wanted.seed,
+            seconds=options["--seconds"],
+            speed=options["--speed"] or 1.0,
+            on_frame=lambda frame: show(f"{frame.time:.1f} s of the episode are drawn ..."),
+        )
+        numbered = zip(wanted.numbers, files, strict=True)
+        return [play(world, drawn, shot, episode=number) for number, drawn in numbered]
 
 
 def _record(world: Player, file: Path, wanted: _Episodes, steps: int | None) -> list[WorldFrame]:
@@ -370,6 +398,22 @@ def _checked_kind(file: Path, options: Sequence[str]) -> str:
     if "--follow" in options and {"--from", "--at"}.intersection(options):
         raise UsageError("--follow moves the camera; leave out --from and --at")
     return kind
+
+
+def _show_files(
+    kind: str, files: Sequence[Path], wanted: _Episodes, ends: Sequence[WorldFrame], *, as_json: bool
+) -> None:
+    """Print which files were made of which episodes."""
+    rows = records.recorded_rows(zip(wanted.numbers, ends, strict=True))
+    per_file = [rows] if len(files) == 1 else [[row] for row in rows]
+    data = {
+        "files": [{**_made(drawn), "episodes": listed} for drawn, listed in zip(files, per_file, strict=True)]
+    }
+    further: list[str] = []
+    if kind == RECORDING_SUFFIX:
+        file = quote(str(files[0]))
+        further = [f"deepbots view {file}", f"deepbots replay --verify {file}"]
+    terminal.show(data, *_lines(kind, files, rows), as_json=as_json, next_commands=further)
 
 
 def _made(file: Path) -> dict[str, Any]:

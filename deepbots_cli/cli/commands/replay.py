@@ -22,6 +22,7 @@ from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 
 if TYPE_CHECKING:
+    from deepbots_cli.rollout.recordings import Recording
     from deepbots_cli.view.episodes import ShowingState
 
 
@@ -64,8 +65,8 @@ def command(
             )
         _list_log(log, as_json=as_json)
         return
-    from deepbots_cli.view.episodes import Player, Showing
-    from deepbots_cli.view.replay import ReplayPlayer, verify, version_changes
+    from deepbots_cli.view.episodes import Showing
+    from deepbots_cli.view.replay import version_changes
 
     opened = Showing(
         recording.removesuffix(RECORDING_SUFFIX) + RECORDING_SUFFIX, permissions=permissions
@@ -79,24 +80,7 @@ def command(
             " name"
         )
     if not to_verify:
-        with closing(ReplayPlayer(opened)) as player:
-            ends = [
-                (each.number, player.begin(0, each.number), player.seek(len(each.steps)))
-                for each in read.episodes
-            ]
-        rows = records.recorded_rows((number, last) for number, _, last in ends)
-        origin = {
-            name: read.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")
-        }
-        about = "{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}".format(**origin)
-        data = {"recording": read.path, **read.metadata, "episodes": rows}
-        terminal.show(
-            data,
-            about,
-            records.recorded_table(rows),
-            as_json=as_json,
-            next_commands=[f"deepbots replay --verify {recording}"],
-        )
+        _list_episodes(opened, recording, as_json=as_json)
         return
     shown = opened
     if scenario is not None:
@@ -109,6 +93,41 @@ def command(
         )
     for note in notes:
         terminal.note(note)
+    _verify(read, shown, tolerance, notes, as_json=as_json)
+
+
+def _list_episodes(opened: ShowingState, recording: str, *, as_json: bool) -> None:
+    """Print what is in a recording; `recording` is its name as it was written."""
+    from deepbots_cli.view.replay import ReplayPlayer
+
+    read = opened.recording
+    with closing(ReplayPlayer(opened)) as player:
+        ends = [
+            (each.number, player.begin(0, each.number), player.seek(len(each.steps)))
+            for each in read.episodes
+        ]
+    rows = records.recorded_rows((number, last) for number, _, last in ends)
+    origin = {
+        name: read.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")
+    }
+    about = "{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}".format(**origin)
+    data = {"recording": read.path, **read.metadata, "episodes": rows}
+    terminal.show(
+        data,
+        about,
+        records.recorded_table(rows),
+        as_json=as_json,
+        next_commands=[f"deepbots replay --verify {recording}"],
+    )
+
+
+def _verify(
+    read: Recording, shown: ShowingState, tolerance: float, notes: Sequence[str], *, as_json: bool
+) -> None:
+    """Run a recording again, and exit with 1 where it differs."""
+    from deepbots_cli.view.episodes import Player
+    from deepbots_cli.view.replay import verify
+
     with closing(Player(shown, "zero")) as player, terminal.progress(always=False) as show:
         count = len(read.episodes)
         difference = verify(read, player, lambda done: show(done, count), tolerance=tolerance)

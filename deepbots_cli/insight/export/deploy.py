@@ -41,25 +41,7 @@ def deploy_settings(program: Program) -> dict[str, Any]:
         UsageError: A runner cannot compute the observation or the commands of the scenario, or keep the
             memory of its policy.
     """
-    agent = program.agent
-    algorithm = ALGORITHMS.get(agent.training.algorithm) if agent.training is not None else None
-    if algorithm is not None and algorithm.base() == "RecurrentPPO":
-        raise UsageError(
-            "a recurrent policy does not fit the runners of Isaac Lab, which pass on no memory; export a"
-            " bundle instead"
-        )
-    if (
-        agent.choices
-        or agent.goal is not None
-        or agent.images
-        or agent.frame_stack > 1
-        or agent.copies is not None
-    ):
-        raise UsageError(
-            "the runners of Isaac Lab take a vector of numbers and return targets of joints: choices, goals,"
-            " images, copies and"
-            " `agent.frame_stack` do not fit (use `history` of an observation); export a bundle instead"
-        )
+    _require_plain_policy(program)
     robot, command = _only_command(program)
     motor = command.actuator
     if (
@@ -85,7 +67,7 @@ def deploy_settings(program: Program) -> dict[str, Any]:
     commands: dict[str, Any] = {}
     observations: dict[str, Any] = {}
     parameters = {value.name: value for value in program.parameters}
-    for entry in agent.observation:
+    for entry in program.agent.observation:
         name, term = _term(entry, robot, motor, offset)
         if entry.name in parameters:
             term["params"] = {"command_name": entry.name}
@@ -112,6 +94,29 @@ def deploy_settings(program: Program) -> dict[str, Any]:
         },
         "observations": observations,
     }
+
+
+def _require_plain_policy(program: Program) -> None:
+    """Raises: UsageError: A runner cannot give the policy what it sees, or keep its memory."""
+    agent = program.agent
+    algorithm = ALGORITHMS.get(agent.training.algorithm) if agent.training is not None else None
+    if algorithm is not None and algorithm.base() == "RecurrentPPO":
+        raise UsageError(
+            "a recurrent policy does not fit the runners of Isaac Lab, which pass on no memory; export a"
+            " bundle instead"
+        )
+    if (
+        agent.choices
+        or agent.goal is not None
+        or agent.images
+        or agent.frame_stack > 1
+        or agent.copies is not None
+    ):
+        raise UsageError(
+            "the runners of Isaac Lab take a vector of numbers and return targets of joints: choices, goals,"
+            " images, copies and"
+            " `agent.frame_stack` do not fit (use `history` of an observation); export a bundle instead"
+        )
 
 
 def _only_command(program: Program) -> tuple[Robot, Command]:
