@@ -31,6 +31,7 @@ draws.py         which drawn values have an effect on episodes
 campaign.py      several trainings in one folder: what groups and studies have in common
 group.py         groups: a folder with a run per seed, trained one after the other or on workers
 executor.py      where work runs: in this process, or on workers
+journal_file.py  the file in which Optuna keeps a study, which a crash does not damage
 study.py         studies: searches over values of a scenario, a group for each trial
 trials.py        which trial a process takes, how it is trained, scored and pruned
 listing.py       what is known of runs, groups and studies from their files, also while they train

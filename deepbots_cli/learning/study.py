@@ -27,7 +27,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import Field, PositiveInt, TypeAdapter, ValidationError
+from pydantic import Field, PositiveInt, TypeAdapter
 
 from deepbots_cli import api
 from deepbots_cli.compiler import CheckedScenario
@@ -47,6 +47,7 @@ from deepbots_cli.scenario.search import SearchSpace
 if TYPE_CHECKING:
     import optuna
 
+    from deepbots_cli.learning.journal_file import JournalFile
     from deepbots_cli.learning.statistics import Difference
 
 JOURNAL_NAME = "journal.log"
@@ -54,6 +55,9 @@ Objective = Literal["solved", "success_rate", "mean_return"]
 TrialState = Literal["running", "complete", "pruned", "failed"]
 
 _MAX_JOURNAL_BYTES = 200_000_000
+_LONG_JOURNAL_MB = 5
+_MAX_SCORE = 1e300  # also of steps and returns, so that sums are finite
+_MAX_REASON = 10_000  # characters of why a trial failed
 
 
 class StudyRecord(CampaignRecord):
@@ -119,6 +123,13 @@ class SeedScore:
     steps: int | None = None
     mean_return: float | None = None
     success_rate: float | None = None
+
+    @property
+    def numbers(self) -> tuple[float | None, ...]:
+        return (self.score, self.steps, self.mean_return, self.success_rate)
+
+
+_SEED_SCORES = TypeAdapter(tuple[SeedScore, ...])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,11 +218,13 @@ class Journal:
 
     known: optuna.Study
     storage: optuna.storages.JournalStorage
+    file: JournalFile
 
     @property
     def trials(self) -> list[optuna.trial.FrozenTrial]:
-        """All trials, by number."""
-        return self.known.get_trials(deepcopy=False)
+        """All trials, by number. Raises: RunError: The journal is damaged."""
+        with self.file.checked():
+            return self.known.get_trials(deepcopy=False)
 
     def importances(self, seeds: int, *, lower_is_better: bool) -> list[dict[str, float]]:
         """How much each key matters for the best quarter of the complete trials, by the scores of one seed
@@ -230,17 +243,18 @@ class Journal:
                 self.known, evaluator=PedAnovaImportanceEvaluator(target_quantile=0.25), target=cost
             )
 
-        with warnings.catch_warnings(action="ignore"):  # that low values are good, which they are
+        # Optuna warns that low values are good, which they are here.
+        with warnings.catch_warnings(action="ignore"), self.file.checked():
             return [importances(seed) for seed in range(seeds)]
 
     def trial(self, number: int) -> optuna.trial.Trial:
-        """A trial, of whatever process, to report to."""
+        """A trial, of whatever process, to report to. Raises: RunError: The journal is damaged."""
         import optuna
 
-        study_id = self.storage.get_study_id_from_name(self.known.study_name)
-        return optuna.trial.Trial(
-            self.known, self.storage.get_trial_id_from_study_id_trial_number(study_id, number)
-        )
+        with self.file.checked():
+            study_id = self.storage.get_study_id_from_name(self.known.study_name)
+            trial_id = self.storage.get_trial_id_from_study_id_trial_number(study_id, number)
+            return optuna.trial.Trial(self.known, trial_id)
 
 
 @dataclass(frozen=True)
@@ -254,10 +268,15 @@ class Study(Campaign[StudyRecord]):
     files = (*Campaign.files, JOURNAL_NAME)
 
     @property
-    def journal_bytes(self) -> int:
-        """The size of its journal; 0 where there is none."""
+    def reading_note(self) -> str | None:
+        """A note that its trials are read, where this takes seconds."""
         path = self.path / JOURNAL_NAME
-        return path.stat().st_size if path.is_file() else 0
+        megabytes = path.stat().st_size // 1_000_000 if path.is_file() else 0
+        return (
+            f"reading the trials of {self.path} ({megabytes} MB) ..."
+            if megabytes > _LONG_JOURNAL_MB
+            else None
+        )
 
     def trial_folder(self, number: int) -> Path:
         return self.path / f"trial-{number}"
@@ -282,7 +301,8 @@ class Study(Campaign[StudyRecord]):
         except ModuleNotFoundError as error:
             raise MissingExtraError("tune", "a search over values") from error
         from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+
+        from deepbots_cli.learning.journal_file import JournalFile
 
         path, level = self.path / JOURNAL_NAME, optuna.logging.get_verbosity()
         if path.exists() and not path.is_file():  # a pipe would be read for ever
@@ -294,13 +314,19 @@ class Study(Campaign[StudyRecord]):
             direction: Literal["minimize", "maximize"] = (
                 "minimize" if self.record.lower_is_better else "maximize"
             )
-            storage = JournalStorage(JournalFileBackend(str(path), JournalFileOpenLock(str(path))))
-            study = optuna.create_study(
-                storage=storage, study_name=self.record.scenario, direction=direction, load_if_exists=True
-            )
-            return Journal(study, storage)
-        except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
-            raise RunError(f"{path} is damaged, or was not written by deepbots") from error
+            file, name = JournalFile(path), self.record.scenario
+            with file.checked():
+                storage = JournalStorage(file)
+                present = [study for study in storage.get_all_studies() if study.study_name == name]
+                if not present:
+                    study = optuna.create_study(
+                        storage=storage, study_name=name, direction=direction, load_if_exists=True
+                    )
+                    return Journal(study, storage, file)
+                # `create_study` would write a line, even for a study that exists.
+                if [each.name.lower() for each in present[0].directions] != [direction]:
+                    raise ValueError("the journal of another objective")
+                return Journal(optuna.load_study(study_name=name, storage=storage), storage, file)
         finally:
             optuna.logging.set_verbosity(level)
 
@@ -320,14 +346,19 @@ class Study(Campaign[StudyRecord]):
         states: dict[str, TrialState] = {"COMPLETE": "complete", "PRUNED": "pruned", "FAIL": "failed"}
         state, reason = states.get(frozen.state.name, "running"), frozen.user_attrs.get("reason")
         try:
-            seeds = TypeAdapter(tuple[SeedScore, ...]).validate_python(frozen.user_attrs.get("seeds", ()))
+            seeds = _SEED_SCORES.validate_python(frozen.user_attrs.get("seeds", ()))
             values = self.record.texts(frozen.params)
-        except (ValidationError, LookupError, TypeError, ValueError) as error:
+            score = frozen.value if state == "complete" else None
+            if state == "complete" and [each.seed for each in seeds] != [*self.record.seeds]:
+                raise ValueError("a complete trial has the scores of all seeds")
+            for number in (score, *(number for each in seeds for number in each.numbers)):
+                if number is not None and not abs(number) <= _MAX_SCORE:
+                    raise ValueError("a number that no training has")
+        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
             raise RunError(
-                f"{self.path / JOURNAL_NAME} is damaged: trial {frozen.number} does not fit the search space"
+                f"{self.path / JOURNAL_NAME} is damaged: trial {frozen.number} does not fit the study"
             ) from error
-        state, reason = ("failed", str(reason)) if reason else (state, None)
-        score = frozen.value if state == "complete" else None
+        state, reason = ("failed", str(reason)[:_MAX_REASON]) if reason else (state, None)
         folder = self.trial_folder(frozen.number)
         return StudyTrial(
             folder, values, number=frozen.number, state=state, score=score, seeds=seeds, reason=reason

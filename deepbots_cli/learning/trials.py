@@ -230,15 +230,15 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
             # interruption.
             seed = derive_seed(study.record.seed, "trial", len(trials) if number is None else number)
             journal.known.sampler = TPESampler(seed=seed)
-            if number is None and (
-                len(trials) < study.record.trials or any(trial.state.name == "WAITING" for trial in trials)
-            ):
-                if not trials and study.record.present:
-                    journal.known.enqueue_trial(dict(study.record.present))
-                number = journal.known.ask().number
-                stack.enter_context(lock(number))
-            if number is not None:
-                _suggest(journal.trial(number), study.record.search)
+            is_waiting = any(trial.state.name == "WAITING" for trial in trials)
+            with journal.file.checked():
+                if number is None and (is_waiting or len(trials) < study.record.trials):
+                    if not trials and study.record.present:
+                        journal.known.enqueue_trial(dict(study.record.present))
+                    number = journal.known.ask().number
+                    stack.enter_context(lock(number))
+                if number is not None:
+                    _suggest(journal.trial(number), study.record.search)
         yield number
 
 
@@ -259,13 +259,14 @@ def end_trial(journal: Journal, number: int, result: TrialResult) -> None:
     from optuna.trial import TrialState
 
     trial = journal.trial(number)
-    trial.set_user_attr("seeds", [asdict(each) for each in result.seeds])
-    if result.reason is not None:
-        trial.set_user_attr("reason", result.reason)
-    if result.state == "complete":
-        journal.known.tell(trial, fmean(each.score for each in result.seeds), skip_if_finished=True)
-    else:
-        journal.known.tell(trial, state=TrialState.PRUNED, skip_if_finished=True)
+    with journal.file.checked():
+        trial.set_user_attr("seeds", [asdict(each) for each in result.seeds])
+        if result.reason is not None:
+            trial.set_user_attr("reason", result.reason)
+        if result.state == "complete":
+            journal.known.tell(trial, fmean(each.score for each in result.seeds), skip_if_finished=True)
+        else:
+            journal.known.tell(trial, state=TrialState.PRUNED, skip_if_finished=True)
 
 
 def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
@@ -459,7 +460,8 @@ class _Follower(Reporter):
         for each in range(1, point + 1):
             value = self._score(place, each) if GRID * place + each not in reported else None
             if value is not None:
-                self._trial.report(value, GRID * place + each)
+                with self._journal.file.checked():
+                    self._trial.report(value, GRID * place + each)
                 reported[GRID * place + each] = value
         return reported.get(step)
 

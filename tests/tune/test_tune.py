@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -335,13 +336,104 @@ def test_a_shipped_scenario_is_not_changed(whole: Study, capsys: pytest.CaptureF
     assert "comes with deepbots; copy it with `deepbots new mine --from cartpole`" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("damage", ["{", '{"op_code": 9}\n', '{"op_code":4,"worker_id":"x","study_id":0}\n'])
+FORGED = (
+    "{",
+    '{"op_code": 9}\n',
+    '{"op_code":4,"worker_id":"x","study_id":0}\n',
+    "123\n",
+    "[]\n",
+    "null\n",
+    '{"op_code":1e999}\n',
+    '{"op_code":' + "9" * 5000 + "}\n",
+    "[" * 100_000 + "\n",
+    '{"op_code":4,"worker_id":"x","study_id":0,"datetime_start":1e308}\n',
+)
+
+
+@pytest.mark.parametrize("damage", FORGED, ids=lambda text: text[:40].strip())
 def test_a_damaged_journal_is_refused_in_one_sentence(file: Path, tmp_path: Path, damage: str) -> None:
     study = made(file, tmp_path / "study")
     with (study.path / "journal.log").open("a") as journal:
         journal.write(damage + '{"op_code":4,"worker_id":"x","study_id":0}\n')
-    with pytest.raises(UsageError, match=r"journal.log is damaged"):
+    with pytest.raises(
+        UsageError,
+        match=r"journal.log is damaged, or was not written by deepbots: line 2 is no entry of Optuna$",
+    ):
         study.trials()
+
+
+NUMBERS = (
+    '"score": 1e999',
+    '"score": NaN',
+    '"score": ' + "9" * 400,
+    '"seed": 7',
+    '"steps": ' + "9" * 400,
+    '"success_rate": "x"',
+)
+
+
+@pytest.mark.parametrize("forged", NUMBERS, ids=lambda text: text[:25])
+def test_a_score_that_no_training_has_is_refused_in_one_sentence(
+    file: Path, tmp_path: Path, forged: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = _told(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
+    journal, name = study.path / "journal.log", forged.partition(":")[0]
+    text = journal.read_text()
+    changed = re.sub(f"{name}:[^,}}]+", forged.replace(": ", ":"), text, count=1)
+    assert changed != text
+    journal.write_text(changed)
+    assert main(["resume", str(study.path), "-q"]) == 2
+    assert "journal.log is damaged: trial 0 does not fit the study" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("rest", [-1, -40, 0.5, "\0\0\0\0"])
+def test_a_last_line_that_a_crash_cut_loses_no_trial(file: Path, tmp_path: Path, rest: float | str) -> None:
+    """The study was lost: the next line was written behind the piece, and the whole journal was refused."""
+    told = _told(file, tmp_path / "study", *[[SeedScore(0, value, 100, 5.0, 0.5)] for value in (0.5, 0.4)])
+    path = told.path / "journal.log"
+    text = path.read_text()
+    last = text.splitlines(keepends=True)[-1]
+    cut = rest if isinstance(rest, str) else last[: int(rest) if rest < 0 else int(rest * len(last))]
+    path.write_text(text.removesuffix(last) + cut)
+    journal = told.connect()
+    assert [trial.state for trial in told.trials(journal)] == ["complete", "running"]
+    with next_trial(told, journal) as number:
+        assert number == 1
+        end_trial(journal, 1, TrialResult("complete", (SeedScore(0, 0.3, 100, 5.0, 0.5),)))
+    assert [trial.score for trial in told.trials()] == [0.5, 0.3]
+
+
+def test_reading_a_study_does_not_write_to_it(file: Path, tmp_path: Path) -> None:
+    study = _told(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
+    before = (study.path / "journal.log").read_bytes()
+    (study.path / "journal.log").write_bytes(before[:-1])
+    study.trials()
+    assert (study.path / "journal.log").read_bytes() == before[:-1]
+
+
+def test_a_journal_of_many_entries_about_one_trial_is_refused_before_it_takes_minutes(
+    file: Path, tmp_path: Path
+) -> None:
+    """Optuna copies all of them for each; 300,000 did not end in six minutes."""
+    study = _told(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
+    path = study.path / "journal.log"
+    lines = path.read_text().splitlines(keepends=True)
+    entry = '{{"op_code":7,"worker_id":"x","trial_id":0,"step":{},"intermediate_value":0.5}}\n'
+    path.write_text("".join([*lines[:-1], *map(entry.format, range(300_000)), lines[-1]]))
+    with pytest.raises(RunError, match="has too many entries about one trial"):
+        study.trials()
+
+
+@pytest.mark.parametrize("command", ["resume", "report", "runs"])
+def test_a_long_journal_is_announced_where_it_is_read(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    study = _told(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
+    path = study.path / "journal.log"
+    path.write_text(path.read_text() + '{"op_code":10,"worker_id":"x"}\n' * 200_000)
+    words = {"resume": [study.path], "report": [study.path, "-o", tmp_path / "x.html"], "runs": [study.path]}
+    assert main([command, *map(str, words[command])]) == 0
+    assert ("reading the trials of" in capsys.readouterr().err) == (command != "runs")
 
 
 def _told(file: Path, path: Path, *trials: Sequence[SeedScore]) -> Study:

@@ -59,6 +59,11 @@ def command(
         names = of_studies.FIGURE_NAMES if is_study else of_runs.FIGURE_NAMES
         check_output(*(figures / f"{name}.png" for name in names), force=force)
     report: of_runs.Report | of_studies.StudyReport
+    if is_study:
+        from deepbots_cli.learning.study import Study
+
+        if note := Study.open(run).reading_note:
+            terminal.note(note)
     with terminal.transient_line("reading the run ..."):
         report = of_studies.StudyReport.read(run) if is_study else of_runs.Report.read(run)
     if isinstance(report, of_runs.Report):

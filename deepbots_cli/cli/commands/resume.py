@@ -31,7 +31,6 @@ from deepbots_cli.learning.group import MAX_RETRIES, Group
 from deepbots_cli.learning.study import Study
 from deepbots_cli.rollout.source import Source, SourceKind
 
-_LONG_JOURNAL_MB = 5
 """Reading this much takes a second."""
 
 Trained = Annotated[
@@ -133,9 +132,8 @@ def _refuse_others(what: str, options: dict[str, Any], *allowed: str) -> None:
 
 def _open_study(path: Path, *, quiet: bool) -> Study:
     study = Study.open(path)
-    megabytes = study.journal_bytes // 1_000_000
-    if megabytes > _LONG_JOURNAL_MB and not quiet:
-        terminal.note(f"reading the trials of {study.path} ({megabytes} MB) ...")
+    if study.reading_note and not quiet:
+        terminal.note(study.reading_note)
     return study
 
 
