@@ -5,7 +5,14 @@ from __future__ import annotations
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
-from deepbots_cli.insight.speed import Speed, engine_worth_naming
+from deepbots_cli.insight.speed import (
+    LARGE_SPREAD,
+    Speed,
+    busy_note,
+    engine_worth_naming,
+    medians,
+    spread,
+)
 from deepbots_cli.program import Program
 
 
@@ -20,8 +27,9 @@ def note_faster_engine(
         terminal.note(f"note: {faster.text}")
 
 
-def speed_table(name: str, speeds: list[Speed], rounds: int) -> str:
-    """The table, and what its columns are."""
+def speed_table(name: str, measured: list[list[Speed]]) -> str:
+    """The table of the rounds of each engine, what its columns are, and a word on a busy machine."""
+    speeds, rounds = [*map(medians, measured)], len(measured[0])
     shown = [
         {
             "engine": speed.engine,
@@ -36,5 +44,7 @@ def speed_table(name: str, speeds: list[Speed], rounds: int) -> str:
         }
         for speed in speeds
     ]
-    measured = "one round" if rounds == 1 else f"medians of {rounds} rounds"
-    return f"{name}, random actions, {measured}; CPU times are per step of one world\n{table(shown)}"
+    of_rounds = "one round" if rounds == 1 else f"medians of {rounds} rounds"
+    largest = max(map(spread, measured))
+    busy = f"\n{busy_note(largest)}" if largest > LARGE_SPREAD else ""
+    return f"{name}, random actions, {of_rounds}; CPU times are per step of one world\n{table(shown)}{busy}"

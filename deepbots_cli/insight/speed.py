@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass
 from itertools import cycle
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from deepbots_cli.engine_kinds import ENGINES, chosen
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.program import Program
 
+if TYPE_CHECKING:
+    from deepbots_cli.runtime import Supervisor
+
 BATCH = "batch"
 MIN_RATIO = 1.5
 """How much faster another engine must be to be named."""
@@ -27,6 +30,10 @@ MIN_SECONDS_SAVED = 30.0
 MEASURED_FROM_STEPS = 20_000
 """Timesteps of a training from which on `train` and `new` measure engines."""
 MIN_TIMED_STEPS = 5
+WINDOWS = 3
+"""How often each engine is measured before one is named."""
+LARGE_SPREAD = 0.3
+"""Measured of windows of one engine: at most 0.1 on an idle machine, 0.2 to 0.8 on a busy one."""
 MIN_STEPS = 60
 """Steps of each world of a batch, in which some episodes end."""
 _ACTIONS = 500
@@ -113,6 +120,12 @@ def measure(
     return speeds
 
 
+def spread(rounds: Sequence[Speed]) -> float:
+    """By how much the CPU time of a step was longer in the slowest round than in the fastest one."""
+    times = [speed.step_us for speed in rounds]
+    return max(times) / min(times) - 1.0
+
+
 def medians(rounds: Sequence[Speed]) -> Speed:
     """The medians of what several rounds measured in one engine."""
     _, _, *columns = vars(rounds[0])
@@ -130,6 +143,8 @@ class FasterEngine:
     steps_per_second: float
     used: str
     used_steps_per_second: float
+    spread: float = 0.0
+    """That of `EngineSpeeds`."""
 
     @property
     def ratio(self) -> float:
@@ -148,39 +163,73 @@ class FasterEngine:
             f"{self.used_steps_per_second:,.0f} steps/s). To use it, add the line `engine: {self.engine}` to"
             " the section `world`, or give "
             f"--engine {self.engine}. Motion and results may differ; `deepbots transfer RUN` shows how much."
+            f"{f' {busy_note(self.spread)}' if self.spread > LARGE_SPREAD else ''}"
         )
+
+
+def busy_note(spread: float) -> str:
+    """A sentence about measurements of one engine that differ by `spread`."""
+    return (
+        f"Measurements of one engine differ by {spread:.0%}, as on a busy machine: repeat them when it is"
+        " idle."
+    )
+
+
+@dataclass(frozen=True)
+class EngineSpeeds:
+    """Steps of one world per second of CPU time in each engine, in several windows of time."""
+
+    windows: Mapping[str, Sequence[float]]
+
+    @property
+    def best(self) -> dict[str, float]:
+        """The best window of each engine, which other programs disturbed least."""
+        return {name: max(speeds) for name, speeds in self.windows.items()}
+
+    @property
+    def spread(self) -> float:
+        """By how much the best window of an engine is faster than its slowest one; the largest of all."""
+        return max(max(speeds) / min(speeds) - 1.0 for speeds in self.windows.values())
+
+    def faster_than(self, used: str) -> FasterEngine | None:
+        """The fastest engine, if it is at least 1.5 times as fast as the engine `used`."""
+        speeds = self.best
+        name = max(speeds, key=lambda name: speeds[name])
+        faster = FasterEngine(name, speeds[name], used, speeds[used], self.spread)
+        return faster if faster.ratio >= MIN_RATIO else None
 
 
 def engine_speeds(
     program: Program,
     used: str,
     *,
-    seconds: float = 0.05,
+    seconds: float = 0.03,
     seed: int = 0,
     permissions: Permissions = Permissions(),
-) -> dict[str, float]:
-    """Steps of one world per second of CPU time in the engine `used`, and in our others that are installed
-    and can hold the world.
+) -> EngineSpeeds:
+    """Measure the engine `used`, and our others that are installed and can hold the world.
 
-    Each engine is measured for `seconds` of CPU time; the worlds are built in addition.
+    Each engine is measured in `WINDOWS` windows of `seconds` of CPU time, in turn: a program that disturbs
+    one engine for a while disturbs the others, too. The worlds are built in addition.
     """
-    speeds: dict[str, float] = {}
-    for name in dict.fromkeys((used, *(name for name, kind in ENGINES.own.items() if kind.is_installed))):
-        try:
-            measured = _single(program, name, MIN_TIMED_STEPS, seed, seconds=seconds, permissions=permissions)
-        except DeepbotsError:  # such as a world that the engine cannot hold
-            if name == used:
-                raise
-        else:
-            speeds[name] = 1e6 / measured.step_us
-    return speeds
 
+    def errors_of(name: str) -> AbstractContextManager[None]:
+        """Errors of another engine than the one in use do not matter, such as a world that it cannot hold."""
+        return nullcontext() if name == used else suppress(DeepbotsError)
 
-def faster_engine(speeds: Mapping[str, float], used: str) -> FasterEngine | None:
-    """The fastest engine, if it is at least 1.5 times as fast as the engine `used`."""
-    best = max(speeds, key=lambda name: speeds[name])
-    faster = FasterEngine(best, speeds[best], used, speeds[used])
-    return faster if faster.ratio >= MIN_RATIO else None
+    with ExitStack() as stack:
+        worlds: dict[str, Supervisor] = {}
+        for name in dict.fromkeys((used, *(name for name, kind in ENGINES.own.items() if kind.is_installed))):
+            with errors_of(name):
+                world = api.make(program, engine=name, permissions=permissions)
+                worlds[name] = stack.enter_context(closing(world))
+        windows: dict[str, list[float]] = {name: [] for name in worlds}
+        for _ in range(WINDOWS):
+            for name, world in worlds.items():
+                with errors_of(name):
+                    measured = _timed(world, name, MIN_TIMED_STEPS, seed, seconds=seconds)
+                    windows[name].append(1e6 / measured.step_us)
+        return EngineSpeeds({name: speeds for name, speeds in windows.items() if len(speeds) == WINDOWS})
 
 
 def engine_worth_naming(
@@ -192,7 +241,7 @@ def engine_worth_naming(
     """Another engine than the default one, if it is faster and makes a training at least 30 s of CPU time
     shorter.
 
-    This measures for about 0.15 s of CPU time. Nothing is measured for a scenario that names its engine, and
+    This measures for about 0.2 s of CPU time. Nothing is measured for a scenario that names its engine, and
     for a short training.
     """
     training = program.agent.training
@@ -202,48 +251,48 @@ def engine_worth_naming(
         return None
     used = chosen(None)
     with suppress(DeepbotsError):  # which the command that makes the world reports
-        faster = faster_engine(engine_speeds(program, used, permissions=permissions), used)
+        faster = engine_speeds(program, used, permissions=permissions).faster_than(used)
         if faster and faster.seconds_saved(planned) >= MIN_SECONDS_SAVED:
             return faster
     return None
 
 
-def _single(
-    source: Compiled | Program,
-    engine: str,
-    steps: int,
-    seed: int,
-    *,
-    seconds: float = 0.0,
-    permissions: Permissions = Permissions(),
-) -> Speed:
+def _single(compiled: Compiled, engine: str, steps: int, seed: int) -> Speed:
+    with closing(api.make(compiled, engine=engine)) as world:
+        return _timed(world, engine, steps, seed)
+
+
+def _timed(world: Supervisor, engine: str, steps: int, seed: int, *, seconds: float = 0.0) -> Speed:
     """Time one world for a number of steps, and at least for so many seconds of CPU time."""
-    with closing(api.make(source, engine=engine, permissions=permissions)) as world:
-        physics = CallTimer(world.physics)
-        world.physics = physics
+    plain = world.physics
+    physics = CallTimer(plain)
+    world.physics = physics
 
-        def begin() -> None:
-            """Physics steps that let a world settle belong to the reset."""
-            before = physics.cpu, physics.clock
-            world.reset()
-            physics.cpu, physics.clock = before
+    def begin() -> None:
+        """Physics steps that let a world settle belong to the reset."""
+        before = physics.cpu, physics.clock
+        world.reset()
+        physics.cpu, physics.clock = before
 
-        reset = CallTimer(begin)
-        world.reset(seed=seed)
-        world.action_space.seed(seed)
-        actions = cycle([world.action_space.sample() for _ in range(_ACTIONS)])
+    reset = CallTimer(begin)
+    world.reset(seed=seed)
+    world.action_space.seed(seed)
+    actions = cycle([world.action_space.sample() for _ in range(_ACTIONS)])
 
-        def run() -> int:
-            done, end = 0, time.process_time() + seconds
-            while done < steps or (seconds and time.process_time() < end):
-                _, _, terminated, truncated, _ = world.step(next(actions))
-                done += 1
-                if terminated or truncated:
-                    reset()
-            return done
+    def run() -> int:
+        done, end = 0, time.process_time() + seconds
+        while done < steps or (seconds and time.process_time() < end):
+            _, _, terminated, truncated, _ = world.step(next(actions))
+            done += 1
+            if terminated or truncated:
+                reset()
+        return done
 
-        physics.cpu = physics.clock = 0.0
+    physics.cpu = physics.clock = 0.0
+    try:
         return _speed(engine, 1, run, physics, reset)
+    finally:
+        world.physics = plain
 
 
 def _batch(compiled: Compiled, count: int, steps: int, seed: int) -> Speed:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from deepbots_cli import api
 from deepbots_cli.cli.throughput import note_faster_engine
-from deepbots_cli.insight.speed import faster_engine, measure
+from deepbots_cli.insight.speed import EngineSpeeds, engine_speeds, measure
 from deepbots_cli.learning.sb3 import defaults
 
 PLAIN = "train={algorithm: PPO, total_timesteps: 1000, network: {activation: relu}}"
@@ -446,8 +446,32 @@ def test_the_faster_engine_is_named_where_it_saves_half_a_minute_and_none_is_cho
 
 
 def test_an_engine_that_is_little_faster_is_not_named():
-    assert faster_engine({"pybullet": 100.0, "mujoco": 149.0}, "pybullet") is None
-    assert faster_engine({"pybullet": 100.0, "mujoco": 150.0}, "pybullet").ratio == 1.5
+    assert EngineSpeeds({"pybullet": [100.0], "mujoco": [149.0]}).faster_than("pybullet") is None
+    assert EngineSpeeds({"pybullet": [100.0], "mujoco": [150.0]}).faster_than("pybullet").ratio == 1.5
+
+
+def test_a_window_that_another_program_disturbed_does_not_choose_the_engine():
+    """On a busy machine, one window of each engine named the wrong one."""
+    speeds = EngineSpeeds({"pybullet": (50.0, 100.0, 95.0), "mujoco": (110.0, 60.0, 105.0)})
+    assert speeds.best == {"pybullet": 100.0, "mujoco": 110.0}
+    assert speeds.spread == pytest.approx(1.0)
+    assert speeds.faster_than("pybullet") is None
+    busy = EngineSpeeds({"pybullet": [100.0, 50.0], "mujoco": [300.0, 290.0]}).faster_than("pybullet")
+    assert busy.text.endswith(
+        "Measurements of one engine differ by 100%, as on a busy machine: repeat them when it is idle."
+    )
+    idle = EngineSpeeds({"pybullet": [100.0, 95.0], "mujoco": [300.0, 290.0]}).faster_than("pybullet")
+    assert "busy" not in idle.text
+
+
+def test_an_engine_that_cannot_hold_the_world_is_not_compared(tmp_path):
+    pytest.importorskip("pybullet")
+    (tmp_path / "ground.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "hills.yaml").write_text(
+        "deepbots: 1\nextends: cartpole\nname: Hills\nworld: {terrain: {type: mesh, file: ground.obj}}\n"
+    )
+    program = api.compile(tmp_path / "hills.yaml").program
+    assert list(engine_speeds(program, "pybullet", seconds=0.001).windows) == ["pybullet"]
 
 
 def test_a_bench_measures_no_more_rounds_than_fit_into_its_time():

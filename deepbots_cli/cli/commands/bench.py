@@ -129,9 +129,9 @@ def command(
     else:
         names = [chosen(compiled.program.engine)]
         speeds = speed.engine_speeds(compiled.program, names[0], seed=seed, permissions=permissions)
-        faster = speed.faster_engine(speeds, names[0])
+        faster = speeds.faster_than(names[0])
         rounds = pairs or (3 if quick else 5)
-        steps = steps or (600 if quick else _affordable_steps(speeds[names[0]], rounds))
+        steps = steps or (600 if quick else _affordable_steps(speeds.best[names[0]], rounds))
     numbers = counts(worlds or "1,16,64,256")
     of_each = f", and at least {speed.MIN_STEPS} of each world of a batch" if speed.BATCH in names else ""
     terminal.note(f"measuring {counted_noun(rounds, 'round')} of {steps:,} steps{of_each}")
@@ -139,10 +139,9 @@ def command(
         measured = speed.measure(
             compiled, names, numbers, steps=steps, rounds=rounds, seed=seed, end=end, on_measured=show
         )
-    medians, rounds = [*map(speed.medians, measured)], len(measured[0])
-    text = speed_table(compiled.program.name, medians, rounds)
+    text = speed_table(compiled.program.name, measured)
     if several:
-        terminal.show(medians, text, as_json=as_json)
+        terminal.show([*map(speed.medians, measured)], text, as_json=as_json)
         return
     _show_one(compiled.program, measured[0], steps, faster, text, as_json=as_json)
 
