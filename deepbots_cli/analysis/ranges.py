@@ -122,6 +122,8 @@ class Ranges:
             node.subjects
         ):
             return NEVER
+        if node.function == "contact_force" and not self.analysis.intangible.isdisjoint(node.subjects):
+            return iv.single(0.0)
         function = FUNCTIONS.get(node.function)
         return TRUTH if function is None or function.boolean else function.interval()
 

@@ -308,15 +308,28 @@ def wrap_line(line: str) -> list[str]:
     operators = next(
         (group for group in _OPERATORS if any(list(_places(body, sign)) for sign in group)), None
     )
-    if operators is None:
+    fits = len(pad) + 4 + len(body) <= WIDTH
+    room = 0 if fits else WIDTH - len(pad) - start
+    if operators is None or _ends_in_long_brackets(body, operators, room):
         return _at_brackets(pad, code)
-    if len(pad) + 4 + len(body) <= WIDTH:
+    if fits:
         return [head, f"{pad}    {body}", tail]
     return [
         head,
         *(piece for part in _broken(body, operators) for piece in wrap_line(f"{pad}    {part}")),
         tail,
     ]
+
+
+def _ends_in_long_brackets(body: str, operators: tuple[str, ...], width: int) -> bool:
+    """Whether a line has one operator of arithmetic within a width, and brackets behind it, inside which it
+    is broken."""
+    places = [place for sign in operators for place in _places(body, sign)]
+    groups = list(_groups(body))
+    if " if " in operators or len(places) != 1 or not groups:
+        return False
+    start, end = groups[-1]
+    return places[0] < start < width and end == len(body) - 1
 
 
 def _at_brackets(pad: str, code: str) -> list[str]:

@@ -33,7 +33,7 @@ ReaderKeys = dict[ReaderKey, None]
 """The readers that a method calls, in order of first use."""
 
 _KINDS = ("joints", "torques", "pose", "velocity")
-_OF_COLUMNS = (*_KINDS, "clearance", "contact", "contacts", "collided")
+_OF_COLUMNS = (*_KINDS, "clearance", "contact", "contacts", "collided", "contact_force")
 """The kinds of readers that engines with batches give as columns."""
 _POSES = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
 _RESULT_INDEX = {
@@ -54,6 +54,7 @@ _SCALAR_READERS = {
     "clearance": "engine.clearance({0}, {1})",
     "contact": "engine.contact({0}, ({1},))",
     "collided": "engine.contact({0}, ground=False)",
+    "contact_force": "engine.contact_force({0})",
     "path_distance": "self.ways.distance({0}, {1})",
     "path_bearing": "self.ways.bearing({0}, {1})",
     "reachable": "self.ways.reachable({0}, {1})",

@@ -353,7 +353,8 @@ def _start_value(
 # Before the first step nothing has touched or acted, and no picture was taken.
 _HELP_BEFORE_FIRST_STEP = {
     **dict.fromkeys(
-        ("contact", "collided"), "contacts are not known before the first step; use `clearance(...) > 1 cm`"
+        ("contact", "collided", "contact_force"),
+        "contacts are not known before the first step; use `clearance(...) > 1 cm`",
     ),
     "joint_torque": "remove it: no motor has exerted a torque before the first step",
     "visible": "no picture exists when the start is drawn; use the position of the body, as in"

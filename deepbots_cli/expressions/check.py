@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from functools import partial
+from itertools import chain
 from typing import NamedTuple, TypeVar
 
 from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, suggest_replacement
@@ -34,12 +35,14 @@ from deepbots_cli.expressions.types import (
     Constant,
     Context,
     FindingReporter,
+    GroupComponents,
     Invocation,
     Kind,
     Known,
     Operation,
     Redraw,
     Reference,
+    RowComponents,
     Scope,
     Subject,
     Type,
@@ -51,6 +54,7 @@ from deepbots_cli.expressions.types import (
 )
 from deepbots_cli.expressions.unification import (
     StopChecking,
+    aligned,
     components_of,
     dimension_of,
     none_after_finding,
@@ -183,7 +187,8 @@ def check_range(
     typed = TypedRange(low, high, tree.start, tree.end)
     require_kind((low, high), report)
     dimension_of((low, high), tree, report)
-    components_of((low, high), tree, report)
+    low, high = aligned((low, high), tree, report)
+    typed = typed._replace(low=low, high=high)
     if not falling:
         _require_rising(typed, report)
     return typed
@@ -303,11 +308,32 @@ class _Checker:
         components = value.type.components
         if components is None:
             raise self._fault("DB402", node, f"`.{member}` of a single value", "only vectors have components")
+        if isinstance(components, RowComponents):
+            return self._pick_of_rows(value, components, member, node, before)
         wanted = (member,) if member in components else tuple(member)
         if not set(wanted) <= set(components) or len(set(wanted)) < len(wanted):
             raise self._unknown("component", member, components, node, before)
         indices = tuple(components.index(name) for name in wanted)
         return ComponentSelection(value.type.selected(indices), node.start, node.end, value, indices)
+
+    def _pick_of_rows(
+        self, value: Typed, components: RowComponents, member: str, node: syntax.Node, before: str | None
+    ) -> Typed:
+        """A row by its name, or one or several components of all rows."""
+        rows, columns = components.rows, components.columns
+        chosen: Components
+        if member in rows:
+            chosen, indices = columns, components.row(member)
+        elif member in columns:
+            chosen, indices = rows, components.column(member)
+        else:
+            if not set(member) <= set(columns) or len(set(member)) < len(member):
+                raise self._unknown("component", member, (*rows, *columns), node, before)
+            chosen = RowComponents(rows, tuple(member))
+            by_column = [components.column(name) for name in member]
+            indices = tuple(place for row in zip(*by_column, strict=True) for place in row)
+        selected = value.type.selected(indices)._replace(components=chosen)
+        return ComponentSelection(selected, node.start, node.end, value, indices)
 
     def _subject(self, node: syntax.Node, kinds: frozenset[Kind], function: str) -> Subject:
         """The part of the world that an argument names; DB203 for one of another kind, DB402 for none."""
@@ -439,7 +465,11 @@ class _Checker:
             return self._constant(node, literals, _positions(len(literals)))
         items = self.each(self.visit, node.items)
         require_kind(items, self._report)
-        components = self._gathered(items)
+        for item in items:
+            if item.type.components is not None:
+                help = "pick a component, as in `v.x`, or use `vector(...)`"
+                raise self._fault("DB404", item, "a vector inside a vector", help)
+        components = _positions(len(items))
         result = Type(
             dimension_of(items, node, self._report), components, known=max(item.type.known for item in items)
         )
@@ -447,12 +477,19 @@ class _Checker:
             result.with_intervals(item.type.interval for item in items), node.start, node.end, tuple(items)
         )
 
-    def _gathered(self, values: Sequence[Typed]) -> Components:
-        """The components of single values side by side."""
-        for value in values:
-            if value.type.components is not None:
-                raise self._fault("DB404", value, "a vector inside a vector", "pick a component, as in `v.x`")
-        return _positions(len(values))
+    def _put_together(self, values: Sequence[Typed]) -> Components:
+        """The components of single values side by side, or those of vectors as rows."""
+        vectors = [value for value in values if value.type.components is not None]
+        if not vectors:
+            return _positions(len(values))
+        columns = vectors[0].type.components or ()
+        for value in vectors:
+            if isinstance(value.type.components, (RowComponents, GroupComponents)):
+                raise self._fault("DB404", value, f"{value.type.shape_description} inside a vector")
+            if value.type.components != columns or len(vectors) < len(values):
+                help = "pick a component, as in `v.x`; or write vectors of the same components, which become rows"
+                raise self._fault("DB404", value, "a vector beside other values", help)
+        return RowComponents(tuple(str(number) for number in range(1, len(values) + 1)), columns)
 
     def _require_item(self, node: syntax.Vector, name: syntax.Name) -> None:
         """The name behind the numbers must be their last item; otherwise it is a misspelled unit, or an
@@ -479,7 +516,8 @@ class _Checker:
         """`a when c` is `a if c else 0`."""
         require_kind([value], self._report)
         require_kind([condition], self._report, boolean=True)
-        components = components_of((value, condition), node, self._report)
+        value, condition = both = aligned((value, condition), node, self._report)
+        components = components_of(both, node, self._report)
         nothing = Constant(Type(interval=single(0.0)), node.end, node.end, (0.0,))
         known = max(value.type.known, condition.type.known)
         result = _ranged(
@@ -494,13 +532,12 @@ class _Checker:
         boolean = any(value.type.boolean for value in values)
         require_kind(values, self._report, boolean=boolean)
         dimension = dimension_of(values, node, self._report)
-        components = components_of((condition, *values), node, self._report)
-        known = max(value.type.known for value in (condition, *values))
+        condition, *values = parts = aligned((condition, *values), node, self._report)
+        components = components_of(parts, node, self._report)
+        known = max(value.type.known for value in parts)
         result = Type(dimension, components, boolean, TRUTH, known)
         if not boolean:
-            result = _ranged(
-                result, OPERATORS["where"].interval, [part.type for part in (condition, *values)]
-            )
+            result = _ranged(result, OPERATORS["where"].interval, [part.type for part in parts])
         return Operation(result, node.start, node.end, "where", (condition, *values))
 
     def _unary(self, node: syntax.Unary, operand: Typed) -> Typed:
@@ -515,7 +552,7 @@ class _Checker:
         return Operation(result, node.start, node.end, "neg", (operand,))
 
     def _binary(self, node: syntax.Binary, left: Typed, right: Typed) -> Typed:
-        both = (left, right)
+        left, right = both = aligned((left, right), node, self._report)
         components = components_of(both, node, self._report)
         known = max(left.type.known, right.type.known)
         if operator := _ARITHMETIC.get(node.operator):
@@ -612,6 +649,9 @@ class _Checker:
             self._fault("DB407", called, headline, help)
         subjects, bound = self._arguments(node, function)
         values = tuple(value for _, value in bound)
+        if function.components is None and function.name != "vector":
+            values = aligned(values, node, self._report)
+            bound = [(param, value) for (param, _), value in zip(bound, values, strict=True)]
         result = self._result(node, function, subjects, bound)
         self._warn(function, bound)
         if not is_allowed:
@@ -690,8 +730,7 @@ class _Checker:
         )
 
         components = self._components(node, function, subjects, bound)
-        count = len(values[0].type.components or ()) if values else 0
-        reduction = function.reduction if components is None and count else None
+        reduction = function.reduction if len(values) == 1 else None
 
         known = max((value.type.known for value in values), default=Known.FIXED)
         if function.family is Family.DRAW:
@@ -702,12 +741,13 @@ class _Checker:
         if boolean:
             return result
         if reduction:
+            count = len(values[0].type.components or ()) // len(components or ("",))
             whole = reduction.interval(values[0].type.interval, count)
             if values[0].type.has_group_components:  # there may be none of them
                 whole = hull([whole, single(float(reduction.empty or 0.0))])
             return result._replace(interval=whole)
         if function.name == "vector":
-            return result.with_intervals(value.type.interval for value in values)
+            return result.with_intervals(chain.from_iterable(map(_intervals, values)))
         return _ranged(result, function.interval, (*subjects, *(value.type for value in values)))
 
     def _components(
@@ -720,21 +760,17 @@ class _Checker:
         """The components of the result; DB404 where the arguments have others than they must."""
         values = [value for _, value in bound]
         for param, value in bound:
-            if param.components and value.type.components != param.components:
+            if param.components and param.components not in (value.type.components, _columns_of(value)):
                 raise self._fault(
                     "DB404", value, f"expected a vector of x, y, z, found {value.type.shape_description}"
                 )
         if function.components is not None:
-            return function.components
+            if values and _columns_of(values[0]):
+                return values[0].type.components
+            members = subjects[0].components
+            return RowComponents(members, function.components) if members else function.components
         if function.name == "vector":
-            if len(values) not in (len(PLANE), len(SPACE)):
-                raise self._fault(
-                    "DB404",
-                    node,
-                    f"a vector of {len(values)} values",
-                    "`vector` takes two (x, y) or three (x, y, z)",
-                )
-            return self._gathered(values)
+            return self._put_together(values)
         if function.reduction is not None and len(values) == 1:
             (vector,) = values
             if vector.type.has_group_components and function.reduction.empty is None:
@@ -744,6 +780,9 @@ class _Checker:
                 raise self._fault(
                     "DB404", vector, f"`{function.name}` needs a vector, not a single value", _usage(function)
                 )
+            if isinstance(vector.type.components, RowComponents):
+                rows, columns = vector.type.components.rows, vector.type.components.columns
+                return rows if function.reduction.of_rows else columns
             return None
         groups = [subject.components for subject in subjects if subject.components is not None]
         if len(groups) > 1:
@@ -770,6 +809,17 @@ class _Checker:
             low, high = values
             with suppress(StopChecking):
                 _require_rising(TypedRange(low, high, low.start, high.end), self._report)
+
+
+def _columns_of(value: Typed) -> Components | None:
+    """The components of each row; None where there are no rows."""
+    components = value.type.components
+    return components.columns if isinstance(components, RowComponents) else None
+
+
+def _intervals(value: Typed) -> Sequence[Interval]:
+    """The interval of each component."""
+    return value.type.intervals or (value.type.interval,) * len(value.type.components or ("",))
 
 
 def _columns(arguments: Sequence[Type | Subject]) -> list[tuple[Interval, ...]]:

@@ -1,6 +1,7 @@
 """Dimensions of quantities, and the units that may stand behind a number.
 
-Angle is a dimension: an angular velocity times a radius is a speed only after division by a radian. Unit
+Angle is a dimension: an angular velocity times a radius is a speed only after division by a radian. The
+exception is work, see `_without_angle`. Unit
 names are reserved: no parameter or signal may take one. A unit name without a number is one of the unit.
 """
 
@@ -27,13 +28,13 @@ class Dimension(NamedTuple):
     rad: Exponent = 0
 
     def __mul__(self, other: Dimension) -> Dimension:  # type: ignore[override]
-        return Dimension(self.m + other.m, self.kg + other.kg, self.s + other.s, self.rad + other.rad)
+        return _without_angle(self.m + other.m, self.kg + other.kg, self.s + other.s, self.rad + other.rad)
 
     def __truediv__(self, other: Dimension) -> Dimension:
-        return Dimension(self.m - other.m, self.kg - other.kg, self.s - other.s, self.rad - other.rad)
+        return _without_angle(self.m - other.m, self.kg - other.kg, self.s - other.s, self.rad - other.rad)
 
     def __pow__(self, exponent: Exponent) -> Dimension:
-        return Dimension(self.m * exponent, self.kg * exponent, self.s * exponent, self.rad * exponent)
+        return _without_angle(self.m * exponent, self.kg * exponent, self.s * exponent, self.rad * exponent)
 
     def __str__(self) -> str:
         """The SI unit of the quantity: `m/s^2`, `N*m`, `1` for a plain number."""
@@ -56,6 +57,18 @@ class Dimension(NamedTuple):
     def example(self) -> str:
         """A value with its unit, for a hint."""
         return physical_quantity(self).example or f"0.5 {self}"
+
+
+def _without_angle(m: Exponent, kg: Exponent, s: Exponent, rad: Exponent) -> Dimension:
+    """The dimension of a product, in which work and power are not measured in radians.
+
+    A torque times an angular velocity is a power, a moment of inertia times an angular acceleration is a
+    torque: where a quantity has the metres and kilograms of these (kg*m^2, or a power of it), its radians
+    are dropped. Those of a stiffness (N*m/rad) stay.
+    """
+    if kg != 0 and m == 2 * kg and rad * kg > 0:
+        rad = 0
+    return Dimension(m, kg, s, rad)
 
 
 def _power(base: str, exponent: Exponent) -> str:

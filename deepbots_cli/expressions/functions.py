@@ -126,6 +126,11 @@ class Reduction(NamedTuple):
     empty: float | bool | None
     interval: Callable[[Interval, int], Interval] = lambda components, _count: components
     mean: bool = False
+    counts: bool = False
+    """The components are truth values, of which each true one is a 1."""
+    of_rows: bool = False
+    """Of a vector for each row, the vectors are reduced, to a value for each row; else the rows are, to one
+    vector."""
 
 
 def _same(shared: Dimension) -> Dimension:
@@ -350,11 +355,13 @@ def _subject(name: str, *kinds: Kind) -> Param:
 _PLACED = (Kind.ROBOT, Kind.LINK, Kind.OBJECT, Kind.WALL)
 _PLACES = (*_PLACED, Kind.LINKS, Kind.OBJECTS)
 _BODY = _subject("body", *_PLACED)
+_LINKS = _subject("body", *_PLACED, Kind.LINKS)
 _BODIES = _subject("body", *_PLACES, Kind.WALLS)
 _OTHER = _subject("other", *_PLACES)
 _SURFACE = _subject("body", *_PLACED, Kind.WALLS)
 _OTHER_SURFACE = _subject("other", *_PLACES, Kind.WALLS)
 _TOUCHED = _subject("other", *_PLACES, Kind.WALLS, Kind.GROUND)
+_PUSHED = _subject("body", Kind.ROBOT, Kind.LINK, Kind.LINKS, Kind.OBJECT, Kind.OBJECTS)
 _JOINT = _subject("joint", Kind.JOINT, Kind.JOINTS)
 _LINE = _subject("line", Kind.LINE)
 _SEEN = _subject("body", Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.WALL, Kind.WALLS)
@@ -411,53 +418,57 @@ _ENTRIES = (
              reduction=Reduction("add", None, mean=True)),
     Function("norm", _PURE, (_V,), "The length of a vector: the root of the sum of squares.",
              "norm(velocity(rover).xy)",
-             reduction=Reduction("hypot", 0.0, _norm)),
+             reduction=Reduction("hypot", 0.0, _norm, of_rows=True)),
+    Function("count", _PURE, (Param("v", boolean=True),), "The number of components that are true.",
+             "count(rover.near < 0.1 m)",
+             _NUMBER, reduction=Reduction("add", 0.0, lambda _truth, count: Interval(0.0, count), counts=True)),
     Function("any", _PURE, (Param("v", boolean=True),), "Whether at least one component is true.",
              "any(rover.near < 0.1 m)",
              _NUMBER, boolean=True, reduction=Reduction("or", False)),
     Function("all", _PURE, (Param("v", boolean=True),), "Whether every component is true.",
              "all(abs(joint_velocity(rover.wheels)) < 1 rad/s)", _NUMBER, boolean=True,
              reduction=Reduction("and", True)),
-    Function("vector", _PURE, (_X, Param("y", variadic=True)), "A vector of two (x, y) or three (x, y, z)"
-                                                               " values.",
+    Function("vector", _PURE, (_X, Param("y", variadic=True)), "A vector of single values: two (x, y), three"
+                                                               " (x, y, z) or more; or the rows of a table,"
+                                                               " each a vector.",
              "vector(gas * 10 cm, turn * 10 cm, 0 m)", interval=_hull),
     Function("length", _PURE, (_LINE,), "The length of a line.", "length(track)", _LENGTH, _first),
-    Function("position", _OF_WORLD, (_BODY,), "The position of the origin of a body or link, in the world"
+    Function("position", _OF_WORLD, (_LINKS,), "The position of the origin of a body or link, in the world"
                                               " frame.",
              "position(rover.left_wheel)",
              _LENGTH, components=SPACE, reads_link_pose=True),
-    Function("velocity", _OF_WORLD, (_BODY,), "The velocity of the origin of a body or link, in the world"
+    Function("velocity", _OF_WORLD, (_LINKS,), "The velocity of the origin of a body or link, in the world"
                                               " frame.", "velocity(ball)",
              _always(LENGTH / TIME), components=SPACE, reads_link_pose=True),
-    Function("angular_velocity", _OF_WORLD, (_BODY,), "The angular velocity of a body or link, in the world"
+    Function("angular_velocity", _OF_WORLD, (_LINKS,), "The angular velocity of a body or link, in the world"
                                                       " frame.",
              "angular_velocity(rover).z", _always(ANGLE / TIME), components=SPACE, reads_link_pose=True),
-    Function("orientation", _OF_WORLD, (_BODY,), "The orientation of a body or link in the world as a"
+    Function("orientation", _OF_WORLD, (_LINKS,), "The orientation of a body or link in the world as a"
                                                  " quaternion (x, y, z, w).",
              "orientation(rover)",
              _NUMBER, _known(iv.SIGNED_UNIT), components=QUATERNION, reads_link_pose=True),
-    Function("roll", _OF_WORLD, (_BODY,), "The roll angle of a body or link: its rotation about the forward"
+    Function("roll", _OF_WORLD, (_LINKS,), "The roll angle of a body or link: its rotation about the forward"
                                           " axis.", "roll(rover)",
              _ANGLE, _known(iv.TURN), tree=_roll, reads_link_pose=True),
-    Function("pitch", _OF_WORLD, (_BODY,),
+    Function("pitch", _OF_WORLD, (_LINKS,),
              "The pitch angle of a body or link: its rotation about the sideways axis; nose down is"
              " positive.", "pitch(rover)",
              _ANGLE, _known(iv.QUARTER_TURNS), tree=_pitch, reads_link_pose=True),
-    Function("yaw", _OF_WORLD, (_BODY,), "The yaw angle of a body or link: its rotation about the vertical"
+    Function("yaw", _OF_WORLD, (_LINKS,), "The yaw angle of a body or link: its rotation about the vertical"
                                          " axis; left is positive.",
              "yaw(rover)",
              _ANGLE, _known(iv.TURN), tree=_yaw, reads_link_pose=True),
-    Function("tilt", _OF_WORLD, (_BODY,), "The angle between the z axis of a body or link and the vertical:"
+    Function("tilt", _OF_WORLD, (_LINKS,), "The angle between the z axis of a body or link and the vertical:"
                                           " 0 if it is upright.",
              "tilt(rover)",
              _ANGLE, _known(iv.HALF_TURN), tree=_tilt, reads_link_pose=True),
     Function("to_body_frame", _OF_WORLD, (_BODY, Param("v", components=SPACE)),
              "A vector of the world frame, rotated into the frame of a body.",
              "to_body_frame(rover, velocity(rover))", components=SPACE, reads_link_pose=True),
-    Function("distance", _OF_WORLD, (_BODY, _OTHER), "The distance between the origins of two bodies or"
+    Function("distance", _OF_WORLD, (_LINKS, _OTHER), "The distance between the origins of two bodies or"
                                                      " links.", "distance(rover, ball)",
              _LENGTH, _known(iv.POSITIVE), tree=_distance, reads_link_pose=True),
-    Function("ground_distance", _OF_WORLD, (_BODY, _OTHER), "The horizontal distance between the origins of"
+    Function("ground_distance", _OF_WORLD, (_LINKS, _OTHER), "The horizontal distance between the origins of"
                                                             " two bodies or links.",
              "ground_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE), tree=_ground_distance,
              reads_link_pose=True),
@@ -490,6 +501,9 @@ _ENTRIES = (
                                                 " this timestep.",
              "collided(rover)",
              _NUMBER, boolean=True),
+    Function("contact_force", _OF_WORLD, (_PUSHED,),
+             "The sum of the normal forces on a body, from all that it touches.", "contact_force(ball)",
+             _always(FORCE), _known(iv.POSITIVE)),
     Function("joint_position", _OF_WORLD, (_JOINT,), "The position of a joint: an angle or a"
                                                      " length.", "joint_position(rover.left_wheel)",
              interval=_first),

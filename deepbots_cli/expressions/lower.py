@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cache
-from itertools import product
+from itertools import chain, product
 from typing import NamedTuple
 
 from deepbots_cli.errors import BatchError
@@ -36,6 +36,7 @@ from deepbots_cli.expressions.types import (
     Invocation,
     Operation,
     Reference,
+    RowComponents,
     Subject,
     Typed,
     Vector,
@@ -129,7 +130,7 @@ class Lowering:
                 parts = self.scalars(whole)
                 return tuple(parts[index] for index in indices)
             case Vector(items=items):
-                return tuple(self.scalars(item)[0] for item in items)
+                return tuple(chain.from_iterable(map(self.scalars, items)))
 
     def _columns(self, value: Typed, args: tuple[Typed, ...]) -> list[Scalars]:
         """The arguments of each component; a single value stands in every column."""
@@ -156,16 +157,23 @@ class Lowering:
                 )
         if function.name == "length":  # of a line, known before anything runs
             return (Const(value.type.interval.low),)
-        if (
-            function.reduction is not None
-            and value.type.components is None
-            and value.args[0].type.components is not None
-        ):
-            return (self._reduced(value.args[0], function.reduction),)
+        if function.reduction is not None and len(value.args) == 1:
+            return self._reduced(value.args[0], function.reduction)
         return tuple(fold_operation(function.name, *column) for column in self._columns(value, value.args))
 
-    def _reduced(self, vector: Typed, reduction: Reduction) -> Scalar:
-        parts = self.scalars(vector)
+    def _reduced(self, vector: Typed, reduction: Reduction) -> Scalars:
+        parts, components = self.scalars(vector), vector.type.components
+        if reduction.counts:
+            parts = tuple(fold_operation("where", part, Const(1.0), Const(0.0)) for part in parts)
+        if not isinstance(components, RowComponents):
+            return (self._joined(vector, parts, reduction),)
+        width = len(components.columns)
+        rows = [parts[first : first + width] for first in range(0, len(parts), width)]
+        groups = rows if reduction.of_rows else zip(*rows, strict=True)
+        return tuple(self._joined(vector, group, reduction) for group in groups)
+
+    def _joined(self, vector: Typed, parts: Scalars, reduction: Reduction) -> Scalar:
+        """The parts of a vector as one value."""
         if vector.type.has_group_components:
             copies = zip(vector.type.components or (), parts, strict=True)
             parts = tuple(_if_present(reduction, copy, part) for copy, part in copies)
@@ -175,16 +183,18 @@ class Lowering:
     def _world(self, value: Invocation, function: Function) -> Scalars:
         components = value.type.components
         names = [_named(subject, function) for subject in value.subjects]
-        if value.args:  # `to_body_frame`: the transposed rotation matrix times the vector
-            vector, body = self.scalars(value.args[0]), names[0][0]
-            rows = [
-                [fold_operation("mul", rotation(body, row, column), vector[row]) for row in range(3)]
-                for column in range(3)
-            ]
-            return tuple(fold_operation("add", *row) for row in rows)
+        if value.args:  # `to_body_frame`
+            parts, body = self.scalars(value.args[0]), names[0][0]
+            return tuple(
+                chain.from_iterable(
+                    _turned(parts[first : first + 3], body) for first in range(0, len(parts), 3)
+                )
+            )
         if function.components is not None:
             return tuple(
-                EngineRead(function.name, (names[0][0],), component) for component in function.components
+                EngineRead(function.name, (name,), component)
+                for name in names[0]
+                for component in function.components
             )
         count = len(components or ("",))
         pairs = [tuple(group[index if len(group) > 1 else 0] for group in names) for index in range(count)]
@@ -194,6 +204,15 @@ class Lowering:
     def _slot_name(self, value: Invocation, index: int) -> str:
         components = value.type.components
         return f"{self._owner}#{value.occurrence}" + (f".{components[index]}" if components else "")
+
+
+def _turned(vector: Scalars, body: str) -> Scalars:
+    """A vector of the world frame in that of a body: the transposed rotation matrix times the vector."""
+    columns = [
+        [fold_operation("mul", rotation(body, row, column), vector[row]) for row in range(3)]
+        for column in range(3)
+    ]
+    return tuple(fold_operation("add", *column) for column in columns)
 
 
 def _if_present(reduction: Reduction, copy: str, part: Scalar) -> Scalar:

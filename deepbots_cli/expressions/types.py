@@ -23,6 +23,45 @@ class GroupComponents(tuple[str, ...]):
     called `hip#1`, too."""
 
 
+class RowComponents(tuple[str, ...]):
+    """The components of a value that has a vector for each member of a group, or for each row of a table:
+    `fl_toe.x`, `fl_toe.y`, `fl_toe.z`, `fr_toe.x` and so on.
+
+    `rows` are the names of the members, `columns` the components of each vector.
+    """
+
+    rows: Components
+    columns: Components
+
+    def __new__(cls, rows: Components, columns: Components) -> RowComponents:
+        components = super().__new__(cls, (f"{row}.{column}" for row in rows for column in columns))
+        components.rows, components.columns = rows, columns
+        return components
+
+    def __getnewargs__(self) -> tuple[Components, Components]:
+        """The arguments that make a copy."""
+        return self.rows, self.columns
+
+    def column(self, name: str) -> tuple[int, ...]:
+        """The positions of a component of all rows."""
+        return tuple(range(self.columns.index(name), len(self), len(self.columns)))
+
+    def row(self, name: str) -> tuple[int, ...]:
+        """The positions of the components of a row."""
+        first = self.rows.index(name) * len(self.columns)
+        return tuple(range(first, first + len(self.columns)))
+
+    @property
+    def of_rows(self) -> tuple[int, ...]:
+        """For each component, the position of its row."""
+        return tuple(place for place in range(len(self.rows)) for _ in self.columns)
+
+    @property
+    def of_columns(self) -> tuple[int, ...]:
+        """For each component, its position in its row."""
+        return tuple(range(len(self.columns))) * len(self.rows)
+
+
 class Known(IntEnum):
     """When a value is known: in the file, at a reset, or in every step."""
 
@@ -91,9 +130,12 @@ class Type(NamedTuple):
 
     @property
     def shape_description(self) -> str:
-        return (
-            "a single value" if self.components is None else f"a vector of {shortened_list(self.components)}"
-        )
+        if self.components is None:
+            return "a single value"
+        if isinstance(self.components, RowComponents):
+            rows, columns = self.components.rows, self.components.columns
+            return f"a vector of {shortened_list(columns)} for each of {shortened_list(rows)}"
+        return f"a vector of {shortened_list(self.components)}"
 
 
 def shortened_list(names: Iterable[str], limit: int = 12) -> str:

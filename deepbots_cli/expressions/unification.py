@@ -25,12 +25,14 @@ from deepbots_cli.expressions.dimensions import (
 from deepbots_cli.expressions.types import (
     CORRECTED_LINE,
     Components,
+    ComponentSelection,
     Constant,
     FindingReporter,
     Invocation,
     Known,
     Operation,
     Reference,
+    RowComponents,
     Typed,
     TypedRange,
     is_bare_number,
@@ -306,12 +308,41 @@ def _references(value: Typed) -> Iterator[Reference]:
 
 
 def components_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Components | None:
-    """The components of the result, None for a single value; DB404 where vectors differ."""
+    """The components of the result, None for a single value; DB404 where vectors differ.
+
+    A vector for each row combines with a vector that has a value for each row, or for each column.
+    """
     vectors = [value.type.components for value in values if value.type.components is not None]
+    if not vectors:
+        return None
+    largest = next(
+        (components for components in vectors if isinstance(components, RowComponents)), vectors[0]
+    )
     for components in vectors:
-        if components != vectors[0]:
-            raise _differing(vectors[0], components, place, report)
-    return vectors[0] if vectors else None
+        if components != largest and not _is_part(components, largest):
+            raise _differing(largest, components, place, report)
+    return largest
+
+
+def _is_part(components: Components | None, whole: Components | None) -> bool:
+    """Whether a vector has a value for each row, or for each column, of the `whole`."""
+    return isinstance(whole, RowComponents) and components in (whole.rows, whole.columns)
+
+
+def aligned(values: Sequence[Typed], place: Place, report: FindingReporter) -> tuple[Typed, ...]:
+    """The values with the same components, single values as they are; DB404 where vectors differ."""
+    components = components_of(values, place, report)
+    return tuple(spread(value, components) for value in values)
+
+
+def spread(value: Typed, components: Components | None) -> Typed:
+    """A value for each row, or for each column, as one for each of the components."""
+    part = value.type.components
+    if not isinstance(components, RowComponents) or part not in (components.rows, components.columns):
+        return value
+    indices = components.of_rows if part == components.rows else components.of_columns
+    spread_type = value.type.selected(indices)._replace(components=components)
+    return ComponentSelection(spread_type, value.start, value.end, value, indices)
 
 
 def _differing(first: Components, second: Components, place: Place, report: FindingReporter) -> StopChecking:
@@ -394,7 +425,7 @@ def expect_value(
         raise report_at(report, "DB407", value, headline, f"use a fixed value, or a parameter {other}")
     if value.type.interval.is_finite and not boolean:
         _require_size(value, known, what, report)
-    return value
+    return spread(value, components)
 
 
 @none_after_finding
@@ -433,7 +464,7 @@ def _require_shape(
     value: Typed, components: Components | None, what: str, report: FindingReporter, help: str | None = None
 ) -> None:
     shape = value.type.components
-    if components == ANY_SHAPE or shape is None or shape == components:
+    if components == ANY_SHAPE or shape is None or shape == components or _is_part(shape, components):
         return
     if components is None:
         functions = "`any` or `all`" if value.type.boolean else "`norm`, `sum`, `max` ..."

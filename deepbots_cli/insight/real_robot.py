@@ -35,6 +35,7 @@ from deepbots_cli.port import (
     ContactReader,
     Engine,
     EngineProxy,
+    ForceReader,
     JointReader,
     MotionReader,
     Part,
@@ -78,6 +79,7 @@ _OVERLAID = (
     "joint_torque",
     "contact",
     "collided",
+    "contact_force",
     "clearance",
 )
 _XYZW = "xyzw"
@@ -239,6 +241,10 @@ class MeasuredWorld(EngineProxy):
         read = super().contact(one, others, ground=ground)
         names = (self._name(*one), *(self._name(*other) for other in others or ()))
         return lambda: self._fact("contact" if others else "collided", names, read)
+
+    def contact_force(self, one: Part) -> ForceReader:
+        read, names = super().contact_force(one), (self._name(*one),)
+        return lambda: self._fact("contact_force", names, read)
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         read, names = super().clearance(one, other), (self._name(*one), self._name(*other))

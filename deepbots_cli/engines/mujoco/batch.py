@@ -496,12 +496,11 @@ class MuJoCoBatch:
         root = int(self.nominal.body_rootid[number])
 
         def read() -> Any:
-            """Of the link's origin, from the velocity of the body at the center of mass of its tree, as
-            `mj_objectVelocity` does."""
-            spatial = self._observed("cvel", number)
-            apart = self._observed("xpos", number) - self._observed("subtree_com", root)
-            angular = tuple(spatial[:3])
-            return frames.subtract(tuple(spatial[3:]), frames.cross(tuple(apart), angular)), angular
+            """Of the link's origin, from the velocity of the body at the center of mass of its tree; in the
+            order of `MuJoCoEngine._velocity`, so that both round alike."""
+            wx, wy, wz, vx, vy, vz = self._observed("cvel", number)
+            px, py, pz = self._observed("xpos", number) - self._observed("subtree_com", root)
+            return (vx + wy * pz - wz * py, vy + wz * px - wx * pz, vz + wx * py - wy * px), (wx, wy, wz)
 
         return read
 
