@@ -40,7 +40,7 @@ from deepbots_cli.learning.records import (
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms, plugins
-from deepbots_cli.learning.training_loop import OnIteration, create_learner, run_training
+from deepbots_cli.learning.training_loop import OnIteration, TrainingProcess, create_learner
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout.collector import LocalCollector
@@ -174,7 +174,7 @@ def train(
             shutil.copyfile(demonstrations, new.demonstrations)
         on_start(path)
         checkpoints = Checkpoints(new, learners.class_of(training).State)
-        return run_training(
+        return TrainingProcess(
             new,
             training,
             checkpoints,
@@ -183,7 +183,7 @@ def train(
             executor,
             on_evaluation=on_evaluation,
             on_iteration=on_iteration,
-        )
+        ).train()
 
 
 def checked_settings(
@@ -299,7 +299,7 @@ def resume(
         }
         resumed.record = record.model_copy(update=changes)  # written once the checkpoint is restored
         build = build or supervisor_factory(record.engine, permissions=permissions)
-        return run_training(
+        return TrainingProcess(
             resumed,
             training,
             checkpoints,
@@ -308,7 +308,7 @@ def resume(
             executor,
             before=record,
             on_evaluation=on_evaluation,
-        )
+        ).train()
 
 
 def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:
