@@ -536,11 +536,7 @@ class Gates:
     def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
         """The answers for a run; a requirement that another one has left undecided is left out."""
         remarks = in_parentheses(result.circumstances)
-        requirements = (
-            [("the task is solved", bool(result.solved), result.verdict.removesuffix(remarks))]
-            if self.solved
-            else []
-        )
+        requirements = [("the task is solved", bool(result.solved), result.answer)] if self.solved else []
         answers = self.verdicts(result.outcomes, planned, result.possible_returns)
         requirements += [
             (words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None
