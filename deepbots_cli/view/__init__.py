@@ -7,6 +7,7 @@ batch.py       a batch of worlds, of which one is shown
 scene.py       the world in viser's scene, and the cameras of the browsers
 manual_input.py driving by keys, gamepad, buttons and sliders
 server.py      viser's web server behind checks
+viser_internals.py  the private members of viser that deepbots uses
 page.py        the page: what is opened and read again, and the loop that steps and draws
 playback.py    the worlds of the page in time: players, episodes, steps
 panel.py       the panel of the page and its tabs; its tables and notices are in panel_html.py
