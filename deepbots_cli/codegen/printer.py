@@ -14,8 +14,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.codegen.text import LOOP_VARIABLES, quoted, tuple_code, with_comment
+from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
-from deepbots_cli.expressions.lower import SCALAR, Code, number_code, operation_code
+from deepbots_cli.expressions.lower import SCALAR, operation_code
 from deepbots_cli.expressions.scalar import (
     Const,
     Draw,
