@@ -17,7 +17,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.episodes import Interval, Summary
+from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.learning.records import (
     PATIENCE,
     EvaluationRecord,
@@ -26,6 +26,7 @@ from deepbots_cli.learning.records import (
     in_parentheses,
 )
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.statistics import Interval, episodes_above
 from deepbots_cli.learning.verdict import run_verdict
 
 if TYPE_CHECKING:
@@ -440,8 +441,6 @@ def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
     if same:
         yield f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"
     if _is_rate(robustness) and bar < 1.0:
-        from deepbots_cli.learning.statistics import episodes_above  # which imports scipy
-
         needed = episodes_above(bar)
         if nominal.episodes < needed:
             yield (

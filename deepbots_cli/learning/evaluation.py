@@ -24,14 +24,14 @@ from deepbots_cli.learning import learner
 from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
-from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Summary
+from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary
 from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Executor, Watcher, results
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.records import Evaluation, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.learning.statistics import ALPHA
+from deepbots_cli.learning.statistics import ALPHA, UNBOUNDED
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.learning.active import ActiveTraining
 from deepbots_cli.learning.confirmation import COST_SHARE
-from deepbots_cli.learning.episodes import Interval, Summary
+from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds
 from deepbots_cli.learning.order import Candidate, Shortlist, measure_of, most_episodes
 from deepbots_cli.learning.report import Activity
+from deepbots_cli.learning.statistics import Interval
 from deepbots_cli.rollout import Episode
 
 if TYPE_CHECKING:
