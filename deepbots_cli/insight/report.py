@@ -49,6 +49,7 @@ from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 from deepbots_cli.view import pictures, plots, trajectories
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import LinkName
+from deepbots_cli.view.players import open_player
 from deepbots_cli.view.plots import TrainingLog
 from deepbots_cli.view.trajectories import Moving, Positions
 
@@ -284,7 +285,7 @@ class Report:
             shown_run = Showing(
                 str(member.run.path), engine=member.evaluation.engine, permissions=permissions
             )
-            with closing(shown_run.open().player()) as player:
+            with closing(open_player(shown_run.open())) as player:
                 for each in mine:
                     frames = player.episode(member.evaluation.seed, each.number)
                     first = next(frames)

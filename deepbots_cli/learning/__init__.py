@@ -34,6 +34,7 @@ episodes.py      what episodes leave behind: log, statistics, solved, summaries 
 draws.py         which drawn values have an effect on episodes
 campaign.py      several trainings in one folder: what groups and studies have in common
 group.py         groups: a folder with a run per seed, trained one after the other or on workers
+calls.py         calls of a function: what a call tells, and who follows it
 executor.py      where work runs: in this process, or on workers
 study.py         studies: searches over values of a scenario, a group for each trial
 trials.py        which trial a process takes, how it is trained, scored and pruned

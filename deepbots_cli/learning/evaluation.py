@@ -21,11 +21,12 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
+from deepbots_cli.learning.calls import UNWATCHED, Attempt, Watcher
 from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
 from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary
-from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Executor, Watcher, results
+from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.records import Evaluation, in_parentheses, remark_on_episodes

@@ -11,7 +11,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 from deepbots_cli.display import Display
-from deepbots_cli.learning.executor import Watcher
+from deepbots_cli.learning.calls import Watcher
 from deepbots_cli.learning.order import Candidate, Measure
 from deepbots_cli.learning.records import TrainingResult
 from deepbots_cli.program.task import Solved
