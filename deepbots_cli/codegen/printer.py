@@ -210,10 +210,10 @@ class Printer:
 
     def _pose_function_code(self, tree: Op) -> Code | None:
         """A function of the poses of bodies, or a component of a vector as a body sees it."""
-        found = _of_poses(tree)
-        if found is not None:
-            poses = [self.context.readers.pose(body, self.needs) for body in found[1]]
-            return Code(f"{found[0]}({', '.join(poses)})")
+        call = _of_poses(tree)
+        if call is not None:
+            poses = [self.context.readers.pose(body, self.needs) for body in call[1]]
+            return Code(f"{call[0]}({', '.join(poses)})")
         seen = _body_frame_component(tree)
         if seen is not None:
             return Code(f"{self._body_frame_code(seen)}[{seen.axis}]")

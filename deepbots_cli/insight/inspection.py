@@ -189,7 +189,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 def _joint(joint: Joint, *, whole: bool = False) -> Row:
     """A joint and its limits; as a `whole` with its origin, damping and friction."""
-    limit = joint.limit
+    limit, unit = joint.limit, "m" if joint.type == "prismatic" else "rad"
     more: Row = {"damping": joint.damping or None, "friction": joint.friction or None, "follows": _law(joint)}
     return {
         "joint": joint.name,
@@ -198,7 +198,7 @@ def _joint(joint: Joint, *, whole: bool = False) -> Row:
         "child": joint.child,
         **({"origin_m": _numbers(joint.origin.xyz)} if whole else {}),
         "axis": _numbers(joint.axis) if joint.moves else "",
-        "unit": ("m" if joint.type == "prismatic" else "rad") if joint.moves else "",
+        "unit": unit if joint.moves else "",
         "lower": limit.lower,
         "upper": limit.upper,
         "max_velocity": limit.velocity,
