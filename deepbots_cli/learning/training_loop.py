@@ -146,7 +146,7 @@ class TrainingProcess:
         except (DeepbotsError, OSError) as error:
             raise _explained(error, self.run, self.checkpoints) from error
         finally:
-            result = self._result(self._status)
+            result = self._result()
             self._write(result)
         return result
 
@@ -279,14 +279,14 @@ class TrainingProcess:
         """The confirmation that ended the training."""
         return self._callback.confirmations.passed if self._callback.is_solved else None
 
-    def _result(self, status: Status) -> TrainingResult:
+    def _result(self) -> TrainingResult:
         callback, statistics, confirmed = self._callback, self._statistics, self._confirmed
         by_follower = next((follower.name for follower in self._followers if follower.stopped), None)
         return TrainingResult(
             run=self.run.path,
             initialized_from=self.run.record.initialized_from,
-            stop_requested=callback.active.interruption.requested or status == "interrupted",
-            status=status,
+            stop_requested=callback.active.interruption.requested or self._status == "interrupted",
+            status=self._status,
             steps=statistics.steps,
             total_timesteps=self.training.total_timesteps,
             episodes=statistics.episodes,

@@ -24,6 +24,7 @@ from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
 from deepbots_cli.learning.group import Group, resume_group, train_group
 from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.signals import Interruption, signals_handled
 from deepbots_cli.learning.study import (
     Journal,
     Objective,
@@ -95,8 +96,6 @@ def run_study(
         search = stack.enter_context(closing(_Search(study, reporter or StudyReporter(), permissions)))
         options: CallOptions = {"watcher": search}
         if not executor.is_here:
-            from deepbots_cli.learning.signals import Interruption, signals_handled  # which imports torch
-
             interruption = Interruption()
             stack.enter_context(signals_handled(interruption))
             options |= {
