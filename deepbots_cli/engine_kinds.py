@@ -53,7 +53,7 @@ class EngineKind(NamedTuple):
             return True
         try:
             return "mimic" in plugins.import_attribute(self.factory).capabilities
-        except Exception:  # noqa: BLE001 - the code of a plug-in may raise anything; what builds the world says it again
+        except Exception:  # noqa: BLE001 - of a plug-in; building the world raises it again
             return True
 
     @property

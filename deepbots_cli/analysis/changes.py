@@ -71,20 +71,20 @@ class WrittenScenario:
 
     def members(self, robot: str, name: str) -> list[str]:
         """The patterns of joints and links in a group of a robot; the name itself where it is no group."""
-        found: list[str] = []
-        waiting, known = [name], set[str]()
+        reached: list[str] = []
+        waiting, expanded = [name], set[str]()
         while waiting:
             name = waiting.pop(0)
             group = self._written(f"robots.{robot}.groups.{name}")
-            if group is None or name in known:
-                found.append(name)
+            if group is None or name in expanded:
+                reached.append(name)
             else:
-                known.add(name)
+                expanded.add(name)
                 waiting += [
                     inline_text(item)
                     for item in (group.items if isinstance(group, SequenceNode) else (group,))
                 ]
-        return found
+        return reached
 
     def keys_at(self, path: str) -> list[str]:
         """The keys that are written at a path."""
@@ -397,10 +397,10 @@ def _change(
     if entry is not None:
         texts = one.text_at(entry), other.text_at(entry)
     kind = "changed" if all(texts) else _kind(bool(old), bool(new))
-    known = {name} if section == "parameters" else set[str]()
-    through = _altered_names(texts[0], one, other, known)
+    excluded = {name} if section == "parameters" else set[str]()
+    through = _altered_names(texts[0], one, other, excluded)
     if texts[0] != texts[1]:
-        reached = _altered_names(texts[1], one, other, known) if all(texts) else {}
+        reached = _altered_names(texts[1], one, other, excluded) if all(texts) else {}
         shared = {name: sides for name, sides in through.items() if name in reached}
         return Change(entry or path, group, kind, *texts, shared)
     if through:
@@ -445,26 +445,26 @@ def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str
 
 
 def _altered_names(
-    text: str, one: WrittenScenario, other: WrittenScenario, known: set[str]
+    text: str, one: WrittenScenario, other: WrittenScenario, excluded: set[str]
 ) -> dict[str, tuple[str, str]]:
     """The parameters, and the poses and groups of robots, whose texts differ: of those in a text and of those
     behind them.
 
-    Each has both of its texts. A pose is called `the pose stand`, and a group `the group legs`. `known` are
-    names that are not looked up.
+    Each has both of its texts. A pose is called `the pose stand`, and a group `the group legs`. `excluded`
+    are names that are not looked up.
     """
-    found: dict[str, tuple[str, str]] = {}
-    met, waiting = set(known), [text]
+    altered: dict[str, tuple[str, str]] = {}
+    met, waiting = set(excluded), [text]
     while waiting:
         names = [name for name in dict.fromkeys(_NAME.findall(waiting.pop(0))) if name not in met]
         met |= {*names}
         for name in names:
             for called, before, after in _definitions(name, one, other):
                 if before != after:
-                    found[called] = before, after
+                    altered[called] = before, after
             sides = [side.text_of_value(path) for path in _places(name, one) for side in (one, other)]
             waiting += dict.fromkeys(filter(None, sides))
-    return found
+    return altered
 
 
 def _places(name: str, scenario: WrittenScenario) -> list[str]:
@@ -565,13 +565,13 @@ def values(scenario: Program) -> dict[str, str]:
     """Every value of a scenario as text, by path; without cases, stages and paths of files."""
     kinds = dict.fromkeys(scenario.failures, "failure") | dict.fromkeys(scenario.agent.success, "success")
     leaves = _leaves(replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=()), "")
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for path, text in leaves:
         path = re.sub(r"^endings/(\w+)", lambda match: f"endings/{kinds[match[1]]}/{match[1]}", path)
-        while path in found:  # two entries of one name, such as two of `reset.joints` for one robot
+        while path in texts:  # two entries of one name, such as two of `reset.joints` for one robot
             path += "#"
-        found[path] = text
-    return found
+        texts[path] = text
+    return texts
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:

@@ -8,7 +8,7 @@ a level of robustness, a part of the range of a drawn value. `scores` is its col
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.episodes import Interval, Summary
+from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.learning.records import (
     PATIENCE,
     EvaluationRecord,
@@ -26,6 +26,7 @@ from deepbots_cli.learning.records import (
     in_parentheses,
 )
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.statistics import Interval, episodes_above
 from deepbots_cli.learning.verdict import run_verdict
 
 if TYPE_CHECKING:
@@ -389,73 +390,66 @@ def group_json(group: GroupResult) -> dict[str, Any]:
     return {**data, "solved": list(map(solved_by, group.evaluations)), "runs": group.evaluations}
 
 
-def robustness_text(found: Robustness) -> str:
+def robustness_text(robustness: Robustness) -> str:
     """A row for each level of each condition, and for each side of a condition the level up to which the
     policy holds."""
+    nominal = robustness.nominal
     title = (
-        f"robustness of {found.run} in {found.scenario}: {found.nominal.episodes} held-out episodes of each"
-        " level,"
-        f" from seed {found.nominal.seed}{in_parentheses(found.nominal.circumstances)}"
+        f"robustness of {robustness.run} in {robustness.scenario}: {nominal.episodes} held-out episodes of each"
+        f" level, from seed {nominal.seed}{in_parentheses(nominal.circumstances)}"
     )
-    if found.bar is None:
-        rate = with_interval(found.nominal.success_rate, found.nominal.success_interval, percent)
+    if robustness.bar is None:
+        rate = with_interval(nominal.success_rate, nominal.success_interval, percent)
         return (
             f"{title}\nnothing to keep: without any change, the success rate is {rate}, so no changed"
             " condition was evaluated;"
             " train the policy further, or require a return with --min-return VALUE"
         )
-    is_rate = found.metric == "success_rate"
-    rows = [
-        _level_row("(no change)", "", found.nominal, holds=found.nominal_holds, certain=found.nominal_certain)
+    measure, text = ("success rate", percent) if _is_rate(robustness) else ("mean return", number)
+    holds, certain = robustness.nominal_holds, robustness.nominal_certain
+    rows = [_level_row("(no change)", "", nominal, holds=holds, certain=certain)]
+    rows += [
+        _level_row(condition.name, level.level, level.evaluation, holds=level.holds, certain=level.certain)
+        for condition in robustness.conditions
+        for level in condition.levels
     ]
-    for condition in found.conditions:
-        for level in condition.levels:
-            rows.append(
-                _level_row(
-                    condition.name, level.level, level.evaluation, holds=level.holds, certain=level.certain
-                )
-            )
-    same = [
-        each.name for each in found.conditions if each.levels and not _changes_episodes(each, found.nominal)
-    ]
-    notes = (
-        [f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"]
-        if same
-        else []
-    )
-    if is_rate and found.bar < 1.0:
-        from deepbots_cli.learning.statistics import episodes_above  # which imports scipy
-
-        needed = episodes_above(found.bar)
-        if found.nominal.episodes < needed:
-            notes.append(
-                f"{found.nominal.episodes} episodes are too few to be sure of {percent(found.bar)}, even if"
-                " all of them succeed;"
-                f" write --episodes {needed} or more"
-            )
-    if not found.nominal_holds:
-        option = "--min-success" if is_rate else "--min-return"
-        notes.append(
-            f"the policy misses the required score even without any change; set another one with {option}"
-        )
+    verdicts = {
+        name: verdict for condition in robustness.conditions for name, verdict in condition.verdicts.items()
+    }
     return "\n".join(
         [
             title,
-            f"required: {'success rate' if is_rate else 'mean return'} of at least"
-            f" {(percent if is_rate else number)(found.bar)}"
-            f" ({found.bar_source})",
-            row_as_lines(
-                {
-                    name: verdict
-                    for condition in found.conditions
-                    for name, verdict in condition.verdicts.items()
-                }
-            ),
+            f"required: {measure} of at least {text(robustness.bar)} ({robustness.bar_source})",
+            row_as_lines(verdicts),
             "",
             table(rows),
-            *_notes(notes),
+            *_notes(_robustness_notes(robustness, robustness.bar)),
         ]
     )
+
+
+def _is_rate(robustness: Robustness) -> bool:
+    return robustness.metric == "success_rate"
+
+
+def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
+    """Conditions without effect, too few episodes, and a score that is missed without any change."""
+    nominal = robustness.nominal
+    same = [
+        each.name for each in robustness.conditions if each.levels and not _changes_episodes(each, nominal)
+    ]
+    if same:
+        yield f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"
+    if _is_rate(robustness) and bar < 1.0:
+        needed = episodes_above(bar)
+        if nominal.episodes < needed:
+            yield (
+                f"{nominal.episodes} episodes are too few to be sure of {percent(bar)}, even if all of them"
+                f" succeed; write --episodes {needed} or more"
+            )
+    if not robustness.nominal_holds:
+        option = "--min-success" if _is_rate(robustness) else "--min-return"
+        yield f"the policy misses the required score even without any change; set another one with {option}"
 
 
 def _level_row(condition: str, level: str, result: EvaluationResult, *, holds: bool, certain: bool) -> Row:

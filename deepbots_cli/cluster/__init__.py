@@ -4,7 +4,8 @@ session.py           `Cluster`: the workers that a person names
 worker_pool.py       `WorkerPool`, which both kinds of workers implement; what a worker runs and checks
 local_processes.py   workers as processes of this machine, with the standard library alone
 worker.py            such a process
-ray_cluster.py       workers of a Ray cluster; only this module imports Ray
+ray_cluster.py       workers of a Ray cluster; only this module and the next one import Ray
+ray_internals.py     the private members of Ray that deepbots uses
 shards.py            the shards of a training on workers, which are replaced when they are lost
 tasks.py             calls of a function on workers, such as trainings of a group, which are repeated when
                      they are lost

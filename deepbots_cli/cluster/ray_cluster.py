@@ -22,6 +22,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
+from deepbots_cli.cluster import ray_internals
 from deepbots_cli.cluster.worker_pool import Call, News, Refusal, Requirements, WorkerLost, perform
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.processes import python_script
@@ -72,7 +73,11 @@ class RayCluster:
 
         stack.callback(ray.shutdown)
         try:
-            with tempfile.TemporaryDirectory() as folder, _working_directory(Path(folder)), _quiet():
+            with (
+                tempfile.TemporaryDirectory() as folder,
+                _working_directory(Path(folder)),
+                ray_internals.messages_left_out(),
+            ):
                 ray.init(address=self._address, **_SILENT)
         except (ConnectionError, ValueError) as error:
             raise UsageError(
@@ -392,17 +397,3 @@ def _working_directory(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.chdir(before)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Within, a Ray that is joined does not print the messages of its nodes. Lost workers are reported by
-    deepbots."""
-    from ray._private import worker
-
-    before = worker.listen_error_messages
-    worker.listen_error_messages = lambda *_: None
-    try:
-        yield
-    finally:
-        worker.listen_error_messages = before

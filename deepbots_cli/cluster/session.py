@@ -13,7 +13,8 @@ from deepbots_cli.cluster.local_processes import LocalProcesses
 from deepbots_cli.cluster.ray_cluster import RayCluster
 from deepbots_cli.cluster.tasks import Tasks
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning.executor import Attempt, CallOptions, Item, Result
+from deepbots_cli.learning.calls import Attempt
+from deepbots_cli.learning.executor import CallOptions, Item, Result
 
 if TYPE_CHECKING:  # what evaluates and trains imports torch; tests of scenarios do without
     from deepbots_cli.learning.environments import WorldFactory

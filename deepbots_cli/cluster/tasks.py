@@ -10,7 +10,8 @@ from typing import Any
 
 from deepbots_cli.cluster.worker_pool import MAX_LOSSES, Call, Refusal, Requirements, WorkerLost, WorkerPool
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning.executor import UNWATCHED, Attempt, CallOptions, Item, Result
+from deepbots_cli.learning.calls import UNWATCHED, Attempt
+from deepbots_cli.learning.executor import CallOptions, Item, Result
 
 _NEWS_INTERVAL_S = 0.3
 

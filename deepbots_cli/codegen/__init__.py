@@ -156,13 +156,13 @@ def batch_obstacles(scenario: Program) -> list[str]:
         ),
         (bool(scenario.python_functions), "it runs code of packages, which computes single numbers"),
     ]
-    found = [reason for holds, reason in reasons if holds]
-    if not found:
+    obstacles = [reason for holds, reason in reasons if holds]
+    if not obstacles:
         try:
             _classes(scenario, Constants(), BATCH)
         except BatchError as error:
-            found = [str(error)]
-    return found
+            obstacles = [str(error)]
+    return obstacles
 
 
 def _names(scenario: Program) -> Iterator[str]:

@@ -14,8 +14,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.codegen.text import LOOP_VARIABLES, quoted, tuple_code, with_comment
+from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
-from deepbots_cli.expressions.lower import SCALAR, Code, number_code, operation_code
+from deepbots_cli.expressions.lower import SCALAR, operation_code
 from deepbots_cli.expressions.scalar import (
     Const,
     Draw,
@@ -209,10 +210,10 @@ class Printer:
 
     def _pose_function_code(self, tree: Op) -> Code | None:
         """A function of the poses of bodies, or a component of a vector as a body sees it."""
-        found = _of_poses(tree)
-        if found is not None:
-            poses = [self.context.readers.pose(body, self.needs) for body in found[1]]
-            return Code(f"{found[0]}({', '.join(poses)})")
+        call = _of_poses(tree)
+        if call is not None:
+            poses = [self.context.readers.pose(body, self.needs) for body in call[1]]
+            return Code(f"{call[0]}({', '.join(poses)})")
         seen = _body_frame_component(tree)
         if seen is not None:
             return Code(f"{self._body_frame_code(seen)}[{seen.axis}]")

@@ -16,7 +16,7 @@ from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, st
 from deepbots_cli.codegen.robot import observes_each_timestep
 from deepbots_cli.codegen.text import block, indent, quoted, targets_code, tuple_code, with_comment
 from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
-from deepbots_cli.expressions.lower import Code, number_code
+from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program import generated
 from deepbots_cli.program.robots import Robot, Route

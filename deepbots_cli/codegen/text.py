@@ -16,8 +16,8 @@ import textwrap
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from functools import lru_cache
 
+from deepbots_cli.expressions.code import number_code
 from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS
-from deepbots_cli.expressions.lower import number_code
 from deepbots_cli.expressions.scalar import NamedFloat
 from deepbots_cli.program import generated
 

@@ -8,7 +8,7 @@ first asks for it, and is called once in each method that needs it, however many
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from typing import NamedTuple
 
@@ -301,18 +301,12 @@ class SupervisorPrinter(ClassPrinter):
         """Code that counts the timesteps of the episode."""
         self.choices = self.agent.choices
         self.ranges = self.agent.ranges
-        evaluated: list[Scalar] = [value for entry in scenario.signals for value in entry.scalars]
-        evaluated += [ending.scalar for ending in scenario.endings]
-        evaluated += [term.scalar for term in self.agent.reward]
-        evaluated += [value for entry in self.agent.observation for value in entry.value.scalars]
         conditions = [
             option.forbidden.scalar
             for part in self.choices
             for option in part.options
             if option.forbidden is not None
         ]
-        goal = self.agent.goal
-        evaluated += [*conditions, *((*goal.achieved.scalars, *goal.targets) if goal is not None else ())]
         self.scripted = [value for script in self.agent.scripts for value in script.scalars]
         self.scripted += [value for test in scenario.tests for value in (*test.scalars, *test.compared)]
         self.sent = [
@@ -326,25 +320,41 @@ class SupervisorPrinter(ClassPrinter):
             for full, value in entry.numbers
             if is_drawn(value)
         }
-        self._used = {
-            leaf.name for expression in (*evaluated, *self.scripted) for leaf in names_in(expression)
-        }
+        evaluated = [*self._values_of_timesteps(), *conditions, *self.scripted]
+        self._used = {leaf.name for expression in evaluated for leaf in names_in(expression)}
         self._ages = {
             f"{robot.name}.{sensor}": f"{robot.name}.{field}"
             for robot in scenario.robots
             for sensor, field in robot.ages
         }
         self._parameters = {entry.name: entry.components for entry in scenario.parameters}
-        self._components = {entry.name: entry.components for entry in scenario.signals}
-        self._components |= {
+        self._components = self._named_components()
+
+    def _values_of_timesteps(self) -> Iterator[Scalar]:
+        """The expressions of every timestep, without conditions that forbid options."""
+        agent, goal = self.agent, self.agent.goal
+        for entry in self.scenario.signals:
+            yield from entry.scalars
+        yield from (ending.scalar for ending in self.scenario.endings)
+        yield from (term.scalar for term in agent.reward)
+        for observed in agent.observation:
+            yield from observed.value.scalars
+        if goal is not None:
+            yield from (*goal.achieved.scalars, *goal.targets)
+
+    def _named_components(self) -> dict[str, Sequence[str]]:
+        """The components of signals, emitted values, parts of the action, and goals."""
+        named: dict[str, Sequence[str]] = {entry.name: entry.components for entry in self.scenario.signals}
+        named |= {
             f"{robot.name}.{entry.name}": entry.components
-            for robot in scenario.robots
+            for robot in self.scenario.robots
             for entry in robot.emitted
         }
-        self._components |= {part.name: part.components for part in self.ranges}
-        self._components["previous_action"] = action_names(self.agent.action)
-        if goal is not None:
-            self._components |= dict.fromkeys(("achieved", "desired"), goal.components)
+        named |= {part.name: part.components for part in self.ranges}
+        named["previous_action"] = action_names(self.agent.action)
+        if self.agent.goal is not None:
+            named |= dict.fromkeys(("achieved", "desired"), self.agent.goal.components)
+        return named
 
     @property
     def variables(self) -> list[tuple[str, Sequence[str]]]:

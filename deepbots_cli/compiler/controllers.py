@@ -132,29 +132,13 @@ class Actuators(NamespaceReader):
                     response=self._response(spec, names),
                 )
             case specs.PositionMotor():
-                effort = effort_dimension(joints[0])
-                stiffness = self._scalar_or_randomized(
-                    spec, "stiffness", None, dimension=effort / dimension, per_component=names
-                )
-                damping = self._scalar_or_randomized(
-                    spec, "damping", None, dimension=effort * TIME / dimension, per_component=names
-                )
-                if spec.damping is not None and spec.stiffness is None:
-                    help = (
-                        "add `stiffness`, or remove `damping` to use the built-in position control of the"
-                        " engine"
-                    )
-                    self._values.add_at_key(
-                        "DB102", (*spec.path, "damping"), "`damping` needs `stiffness`", help
-                    )
                 motor = Motor(
                     name,
                     spec.type,
                     names,
                     max_torque,
                     max_velocity,
-                    stiffness,
-                    damping,
+                    *self._gains(spec, names, effort_dimension(joints[0]) / dimension),
                     response=self._response(spec, names),
                 )
             case specs.TorqueMotor():
@@ -176,6 +160,21 @@ class Actuators(NamespaceReader):
         return ResolvedActuator(
             motor, dimension, names if len(names) > 1 or spec.joints is not None else None
         )
+
+    def _gains(
+        self, spec: specs.PositionMotor, names: tuple[str, ...], dimension: Dimension
+    ) -> tuple[float | None, float | None]:
+        """Stiffness and damping of a position motor; `dimension` is that of the stiffness."""
+        stiffness = self._scalar_or_randomized(
+            spec, "stiffness", None, dimension=dimension, per_component=names
+        )
+        damping = self._scalar_or_randomized(
+            spec, "damping", None, dimension=dimension * TIME, per_component=names
+        )
+        if spec.damping is not None and spec.stiffness is None:
+            help = "add `stiffness`, or remove `damping` to use the built-in position control of the engine"
+            self._values.add_at_key("DB102", (*spec.path, "damping"), "`damping` needs `stiffness`", help)
+        return stiffness, damping
 
     def _cartesian(self, name: str, spec: specs.Cartesian) -> ResolvedActuator | None:
         joints = self._robot.joints_of(spec, self._values)
@@ -314,7 +313,8 @@ class Actuators(NamespaceReader):
     ) -> float | Default:
         """A value that an episode may draw."""
         of = OfActuator(self._robot.name, str(spec.path[-1]))
-        return self._fields.scalar_or_randomized(spec, key, f"actuator_{key}", of, default, **context)  # type: ignore[arg-type]
+        what = f"actuator_{key}"
+        return self._fields.scalar_or_randomized(spec, key, what, of, default, **context)  # type: ignore[arg-type]
 
     def _compare(
         self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits

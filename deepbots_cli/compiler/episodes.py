@@ -48,7 +48,6 @@ from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldMode
 from deepbots_cli.scenario.fields import Quantity, choices_help, read_until
 from deepbots_cli.scenario.scenario import Disturbance as DisturbanceSpec
 from deepbots_cli.scenario.scenario import JointState, Measured, PythonTerm
-from deepbots_cli.scenario.scenario import Reset as ResetSpec
 from deepbots_cli.scenario.scenario import Route as RouteSpec
 
 
@@ -228,10 +227,7 @@ _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
     """The entries of `reset.joints`: joints and groups of joints of robots; `poses` are those of each
     robot."""
-    starts = [
-        _joint_start(key, namespace.scenario.reset, namespace, poses)
-        for key in namespace.scenario.reset.joints
-    ]
+    starts = [_joint_start(key, namespace, poses) for key in namespace.scenario.reset.joints]
     return tuple(start for start in starts if start is not None)
 
 
@@ -255,41 +251,44 @@ def _pose_help(robot: ResolvedRobot, pose_name: str, poses: Mapping[str, Symbol]
     )
 
 
-def _joint_start(
-    key: str, spec: ResetSpec, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]
-) -> JointStart | None:
+def _movable_parts(robot: ResolvedRobot) -> list[str]:
+    """The groups of joints of a robot, and its joints that a start can set."""
+    groups = [name for name, (kind, _) in robot.groups.items() if kind in _JOINTS]
+    return [*groups, *robot.drivable_joints]
+
+
+def _report_missing_robot(key: str, text: SourceText, namespace: Namespace) -> None:
+    """The robot in the key of a start is unknown: a joint without its robot, or another name."""
+    name = key.partition(".")[0]
+    parts = [f"{robot.name}.{part}" for robot in namespace.resolved_robots for part in _movable_parts(robot)]
+    if any(whole.partition(".")[2] == key for whole in parts):
+        namespace.values.report_unknown(text.span, "joint", key, parts)
+    elif name not in namespace.robots:
+        robots = namespace.names_of(Origin.ROBOT)
+        namespace.values.report_unknown(text.part(0, len(name)), "robot", name, robots)
+
+
+def _report_whole_robot(
+    robot: ResolvedRobot, text: SourceText, namespace: Namespace, poses: Mapping[str, Symbol]
+) -> None:
+    """A start names a robot where it must name a joint."""
+    key = robot.name
+    movable = [f"{key}.{part}" for part in _movable_parts(robot)]
+    help = choices_help(key, movable) if movable else "no joint of this robot can move"
+    help = _pose_help(robot, str(namespace.scenario.reset.joints[key]), poses) or help
+    headline = f"expected a joint or a group of joints, found the robot `{key}`"
+    namespace.values.add("DB203", text.span, headline, help)
+
+
+def _joint_start(key: str, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
+    spec = namespace.scenario.reset
     robot_name, dot, part = key.partition(".")
     robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "joints", key))
     if robot is None:
-        parts = [
-            f"{robot.name}.{part}"
-            for robot in namespace.resolved_robots
-            for part in (
-                *(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS),
-                *robot.drivable_joints,
-            )
-        ]
-        if any(whole.partition(".")[2] == key for whole in parts):
-            namespace.values.report_unknown(text.span, "joint", key, parts)
-        elif robot_name not in namespace.robots:
-            namespace.values.report_unknown(
-                text.part(0, len(robot_name)), "robot", robot_name, namespace.names_of(Origin.ROBOT)
-            )
+        _report_missing_robot(key, text, namespace)
         return None
     if not part:
-        movable = [
-            *(name for name, (kind, _) in robot.groups.items() if kind in _JOINTS),
-            *robot.drivable_joints,
-        ]
-        help = (
-            choices_help(key, [f"{key}.{name}" for name in movable])
-            if movable
-            else "no joint of this robot can move"
-        )
-        help = _pose_help(robot, str(spec.joints[key]), poses.get(key, {})) or help
-        namespace.values.add(
-            "DB203", text.span, f"expected a joint or a group of joints, found the robot `{key}`", help
-        )
+        _report_whole_robot(robot, text, namespace, poses.get(key, {}))
         return None
     subject = robot.subject(part, _JOINTS)
     if subject is None or subject.kind not in _JOINTS:

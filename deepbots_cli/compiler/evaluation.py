@@ -8,9 +8,9 @@ policy has to fit all of them, so what it sees, does and sends must be the same.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from deepbots_cli.compiler.episodes import NO_SUCCESS_DEFINED, success_help
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, SupervisorScope
@@ -88,20 +88,7 @@ def training(
         return None
     _check_algorithm(spec.train, action, namespace)
     own = spec.train.hyperparameters
-    hyperparameters = []
-    for name, value in own.items():
-        if name != "replay" and (isinstance(value, (bool, int, float, str)) or value is None):
-            ramp = read_schedule(value) if isinstance(value, str) else None
-            hyperparameters.append(Hyperparameter(name, Schedule(*ramp) if ramp else value))
-            if (
-                name == "learning_rate"
-                and isinstance(rate := max(ramp) if ramp else value, int | float)
-                and rate > _MAX_LEARNING_RATE
-            ):
-                headline = f"a learning rate of {rate:g} is unusually high"
-                values.add(
-                    "DB505", ("train", name), headline, "write a rate from 1e-5 to 1e-2, such as `3e-4`"
-                )
+    hyperparameters = _hyperparameters(own, values)
     replay = _hindsight(own.get("replay"), namespace)
     starts = own.get("learning_starts")
     if replay is not None and starts is not None and longest_episode is not None:
@@ -118,24 +105,12 @@ def training(
                 headline,
                 f"set `learning_starts` to at least {longest:_}",
             )
-    if spec.train.shards > spec.train.environments:
-        headline = f"`shards` is {spec.train.shards}, but `environments` is only {spec.train.environments}"
-        values.add("DB105", ("train", "shards"), headline, "use at most one shard for each environment")
-    if spec.train.staleness and spec.train.shards == 1:
-        values.add(
-            "DB105",
-            ("train", "staleness"),
-            "only shards may act with older weights",
-            "set `shards` to at least 2, or leave out `staleness`",
-        )
-    if spec.train.staleness and spec.train.teacher is not None:
-        headline = "with a teacher, shards cannot act with older weights"
-        values.add("DB105", ("train", "staleness"), headline, "leave out `staleness` or `teacher`")
+    _check_shards(spec.train, values)
     return Training(
         spec.train.algorithm,
         spec.train.total_timesteps,
         spec.train.environments,
-        tuple(hyperparameters),
+        hyperparameters,
         Network(tuple(spec.train.network.hidden), spec.train.network.activation),
         _action_noise(own.get("action_noise")),
         replay,
@@ -146,6 +121,34 @@ def training(
         spec.train.staleness,
         spec.train.patience,
     )
+
+
+def _hyperparameters(own: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:
+    """Those with a single value or a schedule; an unusual learning rate is a finding."""
+    read = []
+    for name, value in own.items():
+        if name == "replay" or not (isinstance(value, (bool, int, float, str)) or value is None):
+            continue
+        ramp = read_schedule(value) if isinstance(value, str) else None
+        read.append(Hyperparameter(name, Schedule(*ramp) if ramp else value))
+        rate = max(ramp) if ramp else value
+        if name == "learning_rate" and isinstance(rate, int | float) and rate > _MAX_LEARNING_RATE:
+            headline = f"a learning rate of {rate:g} is unusually high"
+            values.add("DB505", ("train", name), headline, "write a rate from 1e-5 to 1e-2, such as `3e-4`")
+    return tuple(read)
+
+
+def _check_shards(train: TrainingSpec, values: ValueReader) -> None:
+    if train.shards > train.environments:
+        headline = f"`shards` is {train.shards}, but `environments` is only {train.environments}"
+        values.add("DB105", ("train", "shards"), headline, "use at most one shard for each environment")
+    path = ("train", "staleness")
+    if train.staleness and train.shards == 1:
+        help = "set `shards` to at least 2, or leave out `staleness`"
+        values.add("DB105", path, "only shards may act with older weights", help)
+    if train.staleness and train.teacher is not None:
+        headline = "with a teacher, shards cannot act with older weights"
+        values.add("DB105", path, headline, "leave out `staleness` or `teacher`")
 
 
 def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None:
@@ -603,12 +606,11 @@ class _Reader(NamespaceReader):
             yield from self._ends_by(spec)
         for key in _CONDITIONS:
             written = getattr(spec, key)
-            for index in (
-                range(len(written)) if isinstance(written, tuple) else (None,) if written is not None else ()
-            ):
-                yield from self._condition(
-                    key, (*spec.path, key) if index is None else (*spec.path, key, index)
-                )
+            if isinstance(written, tuple):
+                for index in range(len(written)):
+                    yield from self._condition(key, (*spec.path, key, index))
+            elif written is not None:
+                yield from self._condition(key, (*spec.path, key))
 
     def _bounds(self, spec: Expectation, key: str) -> tuple[float, float] | None:
         """The smallest and the largest expected value; None after a finding."""

@@ -26,14 +26,14 @@ LONG_STEP_S = 0.1
 """Time between two actions (s) from which on an off-policy algorithm needs far fewer steps."""
 CHOSEN = "train, as chosen"
 """The name of the source of chosen values."""
-_SAC: Mapping[str, Any] = {
+_SAC: dict[str, Any] = {
     "algorithm": "SAC",
     "total_timesteps": 100_000,
     "batch_size": 256,
     "learning_rate": 1e-3,
     "network": {"hidden": [128, 128], "activation": "relu"},
 }
-_PPO: Mapping[str, Any] = {
+_PPO: dict[str, Any] = {
     "algorithm": "PPO",
     "total_timesteps": 500_000,
     "learning_rate": "1e-3 -> 1e-4",
@@ -55,53 +55,9 @@ class Choice:
 def choose(program: Program, *, has_teacher: bool = False) -> Choice:
     """The learner for a scenario: the first row that fits. With a teacher it is PPO, which imitates in the
     least CPU time."""
-    agent = program.agent
-    steps = program.truncation.max_episode_steps(program.period)
-    numbers = len(agent.seen) + (2 * len(agent.goal.values) if agent.goal is not None else 0)
-    has_batches = program.engine is not None and ENGINES[program.engine].batch is not None
-    reasons = {}
-
-    may_be_off_policy = not agent.choices and not has_teacher
-    if may_be_off_policy and agent.goal is not None:
-        reasons["algorithm"] = "SAC with hindsight replay: the scenario has a goal"
-        settings = {**_SAC, "environments": 4, "replay": "her", "tau": 0.02}
-    elif may_be_off_policy and program.period >= LONG_STEP_S:
-        reasons["algorithm"] = (
-            f"SAC, which learns from each step many times: a step takes {program.period:g} s"
-        )
-        settings = {**_SAC, "environments": 8, "gradient_steps": 4}
-    elif steps <= SHORT_EPISODE and numbers <= FEW_NUMBERS and not agent.images:
-        reasons["environments n_steps"] = (
-            f"updates every 512 steps: an episode has at most {steps:,} steps, and the policy sees {numbers}"
-            " numbers"
-        )
-        settings = {
-            **_PPO,
-            "environments": 8,
-            "n_steps": 64,
-            "batch_size": 128,
-            "n_epochs": 10,
-            "learning_rate": 1e-3,
-        }
-        settings |= {"total_timesteps": 200_000}
-    elif has_batches and not agent.images and not has_teacher:
-        reasons["environments n_steps"] = f"256 worlds: the engine {program.engine} steps them as one batch"
-        settings = {
-            **_PPO,
-            "environments": 256,
-            "n_steps": 24,
-            "batch_size": 1536,
-            "n_epochs": 5,
-            "total_timesteps": 3_000_000,
-        }
-    else:
-        much = "images" if agent.images else f"{numbers} numbers"
-        reasons["environments n_steps"] = (
-            f"updates every 2,048 steps: an episode has at most {steps:,} steps, and the policy sees {much}"
-        )
-        settings = {**_PPO, "environments": 16, "n_steps": 128, "batch_size": 256, "n_epochs": 5}
-        settings |= {"learning_rate": 5e-4} if agent.images else {}
-
+    row = _first_row(program, has_teacher=has_teacher)
+    settings, reasons = dict(row.settings), dict(row.reasons)
+    agent, steps = program.agent, program.truncation.max_episode_steps(program.period)
     if settings["algorithm"] == "PPO":
         is_masked = any(option.forbidden is not None for part in agent.choices for option in part.options)
         algorithm = "MaskablePPO" if is_masked else "PPO"
@@ -114,7 +70,7 @@ def choose(program: Program, *, has_teacher: bool = False) -> Choice:
         reasons = {"algorithm": f"{algorithm}: {why}"} | reasons
         settings |= {
             "algorithm": algorithm,
-            "network": {"hidden": [64, 64] if numbers <= FEW_NUMBERS else [128, 128]},
+            "network": {"hidden": [64, 64] if _observed_numbers(program) <= FEW_NUMBERS else [128, 128]},
         }
     if agent.copies is not None:
         settings["environments"] = max(1, settings["environments"] // agent.copies.count)
@@ -124,6 +80,42 @@ def choose(program: Program, *, has_teacher: bool = False) -> Choice:
         " ahead"
     )
     return Choice(settings, reasons)
+
+
+def _observed_numbers(program: Program) -> int:
+    goal = program.agent.goal
+    return len(program.agent.seen) + (2 * len(goal.values) if goal is not None else 0)
+
+
+def _first_row(program: Program, *, has_teacher: bool) -> Choice:
+    """The first row of the table that fits."""
+    agent = program.agent
+    steps, numbers = program.truncation.max_episode_steps(program.period), _observed_numbers(program)
+    may_be_off_policy = not agent.choices and not has_teacher
+    if may_be_off_policy and agent.goal is not None:
+        why = "SAC with hindsight replay: the scenario has a goal"
+        return Choice({**_SAC, "environments": 4, "replay": "her", "tau": 0.02}, {"algorithm": why})
+    if may_be_off_policy and program.period >= LONG_STEP_S:
+        why = f"SAC, which learns from each step many times: a step takes {program.period:g} s"
+        return Choice({**_SAC, "environments": 8, "gradient_steps": 4}, {"algorithm": why})
+    has_batches = program.engine is not None and ENGINES[program.engine].batch is not None
+    if steps <= SHORT_EPISODE and numbers <= FEW_NUMBERS and not agent.images:
+        why = (
+            f"updates every 512 steps: an episode has at most {steps:,} steps, and the policy sees {numbers}"
+            " numbers"
+        )
+        settings: dict[str, Any] = {"environments": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10}
+        settings |= {"learning_rate": 1e-3, "total_timesteps": 200_000}
+    elif has_batches and not agent.images and not has_teacher:
+        why = f"256 worlds: the engine {program.engine} steps them as one batch"
+        settings = {"environments": 256, "n_steps": 24, "batch_size": 1536, "n_epochs": 5}
+        settings |= {"total_timesteps": 3_000_000}
+    else:
+        much = "images" if agent.images else f"{numbers} numbers"
+        why = f"updates every 2,048 steps: an episode has at most {steps:,} steps, and the policy sees {much}"
+        settings = {"environments": 16, "n_steps": 128, "batch_size": 256, "n_epochs": 5}
+        settings |= {"learning_rate": 5e-4} if agent.images else {}
+    return Choice(_PPO | settings, {"environments n_steps": why})
 
 
 def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[str, ...]]:

@@ -122,61 +122,20 @@ class PlacementChecker(NamespaceReader):
         """DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one that is
         too small or elsewhere."""
         span = self._values.span((*path, "on"))
-        support, stack = standing[spot.of], [place.body]
-        below: Placement | None = support
-        while below is not None and below.body not in stack:
-            stack.append(below.body)
-            below = standing.get(below.spot.of) if isinstance(below.spot, Top) else None
-        if below is not None and below.body != next(body for body in standing if body in stack):
-            return  # the cycle is reported once, of the first of its bodies
-        if below is not None and below.body == place.body:
-            notes = (f"the cycle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
-            help = f"remove `on` of `{place.body}`, which then rests on the ground"
-            self._values.add("DB207", span, f"`{place.body}` is placed on itself", help, notes=notes)
+        if self._check_stack(place, standing, span):
             return
+        support = standing[spot.of]
         if any(_coordinate(support, turn) != 0.0 for turn in ("roll", "pitch")):
-            self._values.add(
-                "DB203",
-                span,
-                f"the top of `{spot.of}` is not level",
-                f"remove `roll` and `pitch` of `{spot.of}`",
-            )
+            headline = f"the top of `{spot.of}` is not level"
+            self._values.add("DB203", span, headline, f"remove `roll` and `pitch` of `{spot.of}`")
             return
-        kinds = self._footprints(place)
         top = footprint.shape_footprint(
             next(thing.shape for thing in self._world.objects if thing.name == spot.of)
         )
-        margin = 0.0 if self._is_fixed(place) else place.clearance
-        turns = None if _is_tilted(place) else _turn_between(place, support)
-        copies = self.copies(place)
-        if kinds and not any(_fits(top, kind, turns, margin) for kind in kinds) and not _is_tilted(place):
-            edge = f", with a clearance of {margin:.3g} m" if margin else ""
-            turned = f" when turned by {degrees(turns):.3g} deg" if turns else ""
-            covers = f"`{place.body}` ({_size(min(kinds, key=lambda kind: kind.area))}{edge})"
-            ways = [
-                f"make `{spot.of}` larger",
-                *(["reduce `clearance`"] if margin else []),
-                *(["use another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
-            ]
-            help = ", or ".join(filter(None, (", ".join(ways[:-1]), ways[-1])))
-            if min(kind.area for kind in kinds) > _MAX_AREA_RATIO * top.area:
-                help = f"check the unit of the size of `{place.body}`"
-            self._values.add(
-                "DB105", span, f"{covers} does not fit on the top of `{spot.of}` ({_size(top)}){turned}", help
-            )
-        elif (
-            kinds and not _is_tilted(place) and copies * (area := min(kind.area for kind in kinds)) > top.area
-        ):
-            headline = (
-                f"{copies} copies that need {area:.3g} m^2 each do not fit on the {top.area:.3g} m^2"
-                f" of `{spot.of}`"
-            )
-            self._values.add("DB105", span, headline, f"make `{spot.of}` larger, or place fewer copies")
-        elif (
-            spot.region is not None
-            and (patch := _patch(support, top)) is not None
-            and _misses(spot.region, patch)
-        ):
+        if self._check_room(place, support, top, span) or spot.region is None:
+            return
+        patch = _patch(support, top)
+        if patch is not None and _misses(spot.region, patch):
             reach_x, reach_y = patch.half_extents
             sides = (
                 f"x = {patch.x - reach_x:g} .. {patch.x + reach_x:g} m and y = {patch.y - reach_y:g} .."
@@ -186,6 +145,56 @@ class PlacementChecker(NamespaceReader):
             self._values.add_at_key(
                 "DB105", (*path, "region"), f"the region lies outside the top of `{spot.of}`", help
             )
+
+    def _check_stack(self, place: Placement, standing: Mapping[str, Placement], span: Span) -> bool:
+        """Whether a body stands on itself, or on bodies that stand on each other: DB207 once for each
+        cycle."""
+        stack: list[str] = []
+        below: Placement | None = place
+        while below is not None and below.body not in stack:
+            stack.append(below.body)
+            below = standing.get(below.spot.of) if isinstance(below.spot, Top) else None
+        if below is None:
+            return False
+        # The cycle is reported once, of the first of its bodies.
+        is_first = below.body == next(body for body in standing if body in stack)
+        if is_first and below.body == place.body:
+            notes = (f"the cycle is {' -> '.join((*stack, place.body))}",) if len(stack) > 1 else ()
+            help = f"remove `on` of `{place.body}`, which then rests on the ground"
+            self._values.add("DB207", span, f"`{place.body}` is placed on itself", help, notes=notes)
+        return not is_first or below.body == place.body
+
+    def _check_room(self, place: Placement, support: Placement, top: Footprint, span: Span) -> bool:
+        """Whether a body, or all its copies, are too large for the top of another one: DB105."""
+        kinds, copies = self._footprints(place), self.copies(place)
+        if not kinds or _is_tilted(place):
+            return False
+        margin = 0.0 if self._is_fixed(place) else place.clearance
+        turns = _turn_between(place, support)
+        area = min(kind.area for kind in kinds)
+        if not any(_fits(top, kind, turns, margin) for kind in kinds):
+            edge = f", with a clearance of {margin:.3g} m" if margin else ""
+            turned = f" when turned by {degrees(turns):.3g} deg" if turns else ""
+            covers = f"`{place.body}` ({_size(min(kinds, key=lambda kind: kind.area))}{edge})"
+            ways = [
+                f"make `{support.body}` larger",
+                *(["reduce `clearance`"] if margin else []),
+                *(["use another `yaw`"] if any(_fits(top, kind, None, margin) for kind in kinds) else []),
+            ]
+            help = ", or ".join(filter(None, (", ".join(ways[:-1]), ways[-1])))
+            if area > _MAX_AREA_RATIO * top.area:
+                help = f"check the unit of the size of `{place.body}`"
+            headline = f"{covers} does not fit on the top of `{support.body}` ({_size(top)}){turned}"
+        elif copies * area > top.area:
+            headline = (
+                f"{copies} copies that need {area:.3g} m^2 each do not fit on the {top.area:.3g} m^2"
+                f" of `{support.body}`"
+            )
+            help = f"make `{support.body}` larger, or place fewer copies"
+        else:
+            return False
+        self._values.add("DB105", span, headline, help)
+        return True
 
     def _check_covered(
         self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath

@@ -108,7 +108,7 @@ def expand_patterns(
     names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[str, NameGroup]
 ) -> tuple[tuple[str, ...], list[str]]:
     """The names that patterns and groups stand for, in order, without repeats; and what stood for nothing."""
-    found: dict[str, None] = {}
+    matching: dict[str, None] = {}
     missing = []
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         matched = (
@@ -118,8 +118,8 @@ def expand_patterns(
         )
         if not matched:
             missing.append(pattern)
-        found.update(dict.fromkeys(matched))
-    return tuple(found), missing
+        matching.update(dict.fromkeys(matched))
+    return tuple(matching), missing
 
 
 def matching_names(names: Iterable[str], pattern: str) -> tuple[str, ...]:
@@ -467,12 +467,12 @@ class ResolvedRobot:
         A pattern or a group of an actuator leaves followers out.
         """
         key = "joint" if getattr(spec, "joint", None) is not None else "joints"
-        known = (
+        offered = (
             self.drivable_joints
             if isinstance(spec, Actuator)
             else [joint.name for joint in self.model.moving_joints]
         )
-        names = self._named(spec, key, known, values)
+        names = self._named(spec, key, offered, values)
         joints = tuple(self.model.joint(name) for name in names)
         if len({joint_dimension(joint) for joint in joints}) > 1:
             values.add(

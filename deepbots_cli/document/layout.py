@@ -416,7 +416,8 @@ def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str,
     if steps == len(path) and node.span.source is source:
         start, end, new = node.span.start, node.span.end, value
     else:
-        while steps and node_at(root, *path[:steps]).span.source is not source:  # type: ignore[union-attr]  # descended through it
+        # `descend` has gone through these nodes.
+        while steps and node_at(root, *path[:steps]).span.source is not source:  # type: ignore[union-attr]
             steps -= 1
         holder = node_at(root, *path[:steps])
         keys = [_text(str(key)) for key in path[steps:]]

@@ -8,6 +8,7 @@ intervals.py    interval arithmetic
 types.py        types (with when a value is known), symbols and scopes; the typed tree
 syntax.py       tokens and the syntax tree
 parser.py       text to syntax tree, with hints for common mistakes
+code.py         pieces of Python, and how strongly they bind
 functions.py    the table of functions and operators; intervals of scalar trees; functions of other packages
 unification.py  agreement of values with each other and with their field
 check.py        syntax tree to typed tree

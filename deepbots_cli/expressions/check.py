@@ -586,13 +586,17 @@ class _Checker:
                 return base / other
             case "^":
                 require_dimension(right, NUMBER, "the exponent", self._report)
-                known = right.type.interval
+                interval = right.type.interval
                 if base == NUMBER:
                     return NUMBER
                 # A quantity takes only exponents that are known and simple.
-                if known.is_single and right.type.components is None and abs(known.low) <= _MAX_EXPONENT:
-                    near = Fraction(known.low).limit_denominator(_MAX_DENOMINATOR)
-                    if float(near) == known.low:
+                if (
+                    interval.is_single
+                    and right.type.components is None
+                    and abs(interval.low) <= _MAX_EXPONENT
+                ):
+                    near = Fraction(interval.low).limit_denominator(_MAX_DENOMINATOR)
+                    if float(near) == interval.low:
                         return base ** (near if near.denominator > 1 else int(near))
                 help = "divide by a unit first, because only a plain number can have any exponent"
                 raise self._fault(

@@ -24,6 +24,7 @@ from functools import cache, reduce
 from typing import Any, NamedTuple
 
 from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions.code import Code, printed, template
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Op, Scalar, State
@@ -637,9 +638,7 @@ def _require_usable(function: object) -> None:
         raise ValueError(f"the name {name!r} is taken or no identifier")
     if function.family is not Family.PURE or not function.python or not function.params or not function.doc:
         raise ValueError(f"{name!r} needs the family PURE, params, doc and python")
-    from deepbots_cli.expressions.lower import require_printable  # it imports this module
-
-    require_printable(function)
+    printed(template(function.python), dict.fromkeys(function.arguments, Code("x")))
     names = _names_in(function.python)
     arguments = [argument.removeprefix("*") for argument in function.arguments]
     if function.params[-1].variadic and not function.arguments[-1].startswith("*"):

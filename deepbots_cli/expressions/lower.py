@@ -12,12 +12,11 @@ import ast
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from enum import IntEnum
-from functools import cache
 from itertools import chain, product
 from typing import NamedTuple
 
 from deepbots_cli.errors import BatchError
+from deepbots_cli.expressions.code import Code, Precedence, infix, number_code, printed, template
 from deepbots_cli.expressions.functions import (
     FUNCTIONS,
     Family,
@@ -260,32 +259,6 @@ def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, 
 Leaf = Callable[[Name | EngineRead | State | Draw], str]
 
 
-class Precedence(IntEnum):
-    """How strongly Python binds, from loose to tight."""
-
-    TERNARY = 0
-    OR = 1
-    AND = 2
-    NOT = 3
-    COMPARISON = 4
-    SUM = 5
-    PRODUCT = 6
-    SIGN = 7
-    POWER = 8
-    ATOM = 9
-
-
-class Code(NamedTuple):
-    """A piece of Python and how strongly its outermost operator binds."""
-
-    text: str
-    precedence: Precedence = Precedence.ATOM
-
-    def within(self, min_precedence: int) -> str:
-        """The text, in parentheses where it binds less than `min_precedence`."""
-        return self.text if self.precedence >= min_precedence else f"({self.text})"
-
-
 class Target(NamedTuple):
     """The kind of values that generated code computes with: `function_code` gives the Python of an operation
     over its arguments."""
@@ -317,7 +290,7 @@ def _on_columns(function: Function) -> str:
     if function.helper:
         return _on_floats(function)
     text = _ON_COLUMNS.get(function.name) or function.array
-    if not text and not all(_is_same_on_columns(node) for node in ast.walk(_template(function.python))):
+    if not text and not all(_is_same_on_columns(node) for node in ast.walk(template(function.python))):
         raise BatchError(f"it calls '{function.name}', which has no Python for arrays")
     return text or function.python
 
@@ -339,13 +312,6 @@ def to_python(scalar: Scalar, leaf: Leaf) -> str:
     return _code(scalar, leaf, SCALAR).text
 
 
-def number_code(value: float | bool) -> Code:
-    """The code of a constant."""
-    negative = not isinstance(value, bool) and str(value).startswith("-")
-    code = repr(value).replace(repr(math.pi), "pi") if abs(value) == math.pi else repr(value)
-    return Code(code, Precedence.SIGN if negative else Precedence.ATOM)
-
-
 def operation_code(
     name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: Target = SCALAR
 ) -> Code:
@@ -358,26 +324,15 @@ def operation_code(
     names = function.arguments
     text = target.function_code(function)
     if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two
-        if isinstance(_template(text), ast.Call):
+        if isinstance(template(text), ast.Call):
             return operation_code(
                 name, [operation_code(name, args[:-1], scalars[:-1], target), args[-1]], scalars[:2], target
             )
-        return _infix(_template(text).op, args)  # type: ignore[attr-defined]
+        return infix(template(text).op, args)  # type: ignore[attr-defined]
     if names[-1].startswith("*"):
         rest = len(names) - 1
         args = [*args[:rest], Code(", ".join(arg.text for arg in args[rest:]))]
-    return _printed(_template(text), dict(zip(names, args, strict=True)))
-
-
-def require_printable(function: Function) -> None:
-    """Try the Python of a function.
-
-    Raises:
-        ValueError: It holds more than names, numbers, operators, comparisons of two, calls and `a if c else
-            b`.
-    """
-    if function.python:
-        _printed(_template(function.python), dict.fromkeys(function.arguments, Code("x")))
+    return printed(template(text), dict(zip(names, args, strict=True)))
 
 
 def _code(scalar: Scalar, leaf: Leaf, target: Target) -> Code:
@@ -403,75 +358,3 @@ def _power(base: Code, exponent: int, scalar: Scalar) -> Code:
     text = base.within(Precedence.ATOM)
     sign = "**" if re.fullmatch(r"[\w.]+", text) and exponent > 0 else " ** "  # as a formatter has it
     return Code(f"{text}{sign}{exponent}", Precedence.POWER)
-
-
-# The Python of a function, with the code of its arguments in place of their names
-
-_SIGNS: dict[type[ast.AST], tuple[str, Precedence]] = {
-    ast.Add: ("+", Precedence.SUM),
-    ast.Sub: ("-", Precedence.SUM),
-    ast.Mult: ("*", Precedence.PRODUCT),
-    ast.Div: ("/", Precedence.PRODUCT),
-    ast.FloorDiv: ("//", Precedence.PRODUCT),
-    ast.Mod: ("%", Precedence.PRODUCT),
-    ast.And: ("and", Precedence.AND),
-    ast.Or: ("or", Precedence.OR),
-    ast.Lt: ("<", Precedence.COMPARISON),
-    ast.LtE: ("<=", Precedence.COMPARISON),
-    ast.Gt: (">", Precedence.COMPARISON),
-    ast.GtE: (">=", Precedence.COMPARISON),
-    ast.Eq: ("==", Precedence.COMPARISON),
-    ast.NotEq: ("!=", Precedence.COMPARISON),
-}
-
-
-@cache
-def _template(text: str) -> ast.expr:
-    return ast.parse(text, mode="eval").body
-
-
-def _printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
-    match node:
-        case ast.Name(id=name):
-            return args.get(name) or Code(name)
-        case ast.Constant(value=bool() | int() | float() as value):
-            return number_code(value)
-        case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
-            return Code(f"{name}({', '.join(_printed(part, args).text for part in parts)})")
-        case ast.Call(func=ast.Attribute(value=ast.Name(id="np"), attr=name), args=parts, keywords=[]):
-            return Code(f"np.{name}({', '.join(_printed(part, args).text for part in parts)})")
-        case ast.Starred(value=ast.Name(id=name)):
-            return args[f"*{name}"]
-        case (
-            ast.BinOp(op=sign, left=left, right=right)
-            | ast.Compare(ops=[sign], left=left, comparators=[right])
-        ) if type(sign) in _SIGNS:
-            return _infix(sign, [_printed(left, args), _printed(right, args)])
-        case ast.BoolOp(op=sign, values=parts):
-            return _infix(sign, [_printed(part, args) for part in parts])
-        case ast.UnaryOp(op=ast.USub(), operand=inner):
-            negated = _printed(inner, args)
-            return Code(
-                f"-({negated.text})"
-                if negated.precedence is Precedence.POWER
-                else f"-{negated.within(Precedence.SIGN)}",
-                Precedence.SIGN,
-            )
-        case ast.UnaryOp(op=ast.Not(), operand=inner):
-            return Code(f"not {_printed(inner, args).within(Precedence.NOT)}", Precedence.NOT)
-        case ast.IfExp(test=test, body=a, orelse=b):
-            condition = _printed(test, args).within(Precedence.OR)
-            return Code(
-                f"{_printed(a, args).within(Precedence.OR)} if {condition} else"
-                f" {_printed(b, args).within(Precedence.TERNARY)}",
-                Precedence.TERNARY,
-            )
-    raise ValueError(f"{ast.unparse(node)[:60]!r} is not part of the Python of functions")
-
-
-def _infix(operator: ast.AST, codes: Sequence[Code]) -> Code:
-    """Operators group to the left, so the right sides bind more tightly; Python chains comparisons, so both
-    sides do."""
-    sign, bind = _SIGNS[type(operator)]
-    left = codes[0].within(bind + 1 if bind is Precedence.COMPARISON else bind)
-    return Code(f" {sign} ".join([left, *(code.within(bind + 1) for code in codes[1:])]), bind)

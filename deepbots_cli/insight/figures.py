@@ -175,10 +175,8 @@ def starts(
             return words.index(str(number)) if words else unit.from_si(float(number))
 
         at = [place(episode.drawn[name]) for episode in drawn]
-        colors = [
-            (SUCCESS if episode.is_success else FAILURE) if success_defined else COLORS[0]
-            for episode in drawn
-        ]
+        by_outcome = {True: SUCCESS, False: FAILURE} if success_defined else {}
+        colors = [by_outcome.get(episode.is_success, COLORS[0]) for episode in drawn]
         panel.scatter(
             at,
             [episode.total_return for episode in drawn],

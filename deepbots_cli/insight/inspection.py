@@ -67,82 +67,15 @@ def scenario_tables(
         {
             "run": _run(run) if run else {},
             "scenario": _scenario(scenario),
-            "drawn": [
-                {
-                    "drawn": entry.what.replace("_", " "),
-                    "of": ".".join(filter(None, entry.of)),
-                    "from": _draws(entry),
-                }
-                for entry in scenario.reset.variations
-            ],
-            "robots": [
-                {
-                    "robot": body.name,
-                    "model": body.model.name,
-                    **_counts(body.model),
-                    **_drawn_mass(scenario, body.name),
-                    "base": "fixed" if body.fixed_base else "free",
-                }
-                for body in scenario.world.robots
-            ],
-            "joints": [
-                {"robot": body.name, **_joint(joint)}
-                for body in scenario.world.robots
-                for joint in body.model.joints
-            ],
-            "objects": _objects(scenario),
+            **_world(scenario),
             "parameters": _parameters(scenario, root),
             "sensors": _sensors(scenario, root),
-            "actuators": [
-                row
-                for robot in scenario.robots
-                for actuator in robot.actuators
-                for row in _driven_parts(robot.name, actuator)
-            ],
-            "messages": [_message(layout, scenario.format) for layout in _layouts(scenario)],
-            "message_fields": [
-                _field(layout, field) for layout in _layouts(scenario) for field in layout.fields
-            ],
-            "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
-            "action": [_action(part) for part in scenario.agent.action],
+            **_commands(scenario, root),
             "signals": _signals(scenario, root),
             "goal": {key: text for key, text in goal.items() if text} if scenario.agent.goal else {},
             "observation": _observation(scenario),
             "timing": timing(scenario),
-            "reward": [
-                {"term": term.name, "is": text_at(root, "reward", term.name)}
-                for term in scenario.agent.reward
-            ],
-            "endings": [
-                {
-                    "ending": ending.name,
-                    "outcome": outcome,
-                    "when": text_at(root, "termination", outcome, ending.name),
-                }
-                for ending in scenario.endings
-                for outcome in ["success" if ending.name in scenario.agent.success else "failure"]
-            ],
-            "reset": _reset(scenario, root),
-            "cases": [
-                {"case": case.name, "set": text_at(root, "evaluation", "cases", case.name, "set")}
-                for case in scenario.cases
-            ],
-            "curriculum": [
-                {
-                    "stage": stage.name,
-                    **{key: text_at(root, "curriculum", index, key) for key in ("set", "until")},
-                }
-                for index, stage in enumerate(scenario.curriculum)
-            ],
-            "scripts": [
-                {
-                    "script": script.name,
-                    "action": part.name,
-                    "is": text_at(root, "scripts", script.name, part.name),
-                }
-                for script in scenario.agent.scripts
-                for part in scenario.agent.action
-            ],
+            **_course(scenario, root),
             **_training(scenario, root, run, learner),
         }
     )
@@ -256,7 +189,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 def _joint(joint: Joint, *, whole: bool = False) -> Row:
     """A joint and its limits; as a `whole` with its origin, damping and friction."""
-    limit = joint.limit
+    limit, unit = joint.limit, "m" if joint.type == "prismatic" else "rad"
     more: Row = {"damping": joint.damping or None, "friction": joint.friction or None, "follows": _law(joint)}
     return {
         "joint": joint.name,
@@ -265,7 +198,7 @@ def _joint(joint: Joint, *, whole: bool = False) -> Row:
         "child": joint.child,
         **({"origin_m": _numbers(joint.origin.xyz)} if whole else {}),
         "axis": _numbers(joint.axis) if joint.moves else "",
-        "unit": ("m" if joint.type == "prismatic" else "rad") if joint.moves else "",
+        "unit": unit if joint.moves else "",
         "lower": limit.lower,
         "upper": limit.upper,
         "max_velocity": limit.velocity,
@@ -351,6 +284,91 @@ def _space(scenario: Program) -> str:
             f"Discrete({sizes[0]})" if len(sizes) == 1 else f"MultiDiscrete({', '.join(map(str, sizes))})"
         )
     return " and ".join(spaces)
+
+
+def _world(scenario: Program) -> Tables:
+    """What is drawn, and the robots and objects."""
+    return {
+        "drawn": [
+            {
+                "drawn": entry.what.replace("_", " "),
+                "of": ".".join(filter(None, entry.of)),
+                "from": _draws(entry),
+            }
+            for entry in scenario.reset.variations
+        ],
+        "robots": [
+            {
+                "robot": body.name,
+                "model": body.model.name,
+                **_counts(body.model),
+                **_drawn_mass(scenario, body.name),
+                "base": "fixed" if body.fixed_base else "free",
+            }
+            for body in scenario.world.robots
+        ],
+        "joints": [
+            {"robot": body.name, **_joint(joint)}
+            for body in scenario.world.robots
+            for joint in body.model.joints
+        ],
+        "objects": _objects(scenario),
+    }
+
+
+def _commands(scenario: Program, root: Node) -> Tables:
+    """From the action of the agent to the actuators, and the messages in between."""
+    return {
+        "actuators": [
+            row
+            for robot in scenario.robots
+            for actuator in robot.actuators
+            for row in _driven_parts(robot.name, actuator)
+        ],
+        "messages": [_message(layout, scenario.format) for layout in _layouts(scenario)],
+        "message_fields": [_field(layout, field) for layout in _layouts(scenario) for field in layout.fields],
+        "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
+        "action": [_action(part) for part in scenario.agent.action],
+    }
+
+
+def _course(scenario: Program, root: Node) -> Tables:
+    """Reward, endings and starts of the episodes, and what changes between them."""
+    return {
+        "reward": [
+            {"term": term.name, "is": text_at(root, "reward", term.name)} for term in scenario.agent.reward
+        ],
+        "endings": [
+            {
+                "ending": ending.name,
+                "outcome": outcome,
+                "when": text_at(root, "termination", outcome, ending.name),
+            }
+            for ending in scenario.endings
+            for outcome in ["success" if ending.name in scenario.agent.success else "failure"]
+        ],
+        "reset": _reset(scenario, root),
+        "cases": [
+            {"case": case.name, "set": text_at(root, "evaluation", "cases", case.name, "set")}
+            for case in scenario.cases
+        ],
+        "curriculum": [
+            {
+                "stage": stage.name,
+                **{key: text_at(root, "curriculum", index, key) for key in ("set", "until")},
+            }
+            for index, stage in enumerate(scenario.curriculum)
+        ],
+        "scripts": [
+            {
+                "script": script.name,
+                "action": part.name,
+                "is": text_at(root, "scripts", script.name, part.name),
+            }
+            for script in scenario.agent.scripts
+            for part in scenario.agent.action
+        ],
+    }
 
 
 def _objects(scenario: Program) -> list[Row]:
@@ -609,10 +627,8 @@ def _observation(scenario: Program) -> list[Row]:
             **({"steps_ago": ago} if remembers else {}),
         }
         row |= {"low": entry.low, "high": entry.high, "unit": entry.unit}
-        rows.append(
-            row
-            | {"seen_as": "0 or 1" if entry.is_truth else "-1 .. 1" if entry.clip else "-1 .. 1, not clipped"}
-        )
+        bounds = "-1 .. 1" if entry.clip else "-1 .. 1, not clipped"
+        rows.append(row | {"seen_as": "0 or 1" if entry.is_truth else bounds})
     images = [(entry.key, _image_size_text(entry, scenario)) for entry in scenario.agent.images]
     return rows + [{"index": None, "name": key, "seen_as": f"{size} of 0 .. 255"} for key, size in images]
 

@@ -38,10 +38,10 @@ from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
 from deepbots_cli.learning.directories import is_training
 from deepbots_cli.learning.draws import by_drawn_value, draw_labels
-from deepbots_cli.learning.episodes import UNBOUNDED
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import EvaluationWithEpisodes, in_parentheses
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, Run
+from deepbots_cli.learning.statistics import UNBOUNDED, mean_interval
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
@@ -49,6 +49,7 @@ from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 from deepbots_cli.view import pictures, plots, trajectories
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import LinkName
+from deepbots_cli.view.players import open_player
 from deepbots_cli.view.plots import TrainingLog
 from deepbots_cli.view.trajectories import Moving, Positions
 
@@ -284,7 +285,7 @@ class Report:
             shown_run = Showing(
                 str(member.run.path), engine=member.evaluation.engine, permissions=permissions
             )
-            with closing(shown_run.open().player()) as player:
+            with closing(open_player(shown_run.open())) as player:
                 for each in mine:
                     frames = player.episode(member.evaluation.seed, each.number)
                     first = next(frames)
@@ -512,8 +513,6 @@ def _attempt(group: Group, number: int) -> tuple[str, str, str, str]:
 
 
 def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, float] = UNBOUNDED) -> str:
-    from deepbots_cli.learning.statistics import mean_interval
-
     seed_interval = mean_interval(values, bounds)
     interval = (
         ""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from deepbots_cli.expressions.dimensions import ONE, Unit
+from deepbots_cli.learning.statistics import wilson
 
 Numbers = Mapping[str, Any]
 T = TypeVar("T")
@@ -83,8 +84,6 @@ class SuccessRate(dict[str, Any]):
     episodes`."""
 
     def __init__(self, successes: Sequence[float]) -> None:
-        from deepbots_cli.learning.statistics import wilson  # which imports scipy
-
         count, episodes = int(sum(successes)), len(successes)
         interval = wilson(count, episodes) if episodes else (0.0, 1.0)
         super().__init__(successes=count, episodes=episodes, rate=count / max(1, episodes), interval=interval)

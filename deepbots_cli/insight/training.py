@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from shlex import quote
@@ -363,70 +363,103 @@ def run_probes(
 ) -> None:
     """Run the short episodes of a training, all from the same starts; after `seconds`, the rest is left
     out."""
-    from deepbots_cli.learning.evaluation import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
-    from deepbots_cli.rollout.policies import PolicyDriver
 
-    run, deadline = training.run, time.monotonic() + seconds
-    seeds = [derive_seed(run.record.seed, "diagnosis", number) for number in range(PROBE_EPISODES)]
-    watch = instrument_program(training.program, include_observation=True)
-    world = TraceRecorder(
-        api.build(watch.program, engine=run.record.engine, permissions=permissions), watch, run.compiled.units
-    )
-    with torch_settings(), closing(world):
-        constant = _constant(world.world)
-        idle = idle_action(training.program.agent.action)
-        if any(not part.low <= 0.0 <= part.high for part in training.program.agent.ranges):
-            idle = None  # no command is zero
-        name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
-        model = None if name is None else load_model(run, name, world)
-        scripts = _teachers(training)
-        total = PROBE_EPISODES * (1 + (idle is not None) + (model is not None)) + sum(
-            map(len, constant.values())
-        )
-        total += SCRIPT_EPISODES * len(scripts)
-        done = 0
+    probes = _Probes(training, time.monotonic() + seconds, permissions, on_episode)
+    with torch_settings(), closing(probes.world):
+        probes.play()
+    training.failed = _repeat_failed(training, probes.deadline, permissions)
 
-        def episode(seed: int, driver: Driver, count: int = PROBE_STEPS) -> list[Trace]:
-            nonlocal done
-            if time.monotonic() > deadline:
-                return []
-            error = ""
-            try:
-                for _ in islice(steps(world, driver, Start(seed)), count + 1):
-                    if time.monotonic() > deadline:
-                        break
-            except DeepbotsError as failed:
-                error = str(failed)
-            done += 1
-            if on_episode is not None:
-                on_episode(done, total)
-            return [world.trace("a short episode", error=error)]
 
-        policy, random, still = list[Trace](), list[Trace](), list[Trace]()
+class _Probes:
+    """The short episodes of a training.
+
+    Args:
+        training: Takes their traces.
+        deadline: By the monotonic clock, in s; no episode goes on after it.
+        permissions: Those of the scenario.
+        on_episode: Called after each episode with their number so far and in total.
+    """
+
+    def __init__(
+        self,
+        training: TrainingEvidence,
+        deadline: float,
+        permissions: Permissions,
+        on_episode: Callable[[int, int], object] | None,
+    ) -> None:
+        self._training, self.deadline, self._on_episode = training, deadline, on_episode
+        run, watch = training.run, instrument_program(training.program, include_observation=True)
+        program = api.build(watch.program, engine=run.record.engine, permissions=permissions)
+        self.world = TraceRecorder(program, watch, run.compiled.units)
+        self._done, self._total = 0, 0
+
+    def play(self) -> None:
+        training, world = self._training, self.world
+        constant, idle = _constant(world.world), self._idle_action()
+        policy, scripts = self._policy_driver(), _teachers(training)
+        kinds = 1 + (idle is not None) + (policy is not None)
+        self._total = PROBE_EPISODES * kinds + sum(map(len, constant.values()))
+        self._total += SCRIPT_EPISODES * len(scripts)
+        seeds = self._seeds(PROBE_EPISODES)
+        random, played, still = list[Trace](), list[Trace](), list[Trace]()
         for seed in seeds:  # of each kind one after the other, so that a few seconds show something of all
-            random += episode(seed, random_driver(world))
-            policy += episode(seed, PolicyDriver(model, world)) if model is not None else []
-            still += (
-                episode(seed, constant_driver(world.world.make_action(*idle))) if idle is not None else []
-            )
-        training.random, training.policy, training.idle = random, policy, still
+            random += self._episode(seed, random_driver(world))
+            if policy is not None:
+                played += self._episode(seed, policy())
+            if idle is not None:
+                still += self._episode(seed, constant_driver(world.world.make_action(*idle)))
+        training.random, training.policy, training.idle = random, played, still
         for part, actions in constant.items():
-            probes = {
-                name: episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS)
+            traces = {
+                name: self._episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS)
                 for name, action in actions.items()
             }
-            training.constant_actions[part] = {
-                name: trace for name, traces in probes.items() for trace in traces
-            }
+            training.constant_actions[part] = {name: each[0] for name, each in traces.items() if each}
         longest = training.program.truncation.max_episode_steps(training.program.period)
         for name in scripts:
-            starts = (derive_seed(run.record.seed, "diagnosis", number) for number in range(SCRIPT_EPISODES))
-            played = [trace for seed in starts for trace in episode(seed, named_driver(world, name), longest)]
-            training.scripts[name] = [
-                trace for trace in played if trace.outcome != "not ended"
-            ]  # that the deadline cut
-    training.failed = _repeat_failed(training, deadline, permissions)
+            episodes = [
+                trace
+                for seed in self._seeds(SCRIPT_EPISODES)
+                for trace in self._episode(seed, named_driver(world, name), longest)
+            ]
+            # The deadline cut the others.
+            training.scripts[name] = [trace for trace in episodes if trace.outcome != "not ended"]
+
+    def _seeds(self, count: int) -> list[int]:
+        seed = self._training.run.record.seed
+        return [derive_seed(seed, "diagnosis", number) for number in range(count)]
+
+    def _idle_action(self) -> Any:
+        """The action that commands zeros; None where a range has no zero."""
+        agent = self._training.program.agent
+        has_zeros = all(part.low <= 0.0 <= part.high for part in agent.ranges)
+        return idle_action(agent.action) if has_zeros else None
+
+    def _policy_driver(self) -> Callable[[], Driver] | None:
+        """Makes a driver of the last policy; None before there is one."""
+        from deepbots_cli.learning.evaluation import load_model
+        from deepbots_cli.rollout.policies import PolicyDriver
+
+        run = self._training.run
+        name: Any = next((name for name in ("last", "best") if run.model(name).is_file()), None)
+        return None if name is None else partial(PolicyDriver, load_model(run, name, self.world), self.world)
+
+    def _episode(self, seed: int, driver: Driver, count: int = PROBE_STEPS) -> list[Trace]:
+        """The trace of an episode of at most `count` steps, in a list; an empty one after the deadline."""
+        if time.monotonic() > self.deadline:
+            return []
+        error = ""
+        try:
+            for _ in islice(steps(self.world, driver, Start(seed)), count + 1):
+                if time.monotonic() > self.deadline:
+                    break
+        except DeepbotsError as failed:
+            error = str(failed)
+        self._done += 1
+        if self._on_episode is not None:
+            self._on_episode(self._done, self._total)
+        return [self.world.trace("a short episode", error=error)]
 
 
 def _repeat_failed(t: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:

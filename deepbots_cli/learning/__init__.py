@@ -12,12 +12,16 @@ learner.py       what learns: the interface of an algorithm, and a base for algo
 sb3/             the learner of the built-in algorithms
 checkpoints.py   the whole state of a training, from which it goes on to the bit
 checkpoint_files.py  the files of a checkpoint, and what they may hold
-callbacks.py     what happens during training: evaluations, the best model, scalars, when to stop
+active.py        the parts of a training that runs in this process
+callbacks.py     what happens during training beside learning, and when to stop
+training_evaluations.py  the evaluations of a training, and the choice of its best model
+confirmations.py  the confirmations of a training
+scalars.py       the scalars that a training logs
 signals.py       Ctrl-C and SIGTERM
 order.py         which of two policies is better, and the best models of a training
 keeping.py       the best model of a run, chosen again on new starts or by hand
 decline.py       whether the last evaluations of a training are worse than earlier ones
-confirmation.py  when a training may stop because its task is solved
+confirmation.py  when a training may stop because its task is solved: how a confirmation is judged
 environments.py  how worlds are made: one by one, or as a batch
 shards.py        the worlds of a training, and shards of them with a copy of the policy
 teacher.py       a script or a recording as teacher: when the policy imitates it, and how much
@@ -30,6 +34,7 @@ episodes.py      what episodes leave behind: log, statistics, solved, summaries 
 draws.py         which drawn values have an effect on episodes
 campaign.py      several trainings in one folder: what groups and studies have in common
 group.py         groups: a folder with a run per seed, trained one after the other or on workers
+calls.py         calls of a function: what a call reports, and who follows it
 executor.py      where work runs: in this process, or on workers
 journal_file.py  the file in which Optuna keeps a study, which a crash does not damage
 study.py         studies: searches over values of a scenario, a group for each trial

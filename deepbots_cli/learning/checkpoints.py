@@ -25,7 +25,7 @@ import torch
 
 from deepbots_cli.errors import RunError, StorageError
 from deepbots_cli.files import unwritable_message
-from deepbots_cli.learning.callbacks import TrainingCallback, check_finite
+from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoint_files import (
     Array,
     Arrays,
@@ -119,7 +119,7 @@ class Checkpoints:
 
     def before_rollout(self) -> bool:
         """Take a checkpoint if it is time; whether the training goes on."""
-        stop = self.callback.interruption.requested
+        stop = self.callback.active.interruption.requested
         self._save_numbered()
         if stop or self._last < 0 or time.monotonic() >= self._due:
             self.save()
@@ -143,7 +143,8 @@ class Checkpoints:
     def _save_numbered(self) -> None:
         """Keep the model at equal distances of steps, as many as `--keep-checkpoints` asks for."""
         steps, count = self._learner.steps, self.run.record.keep_checkpoints
-        if count and steps * count // self.callback.total > self._previous * count // self.callback.total:
+        total = self.callback.active.total
+        if count and steps * count // total > self._previous * count // total:
             self._learner.save(self.run.model(f"step-{steps:09d}"))
         self._previous = steps
 
@@ -157,7 +158,7 @@ class Checkpoints:
         steps = self._learner.steps
         if steps == self._last:
             return
-        check_finite(self._learner, self.run)
+        self.callback.active.check_finite()
         began = time.monotonic()
         folder = self.run.checkpoints / "new"
         copy = self.run.checkpoints / "model.zip"
@@ -220,8 +221,8 @@ class Checkpoints:
         return self._learner.State(
             digest=self.run.digest,
             arithmetic=self._arithmetic(),
-            statistics=self.callback.statistics.state(),
-            curriculum=self.callback.curriculum.state(),
+            statistics=self.callback.active.statistics.state(),
+            curriculum=self.callback.active.curriculum.state(),
             callback=self.callback.state(),
             stages=self.stages,
             starts=[episode.start for episode in shard.episodes],  # type: ignore[misc]  # dictionaries become models

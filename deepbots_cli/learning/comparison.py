@@ -15,16 +15,17 @@ from deepbots_cli.analysis.changes import Change, Meanings, WrittenScenario, com
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.learning.calls import Attempt, Counter
 from deepbots_cli.learning.directories import run_folders
 from deepbots_cli.learning.environments import WorldFactory
-from deepbots_cli.learning.episodes import Interval
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, until_enough
-from deepbots_cli.learning.executor import SERIAL, Attempt, Counter, Executor, results
+from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.order import Measure, measure_of
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.statistics import (
     Difference,
+    Interval,
     compare_episodes,
     compare_seeds,
     interquartile_mean,

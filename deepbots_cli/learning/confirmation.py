@@ -26,7 +26,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist, fmean, stdev
 
-from deepbots_cli.learning.episodes import Interval, meets_solved
+from deepbots_cli.learning.episodes import meets_solved
+from deepbots_cli.learning.statistics import Interval, student_quantile
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 from deepbots_cli.scenario.fields import MAX_SOLVED_EPISODES
@@ -222,20 +223,15 @@ def worst_returns(level: float) -> int:
 def lower_bound(returns: Sequence[float], worst: float, level: float) -> float:
     """Student's one-sided lower bound of a mean return at a confidence of `1 - level`, with `worst_returns`
     added."""
-    from scipy.special import stdtrit
-
     values = [*returns, *[worst] * worst_returns(level)]
-    half = float(stdtrit(len(values) - 1, 1 - level)) * stdev(values) / math.sqrt(len(values))
+    half = student_quantile(len(values) - 1, 1 - level) * stdev(values) / math.sqrt(len(values))
     return fmean(values) - half
 
 
 def upper_bound(returns: Sequence[float], level: float) -> float:
     """Student's one-sided upper bound of a mean return at a confidence of `1 - level`; infinite for fewer
     than two returns."""
-    from scipy.special import stdtrit
-
     if len(returns) < 2:
         return math.inf
-    return fmean(returns) + float(stdtrit(len(returns) - 1, 1 - level)) * stdev(returns) / math.sqrt(
-        len(returns)
-    )
+    half = student_quantile(len(returns) - 1, 1 - level) * stdev(returns) / math.sqrt(len(returns))
+    return fmean(returns) + half

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.expressions.dimensions import ONE, Unit
-from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Interval, Summary
+from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary
+from deepbots_cli.learning.statistics import ALPHA, UNBOUNDED, Interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.draws import is_of_member, without_copy
 from deepbots_cli.rollout import Episode
@@ -179,8 +180,6 @@ def by_drawn_value(
         bounds: The possible returns.
     """
     from scipy.special import ndtri  # here: commands that only read runs work without scipy
-
-    from deepbots_cli.learning.statistics import ALPHA
 
     outcome: Outcome = "success" if len({episode.is_success for episode in done}) == 2 else "return"
     names = {name: None for episode in done for name in episode.drawn if not is_of_member(name)}

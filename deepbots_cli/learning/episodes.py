@@ -23,6 +23,7 @@ from pydantic import BaseModel, Field, NonNegativeInt
 from deepbots_cli.errors import RunError, StorageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.generations import Generations
+from deepbots_cli.learning.statistics import UNBOUNDED, Interval, interquartile_mean, mean_interval, wilson
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 
@@ -47,9 +48,6 @@ _EVALUATION_COST = 16
 """An evaluation takes the memory of about so many numbers, besides its own."""
 _MAX_NAMES_LETTERS = 1_000_000
 _LEAST_COLUMNS = ("r", "l", "t")
-
-Interval = tuple[float, float]
-UNBOUNDED: Interval = (-math.inf, math.inf)
 
 
 class EpisodeLog:
@@ -483,9 +481,6 @@ class Summary(Scores, frozen=True):
             error: The probability that an interval misses the true value.
             further: The fields of a subclass.
         """
-        # scipy is imported here: commands that only read runs work without it.
-        from deepbots_cli.learning.statistics import interquartile_mean, mean_interval, wilson
-
         returns = [episode.total_return for episode in done]
         successes = sum(episode.is_success for episode in done)
         names = {name: None for episode in done for name in episode.terms}

@@ -21,17 +21,18 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
+from deepbots_cli.learning.calls import UNWATCHED, Attempt, Watcher
 from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
-from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, UNBOUNDED, Summary
-from deepbots_cli.learning.executor import SERIAL, UNWATCHED, Attempt, Executor, Watcher, results
+from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary
+from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.records import Evaluation, in_parentheses, remark_on_episodes
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.sb3.algorithms import torch_settings
-from deepbots_cli.learning.statistics import ALPHA
+from deepbots_cli.learning.statistics import ALPHA, UNBOUNDED
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.program import identity
 from deepbots_cli.rollout import Episode, Start, play
@@ -57,7 +58,8 @@ class EvaluationResult(Summary, Evaluation, frozen=True):
     defined are None.
 
     Attributes:
-        verdict: `solved` in words.
+        answer: `solved` in words.
+        verdict: The same with the circumstances in parentheses.
         return_bounds: Smallest and largest possible return of an episode, if deepbots can derive them from
             rewards and time limit. Confidence intervals are cut at them.
         outcomes: The episodes, in the order of their seeds.
@@ -66,6 +68,7 @@ class EvaluationResult(Summary, Evaluation, frozen=True):
 
     run: Path
     scenario: str
+    answer: str = Field(repr=False, exclude=True)
     verdict: str
     notes: tuple[str, ...]
     return_bounds: tuple[float | None, float | None]
@@ -469,43 +472,26 @@ class _Setting:
         confirmation: int | None = None,
     ) -> EvaluationResult:
         """The result of these episodes; `confirmation` is the number of the confirmation that they are."""
-        run, program, engine, solved = self.run, self.program, self.engine, self.program.agent.solved
+        run, program, engine = self.run, self.program, self.engine
         if confirmation is None and model == "best" and deterministic and self._has_confirmed_starts:
             assert run.record.result is not None
             confirmation = run.record.result.confirmations
-        low, high = (
-            possible_returns(program) if engine else UNBOUNDED
-        )  # a world of the caller may pay anything
-        file = self.run.model(model)
-        is_confirmed = run.record.result is not None and run.record.result.confirmed_seed is not None
-        number = 1 if run.record.result is None else run.record.result.confirmations + 1
+        # A world of the caller may pay anything.
+        low, high = possible_returns(program) if engine else UNBOUNDED
+        file, result = run.model(model), run.record.result
         needs_no_confirmation = confirmation is not None or (
-            is_confirmed and model == "best" and self._is_of_training
+            result is not None
+            and result.confirmed_seed is not None
+            and model == "best"
+            and self._is_of_training
         )
-        is_solved, verdict, required = solved_verdict(
-            solved, done, (low, high), None if needs_no_confirmation else number
+        number = 1 if result is None else result.confirmations + 1
+        verdict = solved_verdict(
+            program.agent.solved, done, (low, high), None if needs_no_confirmation else number
         )
-        digest = (self.judged or run).digest
-        elsewhere, overrides = (
-            (None, ()) if self.judged is None or digest == run.record.digest else self._elsewhere(self.judged)
-        )
-        circumstances = [f"scenario {elsewhere}"] if elsewhere else []
-        if not elsewhere and run.record.digest not in (digest, run.digest):
-            circumstances.append("scenario changed since the training")
-        circumstances += [f"--set {quote(text)}" for text in overrides]
-        circumstances += [f"case {self.case}"] if self.case else []
-        circumstances += [f"stage {self.stage}"] if self.stage else []
-        circumstances += (
-            [f"engine {engine}, trained in {run.record.engine}"]
-            if engine not in (None, run.record.engine)
-            else []
-        )
-        circumstances += (
-            [f"{model} model" if run.model(model).is_file() else f"actions of {model}"]
-            if model != "best"
-            else []
-        )
-        circumstances += ["actions sampled"] if not deterministic else []
+        elsewhere, overrides = self._elsewhere()
+        circumstances = self._circumstances(model, elsewhere, overrides, deterministic=deterministic)
+        remarks = (*circumstances, *remark_on_episodes(len(done), self.episodes, None))
         notes = [*run.notes(), *identity.timing_differences(run.program, program)]
         if confirmation is not None:
             notes.append(
@@ -522,20 +508,20 @@ class _Setting:
             model_steps=learner.steps_of(file) if file.is_file() else None,
             confirmation=confirmation,
             success_defined=program.defines_success,
-            solved=is_solved,
-            verdict=verdict
-            + in_parentheses((*circumstances, *remark_on_episodes(len(done), self.episodes, None))),
-            circumstances=tuple(circumstances),
+            solved=verdict.solved,
+            answer=verdict.text,
+            verdict=verdict.text + in_parentheses(remarks),
+            circumstances=circumstances,
             engine=engine,
             case=self.case,
             stage=self.stage,
             elsewhere=elsewhere,
             set=overrides,
-            digest=digest,
+            digest=(self.judged or run).digest,
             agent=program.agent.name,
             seed=self.seed,
             planned=self.episodes,
-            required_episodes=required,
+            required_episodes=verdict.required_episodes,
             deterministic=deterministic,
             notes=tuple(notes),
             outcomes=tuple(done),
@@ -543,9 +529,33 @@ class _Setting:
             return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
         )
 
-    def _elsewhere(self, judged: Compiled) -> tuple[str | None, tuple[str, ...]]:
+    def _circumstances(
+        self, model: str, elsewhere: str | None, overrides: Sequence[str], *, deterministic: bool
+    ) -> tuple[str, ...]:
+        """What is other than in the training, or than usual in an evaluation."""
+        run, digest, trained_in = self.run, (self.judged or self.run).digest, self.run.record.engine
+        lines = [f"scenario {elsewhere}"] if elsewhere else []
+        if not elsewhere and run.record.digest not in (digest, run.digest):
+            lines.append("scenario changed since the training")
+        lines += [f"--set {quote(text)}" for text in overrides]
+        if self.case:
+            lines.append(f"case {self.case}")
+        if self.stage:
+            lines.append(f"stage {self.stage}")
+        if self.engine not in (None, trained_in):
+            lines.append(f"engine {self.engine}, trained in {trained_in}")
+        if model != "best":
+            lines.append(f"{model} model" if run.model(model).is_file() else f"actions of {model}")
+        if not deterministic:
+            lines.append("actions sampled")
+        return tuple(lines)
+
+    def _elsewhere(self) -> tuple[str | None, tuple[str, ...]]:
         """The name of a scenario that replaces that of the run, and the assignments of `--set`, without that
         of another engine."""
+        judged = self.judged
+        if judged is None or judged.digest == self.run.record.digest:
+            return None, ()
         own = judged.source.resolve() == (self.run.path / RESOLVED_NAME).resolve()
         name = (
             judged.source.name

@@ -7,12 +7,12 @@ A result depends on its item only. A call whose worker was lost is repeated on a
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, TypeVar, Unpack
 
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.learning.calls import UNWATCHED, Attempt, Watcher
 
 if TYPE_CHECKING:  # which imports torch
     from contextlib import ExitStack
@@ -24,56 +24,6 @@ if TYPE_CHECKING:  # which imports torch
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-
-def _ignore(value: object) -> None:
-    pass
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """A call of the function.
-
-    Attributes:
-        number: 1, or higher if the worker of an earlier call with this item was lost.
-        report: Tells the caller how far the call is; the newest value replaces an earlier one.
-        note: Tells the user something.
-    """
-
-    number: int = 1
-    report: Callable[[object], None] = _ignore
-    note: Callable[[str], None] = _ignore
-
-
-class Watcher:
-    """Follows calls; items are numbered from 0. This one does nothing."""
-
-    def on_report(self, item: int, value: object) -> None:
-        """Called with the newest `report` of a call."""
-
-    def on_note(self, item: int, text: str) -> None:
-        """Called with what the user should know of a call."""
-
-    def on_loss(self, item: int) -> None:
-        """Called when the worker of a call was lost, which another one repeats."""
-
-    def on_done(self, item: int, outcome: object) -> None:
-        """Called after a call, not necessarily in the order of the items, with what `map` yields for it."""
-
-
-UNWATCHED = Watcher()
-
-
-class Counter(Watcher):
-    """Calls a function with the number of items that are done and that of all items."""
-
-    def __init__(self, show: Callable[[int, int], object] | None, total: int) -> None:
-        self._show, self._done, self.total = show, 0, total
-
-    def on_done(self, item: int, outcome: object) -> None:
-        self._done += 1
-        if self._show is not None:
-            self._show(self._done, self.total)
 
 
 class CallOptions(TypedDict, total=False):

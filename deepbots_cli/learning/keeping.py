@@ -17,10 +17,11 @@ from typing import Any
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
+from deepbots_cli.learning.calls import Counter
 from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.evaluation import play_models
-from deepbots_cli.learning.executor import SERIAL, Counter, Executor
+from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.learner import steps_of
 from deepbots_cli.learning.order import (
     Candidate,

@@ -11,7 +11,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 from deepbots_cli.display import Display
-from deepbots_cli.learning.executor import Watcher
+from deepbots_cli.learning.calls import Watcher
 from deepbots_cli.learning.order import Candidate, Measure
 from deepbots_cli.learning.records import TrainingResult
 from deepbots_cli.program.task import Solved
@@ -21,6 +21,17 @@ if TYPE_CHECKING:
 
 LINE_INTERVAL_S, EVALUATION_INTERVAL_S = 30.0, 10.0
 """Seconds after a line without a terminal until the next one, and until one that an evaluation causes."""
+
+
+class Activity(NamedTuple):
+    """What a training does beside learning, and more about it."""
+
+    name: str
+    detail: str
+
+    @property
+    def text(self) -> str:
+        return f"{self.name}: {self.detail}"
 
 
 @dataclass(frozen=True)
@@ -48,7 +59,7 @@ class TrainingProgress:
     period: float = 0.0
     evaluations: int = 0
     evaluated: Candidate | None = None
-    activity: str = ""
+    activity: Activity | None = None
     evaluation_seconds: float = 0.0
     evaluation_seconds_left: float = 0.0
     is_ending: bool = False
@@ -111,7 +122,7 @@ class ProgressReporter(Reporter):
         speed = (progress.steps - self._first) / max(1e-9, now - self._began)
         seconds_left = progress.seconds_left(self._first, now - self._began)
         if self._display.is_terminal:
-            is_urgent = progress.steps >= progress.total_steps or bool(progress.activity)
+            is_urgent = progress.steps >= progress.total_steps or progress.activity is not None
             elapsed = now - self._began
             self._display.show(
                 lambda _height: _table(progress, speed, elapsed, seconds_left), at_once=is_urgent
@@ -119,12 +130,11 @@ class ProgressReporter(Reporter):
             return
         tenth, since = 10 * progress.steps // progress.total_steps, now - self._shown
         if progress.activity:
-            what = progress.activity.partition(":")[0]
-            if what != self._activity or since >= EVALUATION_INTERVAL_S:
+            if progress.activity.name != self._activity or since >= EVALUATION_INTERVAL_S:
                 self._display.print(
-                    f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity} ..."
+                    f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity.text} ..."
                 )
-                self._activity, self._shown = what, now
+                self._activity, self._shown = progress.activity.name, now
             return
         evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
         if tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S:
@@ -325,7 +335,7 @@ def progress_values(
         score = f"{_score(progress.best, progress.measure)} at {progress.best.steps:,} steps"
         rows["best evaluation"] = ProgressValue(score, is_evaluation=True)
     if progress.activity:
-        rows["now"] = ProgressValue(progress.activity)
+        rows["now"] = ProgressValue(progress.activity.text)
     if progress.stage:
         rows["stage"] = ProgressValue(progress.stage, is_clear=True)
     rows["episodes"] = ProgressValue(f"{progress.episodes:,}")

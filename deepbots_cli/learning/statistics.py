@@ -2,6 +2,7 @@
 runs.
 
 Scores are returns or successes of episodes. All intervals have a confidence of 95 % unless stated otherwise.
+numpy and scipy are imported where they are used: commands that only read runs work without them.
 """
 
 from __future__ import annotations
@@ -11,10 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist, fmean, stdev, variance
 
-import numpy as np
-from scipy.special import betaln, stdtrit
-
-from deepbots_cli.learning.episodes import UNBOUNDED, Interval
+Interval = tuple[float, float]
+UNBOUNDED: Interval = (-math.inf, math.inf)
 
 ALPHA = 0.05
 """The probability that an interval misses the true value, or that a test that stops early decides wrongly."""
@@ -55,14 +54,23 @@ def mean_interval(
         share, value = 1 - error ** (1 / len(values)), values[0]
         reach = value - share * (value - bounds[0]), value + share * (bounds[1] - value)
         return reach if math.isfinite(reach[0]) and math.isfinite(reach[1]) else None
-    half = float(stdtrit(len(values) - 1, 1 - error / 2)) * stdev(values) / math.sqrt(len(values))
+    half = student_quantile(len(values) - 1, 1 - error / 2) * stdev(values) / math.sqrt(len(values))
     center = fmean(values)
     return max(center - half, min(bounds[0], center)), min(center + half, max(bounds[1], center))
+
+
+def student_quantile(freedom: float, probability: float) -> float:
+    """The quantile of Student's distribution with so many degrees of freedom."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, probability))
 
 
 def interquartile_mean(values: Sequence[float]) -> float:
     """The mean of the middle half of the values (R. Agarwal et al., NeurIPS 2021); the values at its two
     edges count in part."""
+    import numpy as np
+
     ordered = np.sort(np.asarray(values, dtype=float))
     quarter = len(ordered) / 4
     # The share of each value that lies between the first and the third quartile, for values of equal width.
@@ -82,6 +90,8 @@ def rate_evidence(rate: float, successes: int, episodes: int) -> float:
     Stat. 41, 1970, p. 1397): if `rate` is true, the evidence exceeds log(1 / ALPHA) after any number of
     episodes with a probability of at most ALPHA.
     """
+    from scipy.special import betaln
+
     failures = episodes - successes
     if (rate == 0 and successes) or (rate == 1 and failures):
         return math.inf
@@ -243,7 +253,7 @@ def compare_seeds(
     freedom = sum(parts) ** 2 / sum(
         part * part / (len(group) - 1) for part, group in zip(parts, (first, second), strict=True)
     )
-    half = float(stdtrit(freedom, 1 - error / 2)) * standard_error
+    half = student_quantile(freedom, 1 - error / 2) * standard_error
     largest = bounds[1] - bounds[0]
     return Difference(mean, (max(mean - half, -largest), min(mean + half, largest)), improvement)
 
@@ -269,5 +279,7 @@ def probability_of_improvement(first: Sequence[float], second: Sequence[float]) 
 
     This is the Mann-Whitney U statistic over the number of pairs.
     """
+    import numpy as np
+
     before, after = np.asarray(first, dtype=float)[:, None], np.asarray(second, dtype=float)[None, :]
     return float(np.mean((after > before) + 0.5 * (after == before)))

@@ -37,10 +37,10 @@ from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.campaign import Campaign, CampaignRecord, Member
 from deepbots_cli.learning.directories import new_directory
-from deepbots_cli.learning.episodes import UNBOUNDED, Interval
 from deepbots_cli.learning.order import Measure, Rank, rank
 from deepbots_cli.learning.records import versions
 from deepbots_cli.learning.report import TrainingProgress
+from deepbots_cli.learning.statistics import ALPHA, UNBOUNDED, Interval, compare_seeds, mean_interval
 from deepbots_cli.rollout.source import STUDY_RECORD_NAME, SourceKind
 from deepbots_cli.scenario.search import SearchSpace
 
@@ -84,8 +84,6 @@ class StudyRecord(CampaignRecord):
 
     def score_interval(self, trial: StudyTrial) -> Interval | None:
         """The interval of the score of a trial over its seeds."""
-        from deepbots_cli.learning.statistics import mean_interval  # which imports scipy
-
         return mean_interval([each.score for each in trial.seeds], self.score_bounds)
 
     @property
@@ -383,8 +381,6 @@ class Study(Campaign[StudyRecord]):
     def over_first(self, trials: Sequence[StudyTrial]) -> OverFirst | None:
         """The best trial against the first one; None if it is the first one, or the first one has no
         score."""
-        from deepbots_cli.learning.statistics import ALPHA, compare_seeds  # which imports scipy
-
         ranked = self.ranked(trials)
         first = next((trial for trial in ranked if trial.number == 0 and self.record.present), None)
         if first is None or ranked[0] is first:

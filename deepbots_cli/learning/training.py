@@ -40,7 +40,7 @@ from deepbots_cli.learning.records import (
 from deepbots_cli.learning.report import Reporter, reporter
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms, plugins
-from deepbots_cli.learning.training_loop import OnIteration, create_learner, run_training
+from deepbots_cli.learning.training_loop import OnIteration, TrainingProcess, create_learner
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout.collector import LocalCollector
@@ -117,18 +117,17 @@ def train(
         DeepbotsError: The world, a callback or a logger failed; the message gives step and cause.
     """
     compiled = api.with_learner(api.compile(scenario))
-    options: TrainingOptions = {
-        "total_timesteps": total_timesteps,
-        "stage": stage,
-        "keep_checkpoints": keep_checkpoints,
-    }
-    options |= {
-        "initialize_from": initialize_from,
-        "demonstrations": demonstrations,
-        "callbacks": callbacks,
-        "loggers": loggers,
-    }
-    training, source = checked_settings(compiled.program, [seed], **options)
+    training, source = checked_settings(
+        compiled.program,
+        [seed],
+        total_timesteps=total_timesteps,
+        stage=stage,
+        keep_checkpoints=keep_checkpoints,
+        initialize_from=initialize_from,
+        demonstrations=demonstrations,
+        callbacks=callbacks,
+        loggers=loggers,
+    )
     engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or supervisor_factory(engine, permissions=compiled.permissions)
     taken_over = _validate_setup(compiled.program, training, build, source)
@@ -137,19 +136,11 @@ def train(
     elif training.teacher is not None:
         _check_teacher(training.teacher, compiled.program, stage, build, seed)
     path = new_directory(run, runs, compiled.program.name, seed)
-    seeds = {f"environment/{i}": derive_seed(seed, "environment", i) for i in range(training.environments)}
     record = RunRecord(
-        format=FORMAT,
-        deepbots=deepbots_cli.__version__,
-        status="running",
-        scenario=compiled.program.name,
-        source=str(compiled.source),
-        digest=compiled.digest,
-        interface=identity.interface(compiled.program),
-        inputs={name: hashlib.sha256(content).hexdigest() for name, content in compiled.inputs.items()},
+        **_provenance(compiled),
         engine=engine,
         seed=seed,
-        seeds=seeds | {"policy": derive_seed(seed, "policy"), "evaluation": derive_seed(seed, "evaluation")},
+        seeds=_derived_seeds(seed, training.environments),
         total_timesteps=training.total_timesteps,
         stop_when_solved=stop_when_solved,
         first_stage=stage,
@@ -157,14 +148,7 @@ def train(
         initialized_from=taken_over,
         callbacks=tuple(callbacks),
         loggers=tuple(loggers),
-        learner=compiled.learner,
         command=tuple(command),
-        versions=versions(),
-        platform=platform.platform(),
-        started=timestamp(),
-        updated=timestamp(),
-        resumed_at=(),
-        result=None,
     )
     with run_lock(path):
         new = Run.create(path, record, compiled)
@@ -174,7 +158,7 @@ def train(
             shutil.copyfile(demonstrations, new.demonstrations)
         on_start(path)
         checkpoints = Checkpoints(new, learners.class_of(training).State)
-        return run_training(
+        return TrainingProcess(
             new,
             training,
             checkpoints,
@@ -183,7 +167,34 @@ def train(
             executor,
             on_evaluation=on_evaluation,
             on_iteration=on_iteration,
-        )
+        ).train()
+
+
+def _provenance(compiled: Compiled) -> dict[str, Any]:
+    """The fields of the record of a new run that follow from the scenario and this installation."""
+    return {
+        "format": FORMAT,
+        "deepbots": deepbots_cli.__version__,
+        "status": "running",
+        "scenario": compiled.program.name,
+        "source": str(compiled.source),
+        "digest": compiled.digest,
+        "interface": identity.interface(compiled.program),
+        "inputs": {name: hashlib.sha256(content).hexdigest() for name, content in compiled.inputs.items()},
+        "learner": compiled.learner,
+        "versions": versions(),
+        "platform": platform.platform(),
+        "started": timestamp(),
+        "updated": timestamp(),
+        "resumed_at": (),
+        "result": None,
+    }
+
+
+def _derived_seeds(seed: int, environments: int) -> dict[str, int]:
+    """The seeds of the environments, the policy and the evaluations, by their names in the record."""
+    seeds = {f"environment/{i}": derive_seed(seed, "environment", i) for i in range(environments)}
+    return seeds | {name: derive_seed(seed, name) for name in ("policy", "evaluation")}
 
 
 def checked_settings(
@@ -274,32 +285,26 @@ def resume(
         if set(callbacks) != set(record.callbacks):
             before, since = (", ".join(names) or "none" for names in (record.callbacks, callbacks))
             checkpoints.note(f"the callbacks changed at {steps:,} steps from {before} to {since}")
-        if (
-            steps >= training.total_timesteps and record.status == "finished"
-        ):  # else it was killed before it said so
+        if steps >= training.total_timesteps and record.status == "finished":
+            # A run that is not finished was killed before its record said so.
             raise UsageError(
                 f"the training of {resumed.path} is complete ({steps:,} of {training.total_timesteps:,}"
                 " timesteps);"
                 f" to continue it, set a total of more than {steps:,} timesteps with `--timesteps N`"
             )
-        stopped_as_solved = (
-            record.status == "finished"
-            and record.stop_when_solved
-            and record.result is not None
-            and record.result.solved_at is not None
-        )
+        if stop_when_solved is None:
+            stop_when_solved = record.stop_when_solved
         changes: dict[str, Any] = {
             "status": "running",
             "resumed_at": (*record.resumed_at, steps),
             "total_timesteps": training.total_timesteps,
-            "stop_when_solved": (record.stop_when_solved if stop_when_solved is None else stop_when_solved)
-            and not stopped_as_solved,
-            "callbacks": tuple(callbacks),
-            "loggers": tuple(loggers),
+            "stop_when_solved": stop_when_solved and not _stopped_as_solved(record),
+            "callbacks": callbacks,
+            "loggers": loggers,
         }
         resumed.record = record.model_copy(update=changes)  # written once the checkpoint is restored
         build = build or supervisor_factory(record.engine, permissions=permissions)
-        return run_training(
+        return TrainingProcess(
             resumed,
             training,
             checkpoints,
@@ -308,7 +313,13 @@ def resume(
             executor,
             before=record,
             on_evaluation=on_evaluation,
-        )
+        ).train()
+
+
+def _stopped_as_solved(record: RunRecord) -> bool:
+    result = record.result
+    is_solved = result is not None and result.solved_at is not None
+    return record.status == "finished" and record.stop_when_solved and is_solved
 
 
 def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing, nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,15 +16,11 @@ from deepbots_cli.errors import DeepbotsError, PluginError, RunError, StorageErr
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning import shards
-from deepbots_cli.learning.callbacks import (
-    UNLIMITED_SHARE,
-    Confirmed,
-    OnEvaluation,
-    TrainingCallback,
-    check_finite,
-)
+from deepbots_cli.learning.active import ActiveTraining
+from deepbots_cli.learning.callbacks import OnEvaluation, TrainingCallback
 from deepbots_cli.learning.checkpoint_files import damage_explained, latest_checkpoint
 from deepbots_cli.learning.checkpoints import Checkpoints
+from deepbots_cli.learning.confirmations import Confirmed
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.demonstrations import Demonstrations, demonstrate
 from deepbots_cli.learning.environments import WorldFactory, stepping_text
@@ -41,6 +37,7 @@ from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.signals import signals_handled
 from deepbots_cli.learning.teacher import Teaching
+from deepbots_cli.learning.training_evaluations import UNLIMITED_SHARE
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout import Episode
@@ -73,153 +70,190 @@ OnIteration = Callable[[Iteration], str | None]
 """Called after each iteration; returns the name of who stops the training, None to go on."""
 
 
-def run_training(
-    run: Run,
-    training: Training,
-    checkpoints: Checkpoints,
-    build: WorldFactory,
-    reporter: Reporter,
-    executor: Executor,
-    before: RunRecord | None = None,
-    on_evaluation: OnEvaluation | None = None,
-    on_iteration: OnIteration | None = None,
-) -> TrainingResult:
+@dataclass
+class TrainingProcess:
     """One process's share in a run, from its last checkpoint to the goal.
 
     A resumed run has its record of `before` in the end if nothing was learned.
     """
-    began = time.perf_counter()
-    copies = run.program.agent.copies
-    worlds = training.environments, copies.count if copies else 1
-    statistics = Statistics(run.program.period, run.program.agent.solved, *worlds)
-    curriculum = Curriculum(run.program, run.record.first_stage, *worlds)
-    if checkpoints.state is not None:
-        with damage_explained(run, latest_checkpoint(run)):
-            curriculum.restore(checkpoints.state.curriculum)
-            if len(checkpoints.stages) != training.environments or max(checkpoints.stages) > curriculum.index:
-                raise ValueError(
-                    f"{len(checkpoints.stages)} worlds, in stage {max(checkpoints.stages, default=0)}"
-                )
-            statistics.restore(checkpoints.state.statistics)
-    first_step = statistics.steps
-    if before is not None:
-        checkpoints.on_restored.append(run.update)
-    evaluator = Evaluator(build, run.record.seed, run)
-    callback = TrainingCallback(
-        run, statistics, curriculum, evaluator, reporter, training.total_timesteps, on_evaluation
-    )
-    shown = demonstrate(run.demonstrations, run.program, build) if run.demonstrations.exists() else None
-    callback.teaching = _teaching(training, shown)
-    if checkpoints.state is not None:
-        callback.restore(checkpoints.state.callback)
-    status: Status = "failed"
-    digest = ""
-    followers: list[plugins.PluginCallback] = []
-    try:
-        with ExitStack() as stack:
-            stack.enter_context(algorithms.torch_settings())
-            stack.callback(callback.evaluator.close)
-            episode_log = EpisodeLog(run.monitor, run.program.name)
-            checkpoints.on_restored.append(episode_log.open)
-            stack.callback(episode_log.close)
-            counter = TrainingCounter(callback, episode_log, reporter)
-            collector = make_collector(stack, run, training, build, counter, checkpoints, reporter, executor)
-            evaluator.shards = collector if isinstance(collector, ShardedCollector) else None
-            learner = create_learner(
-                training, run.program, collector, derive_seed(run.record.seed, "policy"), shown
-            )
-            learner.log = log = TrainingLog(run)
-            callback.attach(learner, log)
-            checkpoints.attach(callback, learner, log)
-            checkpoints.on_restored.append(lambda: log.open(training, is_new=checkpoints.state is None))
-            checkpoints.on_restored.append(callback.restore_models)
-            if run.record.initialized_from is not None:
-                learner.initialize(run.model("initial"))
-            stack.enter_context(signals_handled(callback.interruption))
-            # TensorBoard's writer raises the error of a thread that cannot write a file again, at its next
-            # call: no traceback meanwhile.
-            report_failure = threading.excepthook
-            stack.callback(setattr, threading, "excepthook", report_failure)
-            threading.excepthook = lambda failed: (
-                None if isinstance(failed.exc_value, OSError) else report_failure(failed)
-            )
-            stack.callback(log.close)
-            if words := stepping_text(run.program, training.environments, run.record.engine, build):
-                reporter.note(words)
-            reporter.start(callback.progress())
-            stack.callback(reporter.stop)
-            try:
-                followers.extend(map(plugins.PluginCallback, run.record.callbacks))
-                watch = None if on_iteration is None else _timed(on_iteration, callback, collector)
-                status = learn_until_done(learner, callback, followers, checkpoints, watch)
-                if status == "finished":
-                    callback.choose_best(partial(_load, training, learner))
-                reporter.update(callback.progress())
-            finally:
-                digest = learner.digest()
-    except KeyboardInterrupt:
-        # Before the first step, or while models were written: files are whole, so there is something to go on
-        # from.
-        status = "interrupted"
-    except (DeepbotsError, OSError) as error:
-        raise _explained(error, run, checkpoints) from error
-    finally:
-        confirmed = callback.confirmed if run.record.stop_when_solved else None
-        result = TrainingResult(
-            run=run.path,
-            initialized_from=run.record.initialized_from,
-            stop_requested=callback.interruption.requested or status == "interrupted",
-            status=status,
-            steps=statistics.steps,
-            total_timesteps=training.total_timesteps,
-            episodes=statistics.episodes,
-            mean_return=statistics.mean_return,
-            success_rate=statistics.success_rate if run.program.defines_success else None,
-            best=_best_model(callback),
-            simulated_hours=statistics.simulated_hours,
-            evaluation_steps=callback.evaluation_steps,
-            confirmations=callback.confirmations,
-            confirmed_seed=None if confirmed is None else confirmed.seed,
-            solved_at=statistics.solved_at,
-            cpu_seconds=statistics.cpu_seconds,
-            wall_seconds=time.perf_counter() - began,
-            weights_digest=digest,
-            stage=curriculum.name,
-            stages=tuple(curriculum.completed),
-            stopped_by=callback.stopped_by
-            or next((follower.name for follower in followers if follower.stopped), None),
-            inexact=tuple(checkpoints.inexact),
+
+    run: Run
+    training: Training
+    checkpoints: Checkpoints
+    build: WorldFactory
+    reporter: Reporter
+    executor: Executor
+    before: RunRecord | None = None
+    on_evaluation: OnEvaluation | None = None
+    on_iteration: OnIteration | None = None
+
+    def __post_init__(self) -> None:
+        self._began = time.perf_counter()
+        run, training = self.run, self.training
+        copies = run.program.agent.copies
+        worlds = training.environments, copies.count if copies else 1
+        self._statistics = Statistics(run.program.period, run.program.agent.solved, *worlds)
+        self._curriculum = Curriculum(run.program, run.record.first_stage, *worlds)
+        self._restore_counts()
+        self._first_step = self._statistics.steps
+        if self.before is not None:
+            self.checkpoints.on_restored.append(run.update)
+        self._evaluator = Evaluator(self.build, run.record.seed, run)
+        active = ActiveTraining(
+            run,
+            self._statistics,
+            self._curriculum,
+            self._evaluator,
+            self.reporter,
+            training.total_timesteps,
         )
-        with suppress(RunError) if status == "failed" else nullcontext():  # a full disk was reported already
-            if before is None or status == "finished" or statistics.steps > first_step:
-                run.update(status=status, result=result)
-            elif RunRecord.read(run.path) != before:
-                write_record(run.path, before)
-        _keep_confirmation(run, confirmed)
-    return result
+        self._callback = TrainingCallback(active, self.on_evaluation)
+        self._shown = (
+            demonstrate(run.demonstrations, run.program, self.build) if run.demonstrations.exists() else None
+        )
+        self._callback.teaching = _teaching(training, self._shown)
+        if self.checkpoints.state is not None:
+            self._callback.restore(self.checkpoints.state.callback)
+        self._status: Status = "failed"
+        self._followers: list[plugins.PluginCallback] = []
+        self._weights_digest = ""
+        self._evaluation_seconds = 0.0
 
+    def _restore_counts(self) -> None:
+        state, stages = self.checkpoints.state, self.checkpoints.stages
+        if state is None:
+            return
+        with damage_explained(self.run, latest_checkpoint(self.run)):
+            self._curriculum.restore(state.curriculum)
+            if len(stages) != self.training.environments or max(stages) > self._curriculum.index:
+                raise ValueError(f"{len(stages)} worlds, in stage {max(stages, default=0)}")
+            self._statistics.restore(state.statistics)
 
-def learn_until_done(
-    learner: Learner,
-    callback: TrainingCallback,
-    followers: Sequence[plugins.PluginCallback],
-    checkpoints: Checkpoints,
-    watch: Callable[[float, float], None] | None = None,
-) -> Status:
-    """Learn until the goal, a solved task or an interruption."""
-    run, statistics = callback.run, callback.statistics
-    try:
-        learner.begin(callback.total, callback, followers)
-        checkpoints.restore()
-        if (
-            statistics.steps >= callback.total
-        ):  # it ended before its last evaluation, or before its record said so
-            callback.evaluate(UNLIMITED_SHARE)
-            return "finished"
-        learner.start()
-        while (
-            statistics.steps < callback.total and callback.stopped_by is None and checkpoints.before_rollout()
+    def train(self) -> TrainingResult:
+        """Train, and write the result into the record of the run.
+
+        Raises:
+            RunError: The training diverged, or a checkpoint is damaged.
+            DeepbotsError: The world, a callback or a logger failed.
+        """
+        try:
+            with ExitStack() as stack:
+                self._train_within(stack)
+        except KeyboardInterrupt:
+            # Before the first step, or while models were written: files are whole, so there is something to
+            # go on from.
+            self._status = "interrupted"
+        except (DeepbotsError, OSError) as error:
+            raise _explained(error, self.run, self.checkpoints) from error
+        finally:
+            result = self._result()
+            self._write(result)
+        return result
+
+    def _train_within(self, stack: ExitStack) -> None:
+        """Train with what `stack` closes."""
+        callback, reporter = self._callback, self.reporter
+        learner, collector, log = self._open(stack)
+        stack.enter_context(signals_handled(callback.active.interruption))
+        stack.enter_context(_storage_errors_of_threads_left_out())
+        stack.callback(log.close)
+        if words := stepping_text(
+            self.run.program, self.training.environments, self.run.record.engine, self.build
         ):
+            reporter.note(words)
+        reporter.start(callback.progress())
+        stack.callback(reporter.stop)
+        try:
+            self._followers.extend(map(plugins.PluginCallback, self.run.record.callbacks))
+            self._status = self._learn_until_done(learner, collector)
+            if self._status == "finished" and not callback.is_solved:
+                callback.evaluations.choose_best(partial(_load, self.training, learner), callback.report)
+            reporter.update(callback.progress())
+        finally:
+            self._weights_digest = learner.digest()
+
+    def _open(self, stack: ExitStack) -> tuple[Learner, Collector, TrainingLog]:
+        """The worlds, the learner and its log, attached to the callback and the checkpoints."""
+        run, callback, checkpoints = self.run, self._callback, self.checkpoints
+        stack.enter_context(algorithms.torch_settings())
+        stack.callback(self._evaluator.close)
+        episode_log = EpisodeLog(run.monitor, run.program.name)
+        checkpoints.on_restored.append(episode_log.open)
+        stack.callback(episode_log.close)
+        collector = self._make_collector(stack, TrainingCounter(callback, episode_log))
+        self._evaluator.shards = collector if isinstance(collector, ShardedCollector) else None
+        policy_seed = derive_seed(run.record.seed, "policy")
+        learner = create_learner(self.training, run.program, collector, policy_seed, self._shown)
+        learner.log = log = TrainingLog(run)
+        callback.attach(learner, log)
+        checkpoints.attach(callback, learner, log)
+        checkpoints.on_restored.append(lambda: log.open(self.training, is_new=checkpoints.state is None))
+        checkpoints.on_restored.append(callback.restore_models)
+        if run.record.initialized_from is not None:
+            learner.initialize(run.model("initial"))
+        return learner, collector, log
+
+    def _make_collector(self, stack: ExitStack, counter: TrainingCounter) -> Collector:
+        """The worlds of a training, in shards if it has several; all closed with `stack`."""
+        run, training, stages = self.run, self.training, self.checkpoints.stages
+        if not stages:
+            stages.extend([self._curriculum.index] * training.environments)
+        if training.shards > 1:
+            agents = stack.enter_context(closing(self.build(run.program)))
+            pool = self.executor.shards(stack, run, training, self.build, self.reporter.note)
+            sizes = [len(numbers) for numbers in shards.world_numbers(training)]
+            seeds = [shards.world_seed(run, world) for world in range(training.environments)]
+            return ShardedCollector(pool, seeds, stages, sizes, Worlds([agents], [0]).agents, counter)
+        worlds = shards.make_worlds(
+            stack,
+            shards.WorldPlan(
+                run, self.build, range(training.environments), stages, lambda: self._curriculum.index
+            ),
+            on_step=counter.on_row,
+            on_episode=counter.on_episode,
+            next_episode=lambda: self._statistics.next_episode,
+            note=self.reporter.note,
+        )
+        return LocalCollector(worlds)
+
+    def _learn_until_done(self, learner: Learner, collector: Collector) -> Status:
+        """Learn until the goal, a solved task or an interruption."""
+        callback, total = self._callback, self.training.total_timesteps
+        try:
+            learner.begin(total, callback, self._followers)
+            self.checkpoints.restore()
+            if self._is_complete:  # it ended before its last evaluation, or before its record said so
+                callback.evaluate(UNLIMITED_SHARE)
+                return "finished"
+            self._iterate(learner, collector)
+            if callback.active.interruption.requested and not self._is_complete:
+                return "interrupted"
+            try:
+                callback.evaluate(UNLIMITED_SHARE)
+            except KeyboardInterrupt:
+                if self._is_complete:
+                    self.checkpoints.finish()
+                raise
+            if self._is_complete:
+                self.checkpoints.finish()
+            else:  # in the middle of a rollout, since the task is solved or a callback says so
+                learner.save(self.run.model("last"))
+        except (ValueError, UsageError):
+            # torch's distributions refuse parameters that are not finite, and a world an action, before we
+            # look at the weights.
+            callback.active.check_finite()
+            raise
+        return "finished"
+
+    @property
+    def _is_complete(self) -> bool:
+        return self._statistics.steps >= self.training.total_timesteps
+
+    def _iterate(self, learner: Learner, collector: Collector) -> None:
+        """Collect fragments and learn from them in turn."""
+        callback = self._callback
+        learner.start()
+        while not self._is_complete and callback.stopped_by is None and self.checkpoints.before_rollout():
             if callback.teaching is not None:
                 learner.be_taught(callback.plan_lesson())
             began = time.perf_counter()
@@ -227,64 +261,102 @@ def learn_until_done(
                 break
             collected = time.perf_counter()
             learner.update()
-            if watch is not None:
-                watch(collected - began, time.perf_counter() - collected)
+            if self.on_iteration is not None:
+                updated = time.perf_counter()
+                before, self._evaluation_seconds = self._evaluation_seconds, callback.evaluation_seconds
+                iteration = Iteration(
+                    self._statistics.steps,
+                    collected - began,
+                    updated - collected,
+                    self._evaluation_seconds - before,
+                    replace(collector.times),
+                )
+                callback.stopped_by = self.on_iteration(iteration) or callback.stopped_by
         learner.end()
-        is_complete = statistics.steps >= callback.total
-        if callback.interruption.requested and not is_complete:
-            return "interrupted"
-        try:
-            callback.evaluate(UNLIMITED_SHARE)
-        except KeyboardInterrupt:
-            if is_complete:
-                checkpoints.finish()
-            raise
-        if is_complete:
-            checkpoints.finish()
-        else:  # in the middle of a rollout, since the task is solved or a callback says so
-            learner.save(run.model("last"))
-    except (ValueError, UsageError):
-        # torch's distributions refuse parameters that are not finite, and a world an action, before we look
-        # at the weights.
-        check_finite(learner, run)
-        raise
-    return "finished"
 
+    @property
+    def _confirmed(self) -> Confirmed | None:
+        """The confirmation that ended the training."""
+        return self._callback.confirmations.passed if self._callback.is_solved else None
 
-def _timed(
-    on_iteration: OnIteration, callback: TrainingCallback, collector: Collector
-) -> Callable[[float, float], None]:
-    """A function that takes the times of a fragment and its update."""
-    evaluations = 0.0
-
-    def watch(collect: float, update: float) -> None:
-        nonlocal evaluations
-        before, evaluations = evaluations, callback.evaluation_seconds
-        iteration = Iteration(
-            callback.statistics.steps, collect, update, evaluations - before, replace(collector.times)
+    def _result(self) -> TrainingResult:
+        callback, statistics, confirmed = self._callback, self._statistics, self._confirmed
+        by_follower = next((follower.name for follower in self._followers if follower.stopped), None)
+        return TrainingResult(
+            run=self.run.path,
+            initialized_from=self.run.record.initialized_from,
+            stop_requested=callback.active.interruption.requested or self._status == "interrupted",
+            status=self._status,
+            steps=statistics.steps,
+            total_timesteps=self.training.total_timesteps,
+            episodes=statistics.episodes,
+            mean_return=statistics.mean_return,
+            success_rate=statistics.success_rate if self.run.program.defines_success else None,
+            best=self._best_model(),
+            simulated_hours=statistics.simulated_hours,
+            evaluation_steps=callback.evaluation_steps,
+            confirmations=callback.confirmations.count,
+            confirmed_seed=None if confirmed is None else confirmed.seed,
+            solved_at=statistics.solved_at,
+            cpu_seconds=statistics.cpu_seconds,
+            wall_seconds=time.perf_counter() - self._began,
+            weights_digest=self._weights_digest,
+            stage=self._curriculum.name,
+            stages=tuple(self._curriculum.completed),
+            stopped_by=callback.stopped_by or by_follower,
+            inexact=tuple(self.checkpoints.inexact),
         )
-        callback.stopped_by = on_iteration(iteration) or callback.stopped_by
 
-    return watch
+    def _best_model(self) -> BestModel | None:
+        """What the record of the run says about the best model; None before the first evaluation."""
+        callback = self._callback
+        best = callback.best
+        if best is None:
+            return None
+        if callback.is_solved:
+            chosen_by: ChosenBy = "confirmation"
+        else:
+            chosen_by = "new starts" if callback.evaluations.chosen_steps else "evaluation"
+        return BestModel(
+            steps=best.steps,
+            chosen_by=chosen_by,
+            measure=callback.evaluations.shortlist.measure,
+            episodes=best.episodes,
+            success_rate=best.success_rate if callback.defines_success else None,
+            mean_return=best.mean_return,
+        )
+
+    def _write(self, result: TrainingResult) -> None:
+        """Write the result into the record of the run, and the confirmation that ended the training as an
+        evaluation of its best model."""
+        run, before, confirmed = self.run, self.before, self._confirmed
+        # A full disk was reported already.
+        with suppress(RunError) if result.status == "failed" else nullcontext():
+            if before is None or result.status == "finished" or result.steps > self._first_step:
+                run.update(status=result.status, result=result)
+            elif RunRecord.read(run.path) != before:
+                write_record(run.path, before)
+        if confirmed is not None and run.record.status == "finished":
+            evaluation = confirmation_result(run, confirmed.number, confirmed.seed, confirmed.episodes)
+            run.write_evaluation(evaluation.model_dump(mode="json"))
 
 
 class TrainingCounter:
     """Counts the steps and episodes of a training, and writes the log of its episodes."""
 
-    def __init__(self, callback: TrainingCallback, log: EpisodeLog, reporter: Reporter) -> None:
+    def __init__(self, callback: TrainingCallback, log: EpisodeLog) -> None:
         self._callback = callback
-        self._statistics = callback.statistics
+        self._statistics, self._curriculum = callback.active.statistics, callback.active.curriculum
         self._log = log
-        self._reporter = reporter
 
     def present(self) -> tuple[int, int, int]:
-        return self._statistics.steps, self._statistics.next_episode, self._callback.curriculum.index
+        return self._statistics.steps, self._statistics.next_episode, self._curriculum.index
 
     def on_row(self) -> None:
         self._statistics.steps += 1
 
     def on_episode(self, world: int, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
-        statistics, curriculum = self._statistics, self._callback.curriculum
+        statistics, curriculum = self._statistics, self._curriculum
         is_present = stage == curriculum.index
         statistics.add(episode, world, present=is_present)
         self._log.write(episode, statistics, curriculum.name_of(stage), drawn)
@@ -296,39 +368,7 @@ class TrainingCounter:
     def on_answer(self, answer: Answer) -> None:
         self._statistics.cpu_seconds_before += answer.cpu_seconds
         for note in answer.notes:
-            self._reporter.note(note)
-
-
-def make_collector(
-    stack: ExitStack,
-    run: Run,
-    training: Training,
-    build: WorldFactory,
-    counter: TrainingCounter,
-    checkpoints: Checkpoints,
-    reporter: Reporter,
-    executor: Executor,
-) -> Collector:
-    """The worlds of a training, in shards if it has several; all closed with `stack`."""
-    stages = checkpoints.stages
-    if not stages:
-        stages.extend([counter.present()[2]] * training.environments)
-    if training.shards > 1:
-        agents = stack.enter_context(closing(build(run.program)))
-        pool = executor.shards(stack, run, training, build, reporter.note)
-        sizes = [len(numbers) for numbers in shards.world_numbers(training)]
-        seeds = [shards.world_seed(run, world) for world in range(training.environments)]
-        return ShardedCollector(pool, seeds, stages, sizes, Worlds([agents], [0]).agents, counter)
-    plan = shards.WorldPlan(run, build, range(training.environments), stages, lambda: counter.present()[2])
-    worlds = shards.make_worlds(
-        stack,
-        plan,
-        on_step=counter.on_row,
-        on_episode=counter.on_episode,
-        next_episode=lambda: counter.present()[1],
-        note=reporter.note,
-    )
-    return LocalCollector(worlds)
+            self._callback.active.reporter.note(note)
 
 
 def create_learner(
@@ -338,6 +378,22 @@ def create_learner(
     return learners.create(
         Setup(training, *spaces, seed, training.total_timesteps, longest, collector, demonstrations=shown)
     )
+
+
+@contextmanager
+def _storage_errors_of_threads_left_out() -> Iterator[None]:
+    """Within, no thread reports an `OSError` with a traceback.
+
+    TensorBoard's writer raises the error of a thread that cannot write a file again, at its next call.
+    """
+    report_failure = threading.excepthook
+    threading.excepthook = lambda failed: (
+        None if isinstance(failed.exc_value, OSError) else report_failure(failed)
+    )
+    try:
+        yield
+    finally:
+        threading.excepthook = report_failure
 
 
 def _teaching(training: Training, shown: Demonstrations | None) -> Teaching | None:
@@ -359,33 +415,6 @@ def _load(training: Training, learner: Learner, model: Path) -> Learner:
     )
     loaded.load(model)
     return loaded
-
-
-def _best_model(callback: TrainingCallback) -> BestModel | None:
-    """What the record of the run says about the best model; None before the first evaluation."""
-    best, until_solved = callback.best, callback.run.record.stop_when_solved
-    if best is None:
-        return None
-    if callback.confirmed is not None and until_solved:
-        chosen_by: ChosenBy = "confirmation"
-    else:
-        chosen_by = "new starts" if callback.chosen_steps else "evaluation"
-    defines_success = callback.defines_success
-    return BestModel(
-        steps=best.steps,
-        chosen_by=chosen_by,
-        measure=callback.measure,
-        episodes=best.episodes,
-        success_rate=best.success_rate if defines_success else None,
-        mean_return=best.mean_return,
-    )
-
-
-def _keep_confirmation(run: Run, confirmed: Confirmed | None) -> None:
-    """Keep the confirmation that ended a training as an evaluation of its best model."""
-    if confirmed is not None and run.record.status == "finished":
-        result = confirmation_result(run, confirmed.number, confirmed.seed, confirmed.episodes)
-        run.write_evaluation(result.model_dump(mode="json"))
 
 
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:

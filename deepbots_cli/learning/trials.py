@@ -16,13 +16,15 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, StorageError, UsageError
 from deepbots_cli.files import read_at_most
+from deepbots_cli.learning.calls import Attempt, Watcher
 from deepbots_cli.learning.campaign import evaluate_once
 from deepbots_cli.learning.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
 from deepbots_cli.learning.episodes import meets_solved
-from deepbots_cli.learning.executor import SERIAL, Attempt, CallOptions, Executor, Watcher
+from deepbots_cli.learning.executor import SERIAL, CallOptions, Executor
 from deepbots_cli.learning.group import Group, resume_group, train_group
 from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.signals import Interruption, signals_handled
 from deepbots_cli.learning.study import (
     Journal,
     Objective,
@@ -94,8 +96,6 @@ def run_study(
         search = stack.enter_context(closing(_Search(study, reporter or StudyReporter(), permissions)))
         options: CallOptions = {"watcher": search}
         if not executor.is_here:
-            from deepbots_cli.learning.signals import Interruption, signals_handled  # which imports torch
-
             interruption = Interruption()
             stack.enter_context(signals_handled(interruption))
             options |= {

@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.directories import is_training, numbered_files
-from deepbots_cli.learning.episodes import UNBOUNDED, Interval, meets_solved
+from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.records import EvaluationRecord, EvaluationWithEpisodes, RunRecord
 from deepbots_cli.learning.run import ModelRef, Run, has_model
+from deepbots_cli.learning.statistics import UNBOUNDED, Interval, gate_rate
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 
@@ -54,8 +55,6 @@ def solved_verdict(
     if solved is None:
         return SolvedVerdict(None, "the scenario has no `solved` criterion", None)
     if episodes < solved.episodes and solved.success_rate is not None:
-        from deepbots_cli.learning.statistics import gate_rate  # which imports scipy
-
         certain = gate_rate(solved.success_rate, round(success_rate * episodes), episodes, solved.episodes)
         if certain.met is False:
             text = (

@@ -712,10 +712,8 @@ class Heights:
                     or (fixed and not is_level(pose))
                 ):
                     return inf  # it may fly, or robots may drive up on it
-                half = high if is_level(pose) else hypot(*size)
-                top = max(
-                    top, (size[2] if is_level(pose) else half) if place.rests else pose["z"].high + half
-                )
+                half, whole = (high, size[2]) if is_level(pose) else (hypot(*size), hypot(*size))
+                top = max(top, whole if place.rests else pose["z"].high + half)
         return top
 
     def _top_of_robot(self, body: RobotBody) -> float:

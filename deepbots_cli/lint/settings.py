@@ -117,7 +117,8 @@ def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
         key: _list(table[key], key, source.name) for key in ("select", "ignore", "exclude") if key in table
     }
     words = {key: RuleSelectors(lists[key], source) for key in ("select", "ignore") if key in lists}
-    return Settings(root, preview=preview, exclude=lists.get("exclude", ()), **words, **chosen)  # type: ignore[arg-type]
+    exclude = lists.get("exclude", ())
+    return Settings(root, preview=preview, exclude=exclude, **words, **chosen)  # type: ignore[arg-type]
 
 
 def _check_keys(table: dict[str, object], known: Sequence[str], name: str) -> None:

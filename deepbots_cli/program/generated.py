@@ -102,4 +102,4 @@ def as_written(statement: str) -> str:
 
 def names_in(line: str) -> Iterator[str]:
     """The names in a line in their order: an assignment names its target first, then what it reads."""
-    return (found[1] for found in re.finditer(r"(?:self\.)?([A-Za-z_]\w*)", line))
+    return (match[1] for match in re.finditer(r"(?:self\.)?([A-Za-z_]\w*)", line))

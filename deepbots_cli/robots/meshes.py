@@ -219,11 +219,11 @@ class MeshReader:
                 self._known[path] = self._digest(path)
         except OSError as error:
             return UnusableMesh(f"the mesh cannot be read: {error.strerror}")
-        known = self._known[path]
+        measured = self._known[path]
         better = resolved.reference if isinstance(resolved, MeshAboveRobot) else None
-        if isinstance(known, UnusableMesh):
-            return known
-        digest, coverage = known
+        if isinstance(measured, UnusableMesh):
+            return measured
+        digest, coverage = measured
         layers = coverage.layers(scale) if coverage is not None else 0.0
         if layers > MAX_LAYERS:
             headline = (

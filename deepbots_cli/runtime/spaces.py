@@ -30,10 +30,9 @@ def observation_space(agent: Agent) -> gym.Space[Any]:
     With pictures or a goal, that stands as `observation` in a Dict beside them: pictures under their names as
     uint8 (rows, columns, channels), and `achieved_goal` and `desired_goal`.
     """
-    low = np.array(
-        [0.0 if entry.truth else -1.0 if entry.clipped else -np.inf for entry in agent.inputs], np.float32
-    )
     high = np.array([1.0 if entry.truth or entry.clipped else np.inf for entry in agent.inputs], np.float32)
+    low = -high
+    low[[entry.truth for entry in agent.inputs]] = 0.0
     box = gym.spaces.Box(low, high, dtype=np.float32)
     if agent.goal is None and not agent.images:
         return box

@@ -62,6 +62,7 @@ from deepbots_cli.scenario.fields import (
     with_article,
     word_replacement,
 )
+from deepbots_cli.scenario.synonyms import key_for
 
 T = TypeVar("T")
 Many = tuple[T, ...]
@@ -151,8 +152,6 @@ class Size:
 
 def key_instead_of(section: type[Section], word: str) -> str | None:
     """The key of a section that `word` is written for."""
-    from deepbots_cli.scenario.synonyms import key_for  # only on the way to a finding
-
     return key_for(word, section.model_fields, (model.__name__ for model in section.__mro__))
 
 

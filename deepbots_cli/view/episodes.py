@@ -4,7 +4,6 @@ step."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -163,28 +162,6 @@ class ShowingState:
         if self.compiled is None:
             raise ScenarioError(self.findings)
         return self.compiled
-
-    def player(self, driver: str | None = None) -> Player:
-        """A player of it.
-
-        Raises:
-            ScenarioError, EngineError, UsageError: As for `Player`.
-        """
-        if self.shown.worlds:
-            from deepbots_cli.view.batch import BatchPlayer
-
-            return BatchPlayer(self, driver)
-        if self.recording is None:
-            return Player(self, driver)
-        if driver not in (None, *self.drivers):
-            raise UsageError(f"a recording already contains its actions; leave out --driver {driver}")
-        if isinstance(self.recording, RobotLog):
-            from deepbots_cli.view.logs import LogPlayer
-
-            return LogPlayer(self)
-        from deepbots_cli.view.replay import ReplayPlayer
-
-        return ReplayPlayer(self)
 
 
 class RunDriver(Driver):
@@ -404,15 +381,3 @@ class Player:
 
     def close(self) -> None:
         self.env.close()
-
-
-def closing_player(shown: Showing, driver: str | None) -> closing[Player]:
-    """A player of what is shown without a page, to be used in a `with` statement.
-
-    Raises:
-        ScenarioError: The scenario has errors.
-        UsageError: There is no such driver, or a person would have to act.
-    """
-    if driver == HAND:
-        raise UsageError("you can drive in the browser only; use `deepbots play`")
-    return closing(shown.open().player(driver))

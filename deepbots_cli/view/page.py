@@ -26,6 +26,7 @@ from deepbots_cli.view.episodes import Player, Showing, ShowingState
 from deepbots_cli.view.manual_input import ManualInput, turns_left
 from deepbots_cli.view.panel import Panel, set_theme
 from deepbots_cli.view.playback import MAX_STEPPING_S, Playback, ShownWorld
+from deepbots_cli.view.players import open_player
 from deepbots_cli.view.recordings import DrivenEpisodes
 from deepbots_cli.view.replay import ReplayPlayer
 from deepbots_cli.view.scene import SceneCameras, WorldScene
@@ -165,12 +166,12 @@ class Page:
             if playback.by_hand
             else None
         )
-        players = [opened.player(name)]
+        players = [open_player(opened, name)]
         try:
             if self._compare is not None:
-                players.append(self._compare.open().player(None))
+                players.append(open_player(self._compare.open()))
             if rival:
-                players.append(opened.player(rival))
+                players.append(open_player(opened, rival))
             for player in players:
                 player.world = playback.batch_world
                 player.begin(playback.seed, playback.episode)

@@ -148,7 +148,10 @@ class Panel:
             driver.on_update(lambda _: queue(lambda: playback.set_driver(driver.value)))
         if len(self._agents) > 1:
             agent = gui.add_dropdown("robot", tuple(self._agents))
-            agent.on_update(lambda _: queue(lambda: setattr(self, "_agent", self._agents[agent.value])))
+            agent.on_update(lambda _: queue(lambda: self._show_agent(agent.value)))
+
+    def _show_agent(self, name: str) -> None:
+        self._agent = self._agents[name]
 
     def _scrub(self, event: Any) -> None:
         if event.client_id is not None:  # and not the page itself, which moves the slider along

@@ -16,6 +16,7 @@ from deepbots_cli.view.batch import BatchPlayer
 from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import WorldFrame
 from deepbots_cli.view.manual_input import ManualInput
+from deepbots_cli.view.players import open_player
 from deepbots_cli.view.recordings import DrivenEpisodes, record
 from deepbots_cli.view.replay import ReplayPlayer
 from deepbots_cli.view.scene import WorldScene
@@ -166,7 +167,7 @@ class Playback:
             return None
         self._recorded += 1
         opened, actions = self.player.opened, self.player.actions
-        with closing(opened.player(ZERO)) as again:
+        with closing(open_player(opened, ZERO)) as again:
             again.driver, again.driver_name = sequence_driver(actions), HAND
             name = f"{Path(opened.shown.reference).stem}-{self.seed}-{self.episode}-played"
             numbered = (Path(f"{name}{number or ''}{RECORDING_SUFFIX}") for number in count())

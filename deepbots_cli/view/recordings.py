@@ -61,6 +61,7 @@ that are read. Half an hour of CartPole, or two hours of FindBall."""
 _MESSAGE_OVERHEAD_BYTES = 100  # in memory, as for a recording that is read
 _MAX_SIDE = 1024
 _MAX_NUMBER = 1e9  # of a position in m, and of the time in s: one more cannot be drawn
+_decode = msgspec.json.decode
 RecordedStep = tuple[int, Payloads]
 """The time of a step in ns, and its topics."""
 
@@ -476,32 +477,74 @@ def read_frame(topics: Payloads, layout: FrameLayout) -> WorldFrame:
 
     Raises:
         msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError,
-        RecursionError: It is not as
-            `TopicEncoder` describes one.
+        RecursionError: It is not as `TopicEncoder` describes one.
     """
-    decode = msgspec.json.decode
-    world, links, messages, agents, cameras = decode(topics["/world"]), dict[LinkName, Frame](), {}, {}, {}
-    for each in decode(topics["/tf"])["transforms"]:
+    world = _decode(topics["/world"])
+    if not 0 <= float(world["time"]) <= _MAX_NUMBER:
+        raise ValueError(world["time"])
+    links = _link_frames(topics, layout)
+    return WorldFrame(
+        step=msgspec.convert(world["step"], int),
+        time=float(world["time"]),
+        links=links,
+        joints={
+            name: _floats(world["joints"][name], names)
+            for name in layout.robots
+            if (names := _joints(layout, name))
+        },
+        rays={
+            key: _floats(world["rays"][key], [str(n) for n in range(len(beams.starts))])
+            for key, beams in layout.sensor_rays.items()
+        },
+        readings={key: _floats(values) for key, values in world["readings"].items()},
+        forces={_link(key): float(force) for key, force in world["forces"].items() if _link(key) in links},
+        pushes=tuple(
+            (_link(key), cast("Triple", _floats(force, "xyz"))) for key, force in world["pushes"].items()
+        ),
+        variants=msgspec.convert(world["variants"], dict[str, str]),
+        messages={key: _message(topics, key, len(fields)) for key, fields in layout.messages.items()},
+        cameras={
+            topic.removeprefix("/image/"): _picture(_decode(payload)["data"])
+            for topic, payload in topics.items()
+            if topic.startswith("/image/")
+        },
+        drawn=msgspec.convert(world["drawn"], dict[str, float | str]),
+        agents=_agents(topics, layout),
+        ended_by=msgspec.convert(world["ended_by"], str) or None,
+        is_success=bool(world["is_success"]),
+        truncated=bool(world["truncated"]),
+    )
+
+
+def _link_frames(topics: Payloads, layout: FrameLayout) -> dict[LinkName, Frame]:
+    """The frames of all links, which must be those of the robots at least."""
+    links = dict[LinkName, Frame]()
+    for each in _decode(topics["/tf"])["transforms"]:
         links[_link(each["child_frame_id"])] = cast(
             "Frame", (_floats(each["translation"], "xyz"), _floats(each["rotation"], "xyzw"))
         )
     for name, model in layout.robots.items():
         for link in model.links:
             place, turn = links[name, link.name]
-            if not (
-                all(abs(x) <= _MAX_NUMBER for x in place)
-                and math.isclose(math.hypot(*turn), 1.0, rel_tol=1e-3)
-            ):
+            is_unit = math.isclose(math.hypot(*turn), 1.0, rel_tol=1e-3)
+            if not is_unit or not all(abs(x) <= _MAX_NUMBER for x in place):
                 raise ValueError(link.name)
-    for key, fields in layout.messages.items():
-        decoded = decode(topics[f"/message/{key}"])
-        values = tuple(None if value is None else float(value) for value in decoded["values"].values())
-        if len(values) != len(fields):
-            raise ValueError(key)
-        messages[key] = ReceivedMessage(values, float(decoded["age"]), bool(decoded["received"]))
+    return links
+
+
+def _message(topics: Payloads, key: str, fields: int) -> ReceivedMessage:
+    decoded = _decode(topics[f"/message/{key}"])
+    values = tuple(None if value is None else float(value) for value in decoded["values"].values())
+    if len(values) != fields:
+        raise ValueError(key)
+    return ReceivedMessage(values, float(decoded["age"]), bool(decoded["received"]))
+
+
+def _agents(topics: Payloads, layout: FrameLayout) -> dict[str, AgentFrame]:
+    agents = {}
     for topic, payload in topics.items():
         if topic.startswith("/agent/"):
-            decoded = decode(payload)
+            decoded = _decode(payload)
             action = _floats(decoded["action"], _names(layout.action))
             agents[topic.removeprefix("/agent/")] = AgentFrame(
                 _floats(decoded["observation"], _names(layout.observation)),
@@ -511,40 +554,9 @@ def read_frame(topics: Payloads, layout: FrameLayout) -> WorldFrame:
                 dict(zip(layout.terms, _floats(decoded["terms"], layout.terms), strict=True)),
                 tuple(map(bool, decoded["allowed"].values())),
             )
-        elif topic.startswith("/image/"):
-            cameras[topic.removeprefix("/image/")] = _picture(decode(payload)["data"])
     if not agents:
         raise LookupError("agent")
-    if not 0 <= float(world["time"]) <= _MAX_NUMBER:
-        raise ValueError(world["time"])
-    rays = {
-        key: _floats(world["rays"][key], [str(n) for n in range(len(beams.starts))])
-        for key, beams in layout.sensor_rays.items()
-    }
-    return WorldFrame(
-        step=msgspec.convert(world["step"], int),
-        time=float(world["time"]),
-        links=links,
-        joints={
-            name: _floats(world["joints"][name], _joints(layout, name))
-            for name in layout.robots
-            if _joints(layout, name)
-        },
-        rays=rays,
-        readings={key: _floats(values) for key, values in world["readings"].items()},
-        forces={_link(key): float(force) for key, force in world["forces"].items() if _link(key) in links},
-        pushes=tuple(
-            (_link(key), cast("Triple", _floats(force, "xyz"))) for key, force in world["pushes"].items()
-        ),
-        variants=msgspec.convert(world["variants"], dict[str, str]),
-        messages=messages,
-        cameras=cameras,
-        drawn=msgspec.convert(world["drawn"], dict[str, float | str]),
-        agents=agents,
-        ended_by=msgspec.convert(world["ended_by"], str) or None,
-        is_success=bool(world["is_success"]),
-        truncated=bool(world["truncated"]),
-    )
+    return agents
 
 
 def _link(key: str) -> LinkName:

@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.view import viser_internals
 from deepbots_cli.view.manual_input import KEYS, Axes, Keys
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ def serve(
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with _guarded(host, token, on_drive), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
         server = viser.ViserServer(host, number, label=label, verbose=False)
-    _check_updates(server)
+    viser_internals.check_updates(server, _is_offered)
     if host in ("0.0.0.0", "::"):
         shown = socket.gethostname()
     elif ":" in host:
@@ -142,27 +143,6 @@ def _is_loopback(host: str) -> bool:
     with contextlib.suppress(ValueError):
         return ipaddress.ip_address(host).is_loopback
     return host == "localhost"
-
-
-def _check_updates(server: viser.ViserServer) -> None:
-    """Let a client change the value of a control only, to one that the control offers; viser takes any value
-    of any of its attributes."""
-    from viser._messages import GuiUpdateMessage
-
-    gui: Any = server.gui
-    original = gui._handle_gui_updates
-
-    async def checked(client: int, message: Any) -> None:
-        handle = gui._gui_input_handle_from_uuid.get(message.uuid)
-        if (
-            handle is not None
-            and list(message.updates) == ["value"]
-            and _is_offered(message.updates["value"], handle._impl)
-        ):
-            await original(client, message)
-
-    gui._websock_interface.unregister_handler(GuiUpdateMessage, original)
-    gui._websock_interface.register_handler(GuiUpdateMessage, checked)
 
 
 def _is_offered(value: object, control: Any) -> bool:

@@ -73,7 +73,7 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
     extents = {part: max(_extent(each[part]) for each in episodes if part in each) for part in parts}
     analysis = Analysis(program).ideal
     subjects = _subjects(program, analysis)
-    found: list[LinkName] = []
+    candidates: list[LinkName] = []
     named = {subject.body: None for subject in subjects} | {
         robot.name: None for robot in program.world.robots
     }
@@ -81,15 +81,15 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
         mine = [subject for subject in subjects if subject.body == body]
         for robot in world.robots:
             if robot.name.partition("#")[0] == body:
-                found += _parts_of_robot(robot, mine, extents)
-        found += [
+                candidates += _parts_of_robot(robot, mine, extents)
+        candidates += [
             (thing.name, thing.name)
             for thing in world.objects
             if thing.name.partition("#")[0] == body and not thing.fixed
         ]
-    found = [part for part in dict.fromkeys(found) if part in extents]
-    least = max(_MIN_EXTENT_M, _MIN_SHARE * max((extents[part] for part in found), default=0.0))
-    moving = [part for part in found if extents[part] >= least] or found[:1]
+    candidates = [part for part in dict.fromkeys(candidates) if part in extents]
+    least = max(_MIN_EXTENT_M, _MIN_SHARE * max((extents[part] for part in candidates), default=0.0))
+    moving = [part for part in candidates if extents[part] >= least] or candidates[:1]
     objects = {thing.name.partition("#")[0] for thing in world.objects}
     rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
     failures = [

@@ -20,7 +20,8 @@ from deepbots_cli.cli import main, processes
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning import train_group
-from deepbots_cli.learning.executor import SERIAL, Watcher, results
+from deepbots_cli.learning.calls import Watcher
+from deepbots_cli.learning.executor import SERIAL, results
 from tests.cluster.calls import imported, lose, priority, square
 
 
@@ -85,7 +86,7 @@ SCRIPT = """
 import os, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a test in the background ignores it
 from deepbots_cli.cluster import Cluster
-from deepbots_cli.learning.executor import Watcher
+from deepbots_cli.learning.calls import Watcher
 from tests.cluster.calls import sleep
 
 class Printer(Watcher):

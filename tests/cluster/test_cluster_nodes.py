@@ -20,7 +20,8 @@ from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import resume, train_group
-from deepbots_cli.learning.executor import SERIAL, Watcher
+from deepbots_cli.learning.calls import Watcher
+from deepbots_cli.learning.executor import SERIAL
 from tests.cluster.calls import square
 from tests.cluster.nodes import cluster_of_nodes
 

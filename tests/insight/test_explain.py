@@ -18,8 +18,9 @@ from deepbots_cli.cli import main
 from deepbots_cli.insight.episode import explain, explanation_json
 from deepbots_cli.insight.trace import Trace, trace_recorded
 from deepbots_cli.view import recordings
-from deepbots_cli.view.episodes import Showing, closing_player
+from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.frames import WorldFrame
+from deepbots_cli.view.players import closing_player
 from deepbots_cli.view.replay import ReplayPlayer
 
 Frames = list[WorldFrame]

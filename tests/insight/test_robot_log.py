@@ -19,6 +19,7 @@ from deepbots_cli.insight.robot_log import compare_log, distance, logged_episode
 from deepbots_cli.learning import policy, train
 from deepbots_cli.learning.run import Run
 from deepbots_cli.view.episodes import Showing
+from deepbots_cli.view.players import open_player
 
 pytest.importorskip("onnxruntime")
 BRIEF = (
@@ -225,7 +226,7 @@ def shown(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_joints_and_poses_of_a_log_move_the_model_and_all_else_stands(shown: Path) -> None:
-    with closing(Showing(str(shown)).open().player()) as player:
+    with closing(open_player(Showing(str(shown)).open())) as player:
         frame = player.begin(0, 1)
         joints = dict(
             zip(
@@ -241,7 +242,7 @@ def test_joints_and_poses_of_a_log_move_the_model_and_all_else_stands(shown: Pat
 
 
 def test_what_the_robot_reported_and_got_is_in_the_frames(shown: Path) -> None:
-    with closing(Showing(str(shown)).open().player()) as player:
+    with closing(open_player(Showing(str(shown)).open())) as player:
         player.begin(0, 1)
         seen = []
         for _ in range(2):

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t
 
-from deepbots_cli.learning.callbacks import CONFIRMATION_PART
 from deepbots_cli.learning.confirmation import (
     COST_SHARE,
     FALSE_STOPS,
@@ -21,6 +20,7 @@ from deepbots_cli.learning.confirmation import (
     lower_bound,
     required_successes,
 )
+from deepbots_cli.learning.confirmations import CONFIRMATION_PART
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode

@@ -14,12 +14,13 @@ import torch
 
 from deepbots_cli.learning import (
     TrainingResult,
-    callbacks,
+    confirmations,
     evaluate,
     evaluate_trained,
     learner,
     resume,
     train,
+    training_evaluations,
 )
 from deepbots_cli.learning.confirmation import COST_SHARE
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
@@ -122,7 +123,7 @@ class Notes(Reporter):
 
     def update(self, progress: Any) -> None:
         if progress.activity:
-            self.activities.append(progress.activity)
+            self.activities.append(progress.activity.text)
 
 
 def learned(
@@ -314,7 +315,7 @@ def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_st
     assert result.confirmations >= 2
     confirmed_from = [seed for seed in build.seeds if seed in CONFIRMATIONS]
     assert len(confirmed_from) == len(set(confirmed_from))
-    last = callbacks.CONFIRMATION_PART  # episodes of a confirmation that fails at once
+    last = confirmations.CONFIRMATION_PART  # episodes of a confirmation that fails at once
     shortest = 8  # steps of an episode
     assert shortest * (len(begun) - last) <= COST_SHARE * result.steps
 
@@ -396,7 +397,7 @@ def test_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> No
     assert (
         0
         < result.evaluation_steps
-        <= result.steps * callbacks.URGENT_SHARE + 2 * EVALUATION_EPISODES * 50 + chosen
+        <= result.steps * training_evaluations.URGENT_SHARE + 2 * EVALUATION_EPISODES * 50 + chosen
     )
 
 
@@ -425,7 +426,7 @@ def test_what_is_learned_does_not_depend_on_the_evaluations(
     unpaid: tuple[Worlds, TrainingResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, few = unpaid
-    monkeypatch.setattr(callbacks, "URGENT_SHARE", 2.0)
+    monkeypatch.setattr(training_evaluations, "URGENT_SHARE", 2.0)
     many = learned(tmp_path, Worlds(poor))
     assert many.evaluation_steps > few.evaluation_steps
     assert many.weights_digest == few.weights_digest

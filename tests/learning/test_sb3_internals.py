@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +13,11 @@ from stable_baselines3.common.vec_env import VecNormalize
 from deepbots_cli.learning.sb3 import algorithms, internals
 from deepbots_cli.learning.sb3.environment import spaces_only
 from deepbots_cli.program.task import Hindsight, Training
+from tests.private_members import private_members
 
 MODULE = Path(internals.__file__)
 RANGES = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
 GOALS = gym.spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), RANGES))
-
-
-def private_members(path: Path) -> Iterator[tuple[int, str]]:
-    """The private attributes of other objects that a module names, in code or as a text."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls"):
-            name = node.attr
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            name = node.value
-        else:
-            continue
-        if name.startswith("_") and not name.startswith("__") and name.isidentifier() and name != "_replace":
-            yield node.lineno, name
 
 
 def made(

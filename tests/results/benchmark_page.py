@@ -9,8 +9,7 @@ from statistics import fmean, median
 
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.learning.directories import write_text
-from deepbots_cli.learning.episodes import UNBOUNDED, Interval
-from deepbots_cli.learning.statistics import mean_interval, wilson
+from deepbots_cli.learning.statistics import UNBOUNDED, Interval, mean_interval, wilson
 from tests.results import measure
 from tests.results.benchmark import CPU_LIMIT, SEEDS, Cell, Task
 from tests.results.card import NOTE, count, measured_on, number, slug, table, wrapped

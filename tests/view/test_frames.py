@@ -14,6 +14,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, action_fields, observation_fields
+from deepbots_cli.view.players import open_player
 from tests.few import few
 
 SCENARIOS = (
@@ -91,9 +92,9 @@ def test_returns_and_endings_are_those_of_the_episode():
 
 @pytest.mark.parametrize("name", few(BATCHES, BATCHES[1:4]))
 def test_a_world_of_a_batch_has_the_frames_of_a_single_world(name):
-    with closing(Showing(name, engine="mujoco", worlds=3).open().player(RANDOM)) as batch:
+    with closing(open_player(Showing(name, engine="mujoco", worlds=3).open(), RANDOM)) as batch:
         batch.world = 2
-        with closing(Showing(name, engine="mujoco").open().player(RANDOM)) as single:
+        with closing(open_player(Showing(name, engine="mujoco").open(), RANDOM)) as single:
             pairs = [(batch.begin(7, 0), single.begin(7, 2))]
             while len(pairs) < 15 and not pairs[-1][1].ended_by:
                 pairs.append((batch.step(), single.step()))
@@ -116,7 +117,7 @@ def _leaves(value, path=""):
 
 
 def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
-    with closing(Showing("cartpole", engine="mujoco", worlds=4).open().player(RANDOM)) as player:
+    with closing(open_player(Showing("cartpole", engine="mujoco", worlds=4).open(), RANDOM)) as player:
         player.begin(0, 0)
         while player._running.resting.sum() < 2:
             player.step()

@@ -30,6 +30,7 @@ from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.frames import PlottedField
 from deepbots_cli.view.manual_input import ManualInput
 from deepbots_cli.view.page import Page
+from deepbots_cli.view.players import open_player
 
 CARTPOLE = (
     (Path(__file__).parents[2] / "scenarios" / "cartpole.yaml")
@@ -182,7 +183,7 @@ def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch
         page.playback.record()
         page.playback.record()
         driven = page.player.frame
-    with closing(Showing("find_ball-4-0-played1.mcap").open().player()) as replayed:
+    with closing(open_player(Showing("find_ball-4-0-played1.mcap").open())) as replayed:
         *_, last = replayed.episode(4, 0, 3)
         assert last.links == driven.links
         assert replayed.recording.metadata["driver"] == HAND

@@ -16,6 +16,7 @@ from deepbots_cli.errors import RunError
 from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.view.episodes import Showing
+from deepbots_cli.view.players import open_player
 
 SMALL = ["train.environments=1", "train.n_steps=64", "train.batch_size=64", "train.n_epochs=1"]
 
@@ -32,7 +33,7 @@ def _trained(folder, name, *overrides):
 def test_the_policy_of_the_page_acts_as_in_an_evaluation(tmp_path, name, algorithm):
     run = _trained(tmp_path, name, f"train.algorithm={algorithm}")
     evaluated = learning.evaluate(run, episodes=2, seed=5)
-    with closing(Showing(str(run)).open().player()) as player:
+    with closing(open_player(Showing(str(run)).open())) as player:
         for number, episode in enumerate(evaluated.outcomes):
             *_, last = player.episode(5, number)
             assert player.driver_name == POLICY
@@ -47,9 +48,9 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
     for name in ("best", "last"):
         run.model(name).unlink(missing_ok=True)
     with pytest.raises(RunError, match="has no model yet"):
-        Showing(str(run.path)).open().player()
+        open_player(Showing(str(run.path)).open())
     run.update(status="running")
-    with closing(Showing(str(run.path)).open().player()) as player:
+    with closing(open_player(Showing(str(run.path)).open())) as player:
         player.begin(0, 0)
         assert "no policy yet" in player.driver.note
         player.step()
@@ -94,10 +95,10 @@ def test_a_run_whose_log_is_damaged_is_still_shown(tmp_path):
 def test_a_parameter_of_a_run_changes_its_world_and_a_policy_that_does_not_fit_is_refused(tmp_path):
     run = str(_trained(tmp_path, "cartpole"))
     assert Showing(run).open().parameters["fall_angle"] == "15 deg"
-    with closing(Showing(run, overrides=["parameters.fall_angle=1 deg"]).open().player()) as player:
+    with closing(open_player(Showing(run, overrides=["parameters.fall_angle=1 deg"]).open())) as player:
         *_, last = player.episode(0, 0)
         assert (player.driver_name, last.ended_by) == (POLICY, "fallen")
         assert last.agents["agent"].episode_return < 60
     with pytest.raises(RunError, match="does not fit the changed scenario"):
-        Showing(run, overrides=["action.drive.choices.stop=0"]).open().player()
+        open_player(Showing(run, overrides=["action.drive.choices.stop=0"]).open())
     assert Showing(run, overrides=["parameters.fall_angle=1 kg"]).open().program is None

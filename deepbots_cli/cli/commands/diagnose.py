@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -19,6 +20,7 @@ from deepbots_cli.learning.verdict import last_episodes
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 
 if TYPE_CHECKING:
+    from deepbots_cli.insight.statements import Statement
     from deepbots_cli.insight.trace import Trace
     from deepbots_cli.insight.training import TrainingEvidence
     from deepbots_cli.learning.records import EvaluationWithEpisodes
@@ -250,6 +252,23 @@ def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> 
     terminal.show(data, *lines, as_json=as_json, next_commands=commands)
 
 
+def _print_causes(
+    folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
+) -> None:
+    """The causes in a training, the most likely one first, and the `stage` of its curriculum."""
+    count = len(causes)
+    runs = "; it still runs" if training.is_running else ""
+    if causes:
+        head = f"{folder}: {count} cause{'s' * (count > 1)}, the most likely first{runs}"
+    else:
+        head = f"{folder}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}"
+    terminal.print_result(head)
+    if stage is not None:
+        terminal.print_result(stage.text)
+    for number, cause in enumerate(causes, start=1):
+        terminal.print_result(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
+
+
 def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permissions) -> None:
     from deepbots_cli.learning.group import Group
 
@@ -290,21 +309,8 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
                 "causes": [cause.as_json() for cause in causes],
             }
         )
-        if as_json:
-            continue
-        runs = "; it still runs" if training.is_running else ""
-        if causes:
-            terminal.print_result(
-                f"{folder}: {len(causes)} cause{'s' * (len(causes) > 1)}, the most likely first{runs}"
-            )
-        else:
-            terminal.print_result(
-                f"{folder}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}"
-            )
-        if stage is not None:
-            terminal.print_result(stage.text)
-        for number, cause in enumerate(causes, start=1):
-            terminal.print_result(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
+        if not as_json:
+            _print_causes(folder, training, stage, causes)
     if all("error" in each for each in reports):
         raise RunError(f"{run} contains no run that can be diagnosed")
     commands = [each["causes"][0].get("command") for each in reports if each.get("causes")]

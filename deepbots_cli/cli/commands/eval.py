@@ -40,16 +40,15 @@ from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import in_parentheses
 from deepbots_cli.learning.run import ModelRef, Run
+from deepbots_cli.learning.statistics import Interval, Verdict, gate_mean, gate_rate
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
-    from deepbots_cli.learning.episodes import Interval
     from deepbots_cli.learning.executor import Executor
     from deepbots_cli.learning.keeping import KeptModel
-    from deepbots_cli.learning.statistics import Verdict
     from deepbots_cli.program import Program
     from deepbots_cli.rollout import Episode
     from deepbots_cli.rollout.policies import StopCondition
@@ -506,8 +505,6 @@ class Gates:
     ) -> Iterator[tuple[str, Verdict]]:
         """Each requirement of a number in words, and its answer after these of `planned` episodes; `bounds`
         are those of a return."""
-        from deepbots_cli.learning.statistics import gate_mean, gate_rate
-
         if self.min_success is not None:
             successes = sum(episode.is_success for episode in episodes)
             yield (
@@ -536,11 +533,7 @@ class Gates:
     def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
         """The answers for a run; a requirement that another one has left undecided is left out."""
         remarks = in_parentheses(result.circumstances)
-        requirements = (
-            [("the task is solved", bool(result.solved), result.verdict.removesuffix(remarks))]
-            if self.solved
-            else []
-        )
+        requirements = [("the task is solved", bool(result.solved), result.answer)] if self.solved else []
         answers = self.verdicts(result.outcomes, planned, result.possible_returns)
         requirements += [
             (words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None

@@ -155,16 +155,7 @@ def lint(
         _check_simulator(option_name, fix or diff or unsafe_fixes)
     look = LintOptions(tuple(overrides or ()), permissions, previewed, deep, exploits, stdin_name)
     names = scenario_names(scenarios or ["."], project)
-    _check_together(
-        bool(stdin_name) and STDIN not in names, "--stdin-filename needs - (standard input) as a scenario"
-    )
-    _check_together(
-        exploits and STDIN in names, "--exploits needs a file: it records episodes of the scenario"
-    )
-    _check_together(
-        watch and (fix or diff or STDIN in names),
-        "--watch reads files and changes none; leave out --fix, --diff and -",
-    )
+    _check_names(names, look, is_watching=watch, may_fix=fix or diff)
     if watch:
         assert ctx.command.callback is not None  # this function, after the options are converted
         once = partial(ctx.command.callback, **{**ctx.params, "watch": False})
@@ -235,6 +226,21 @@ def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], l
             seen = state(files)
             while state(files) == seen:
                 time.sleep(_WATCH_INTERVAL_S)
+
+
+def _check_names(names: Sequence[str], look: LintOptions, *, is_watching: bool, may_fix: bool) -> None:
+    """Raises: UsageError: Options exclude one another for these scenarios."""
+    has_stdin = STDIN in names
+    _check_together(
+        bool(look.stdin_name) and not has_stdin, "--stdin-filename needs - (standard input) as a scenario"
+    )
+    _check_together(
+        look.exploits and has_stdin, "--exploits needs a file: it records episodes of the scenario"
+    )
+    _check_together(
+        is_watching and (may_fix or has_stdin),
+        "--watch reads files and changes none; leave out --fix, --diff and -",
+    )
 
 
 def _check_together(wrong: bool, sentence: str) -> None:

@@ -233,7 +233,8 @@ def command(
         _draw_robot(shown, file, shot, engine_or_default(engine), permissions)
         terminal.show({"files": [_made(file)]}, str(file), as_json=as_json)
         return
-    from deepbots_cli.view.episodes import Showing, closing_player
+    from deepbots_cli.view.episodes import Showing
+    from deepbots_cli.view.players import closing_player
 
     ref = _model(shown, kind, permissions, last=last)
     if episodes == FAILED_EPISODES:

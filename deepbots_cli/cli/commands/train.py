@@ -141,12 +141,7 @@ def command(
 ) -> None:
     """Run `deepbots train`."""
     progress = not quiet
-    if retry is not None and (seeds is not None or to_view):
-        other = "--view" if seeds is None else "--seeds"
-        raise UsageError(
-            f"--retry follows the causes of one training; leave out {other}, and use it with the values that"
-            " --retry finds"
-        )
+    _check_retry(retry, seeds, to_view=to_view)
     scenario = _checked_options(scenario, seed, seeds, run)
     listed = None if seeds is None else seed_list(seeds)
     is_recorded = teacher is not None and teacher.endswith(RECORDING_SUFFIX)
@@ -171,15 +166,13 @@ def command(
     }
     with terminal.transient_line("loading PyTorch ..." if progress else ""):
         checked_settings = learning.checked_settings  # which imports torch
-    checked_settings(compiled.program, listed or [seed or 0], **settings)
+    root = seed or 0
+    checked_settings(compiled.program, listed or [root], **settings)
     settings["progress"] = progress
     if progress:
-        _announce(compiled, f"seeds {seeds}" if seeds else f"seed {seed or 0}", timesteps, full=full)
+        _announce(compiled, f"seeds {seeds}" if seeds else f"seed {root}", timesteps, full=full)
         if not as_json:
-            from deepbots_cli.cli import throughput
-
-            _name_missing_search(compiled.program, scenario)
-            throughput.note_faster_engine(compiled.program, timesteps, permissions=permissions)
+            _give_tips(compiled.program, scenario, timesteps, permissions)
     shown: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
     if listed is not None:
         with processes.executor(workers, address, len(listed), quiet=quiet) as executor:
@@ -194,18 +187,10 @@ def command(
         processes.executor(workers, address, quiet=quiet) as executor,
     ):
         if shards == "auto":
-            compiled = _with_fastest_shards(scenario, compiled, undivided, executor, seed or 0, permissions)
+            compiled = _with_fastest_shards(scenario, compiled, undivided, executor, root, permissions)
         if retry is not None:
-            retries.train(
-                compiled,
-                retry,
-                seed=seed or 0,
-                group=run,
-                executor=executor,
-                quiet=quiet,
-                as_json=as_json,
-                **settings,
-            )
+            settings |= {"quiet": quiet, "as_json": as_json}
+            retries.train(compiled, retry, seed=root, group=run, executor=executor, **settings)
             return
 
         def begin(path: Path) -> None:
@@ -213,10 +198,18 @@ def command(
                 terminal.note(f"the run is {path}")
             show_page(path)
 
-        result = learning.train(
-            compiled, run=run, seed=seed or 0, on_start=begin, executor=executor, **settings
-        )
+        result = learning.train(compiled, run=run, seed=root, on_start=begin, executor=executor, **settings)
     trainings.finish(result, **shown)
+
+
+def _check_retry(retry: int | None, seeds: str | None, *, to_view: bool) -> None:
+    """Raises: UsageError: `--retry` cannot be combined with these options."""
+    if retry is not None and (seeds is not None or to_view):
+        other = "--view" if seeds is None else "--seeds"
+        raise UsageError(
+            f"--retry follows the causes of one training; leave out {other}, and use it with the values that"
+            " --retry finds"
+        )
 
 
 def _checked_options(scenario: str | None, seed: int | None, seeds: str | None, run: Path | None) -> str:
@@ -316,10 +309,13 @@ def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full
         )
 
 
-def _name_missing_search(program: Program, scenario: str) -> None:
-    """Name the search for exploits of the reward if it was not made from this folder."""
+def _give_tips(program: Program, scenario: str, timesteps: int | None, permissions: Permissions) -> None:
+    """Name the search for exploits of the reward if it was not made from this folder, and a faster engine."""
+    from deepbots_cli.cli import throughput
+
     if not exploits.was_searched(program):
         terminal.note(
             f"tip: `deepbots lint {quote(scenario)} --exploits` looks for ways to earn this reward without"
             " doing the task"
         )
+    throughput.note_faster_engine(program, timesteps, permissions=permissions)

@@ -36,7 +36,7 @@ from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
-    from deepbots_cli.insight.transfer import Transfer
+    from deepbots_cli.insight.transfer import Transfer, WorldComparison
 
 WIDTH = 110
 """The width of wrapped lines."""
@@ -216,69 +216,71 @@ def _other_engine(name: str) -> str:
     return next((other for other, kind in ENGINES.own.items() if other != name and kind.is_installed), name)
 
 
-def _lines(found: Transfer) -> list[str]:
-    here, there = found.names
-    changed = (
-        f" ({there} with {' '.join(f'--set {quote(text)}' for text in found.there.set)})"
-        if found.there.set
-        else ""
-    )
-    starts = f"{found.here.episodes} held-out starts from seed {found.here.seed}"
-    lines = [*_verdict(found), f"\ntransfer of {found.run}: {found.between}{changed}, {starts}"]
-    worlds = ((here, found.here), (there, found.there))
-    lines.append(table([{"world": name, **records.scores(result)} for name, result in worlds]))
-    compared = found.comparison
+def _lines(transfer: Transfer) -> list[str]:
+    here, there = transfer.names
+    assignments = " ".join(f"--set {quote(text)}" for text in transfer.there.set)
+    changed = f" ({there} with {assignments})" if assignments else ""
+    starts = f"{transfer.here.episodes} held-out starts from seed {transfer.here.seed}"
+    lines = [
+        *_verdict(transfer),
+        f"\ntransfer of {transfer.run}: {transfer.between}{changed}, {starts}",
+        table(
+            [
+                {"world": name, **records.scores(result)}
+                for name, result in ((here, transfer.here), (there, transfer.there))
+            ]
+        ),
+        *_difference_lines(transfer.comparison, here, there),
+        *_cause_lines(transfer.comparison, here),
+    ]
+    if transfer.robustness is not None:
+        lines += ["", records.robustness_text(transfer.robustness)]
+    lines += [f"{'passed' if each.met else 'failed'}: {each.text}" for each in transfer.gates]
+    return lines
+
+
+def _difference_lines(compared: WorldComparison, here: str, there: str) -> list[str]:
+    """What differs after the same actions in both worlds."""
     size = f"{compared.episodes} episodes of up to {compared.steps} steps"
-    if compared.differences:
-        lines.append(f"\nthe same actions in both worlds ({size}): what differs, and from which step on")
-        lines.append(
-            table(
-                [
-                    {
-                        "value": each.name,
-                        "step": each.step,
-                        here: f"{number(each.here)} {each.unit}".strip(),
-                        there: f"{number(each.there)} {each.unit}".strip(),
-                        "difference": percent(each.share),
-                    }
-                    for each in compared.differences
-                ]
-            )
-        )
-        lines.append(
-            "difference: root mean square over all steps, as a share of the width that the value spans"
-        )
-    else:
-        lines.append(f"\nthe same actions give the same values in both worlds ({size})")
-    tried = f"tried, one change at a time: {'; '.join(compared.tried)}"
+    if not compared.differences:
+        return [f"\nthe same actions give the same values in both worlds ({size})"]
+    rows = [
+        {
+            "value": each.name,
+            "step": each.step,
+            here: f"{number(each.here)} {each.unit}".strip(),
+            there: f"{number(each.there)} {each.unit}".strip(),
+            "difference": percent(each.share),
+        }
+        for each in compared.differences
+    ]
+    return [
+        f"\nthe same actions in both worlds ({size}): what differs, and from which step on",
+        table(rows),
+        "difference: root mean square over all steps, as a share of the width that the value spans",
+    ]
+
+
+def _cause_lines(compared: WorldComparison, here: str) -> list[str]:
+    """The changes of the first world that explain the difference."""
+    tried = fill(f"tried, one change at a time: {'; '.join(compared.tried)}", WIDTH)
     if compared.causes:
         is_whole = compared.causes[0].explained >= EXPLAINS_WHOLE
         partly = f"no change of {here} that was tried explains the whole difference; these explain part of it"
-        lines.append(f"\nchanges of {here} that explain the difference" if is_whole else f"\n{partly}")
-        lines.append(
-            table(
-                [
-                    {"change": cause.text, "explains": percent(cause.explained)}
-                    for cause in compared.causes[:5]
-                ]
-            )
-        )
-        lines.append(
+        rows = [{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]
+        lines = [
+            f"\nchanges of {here} that explain the difference" if is_whole else f"\n{partly}",
+            table(rows),
             "explains: share of the squared differences that vanishes with this change alone, the mean of"
-            " two shares: of all"
-        )
-        lines.append(
-            "moments, and of the early ones; the changes are alternatives, whose shares do not add up"
-        )
-        lines += [] if is_whole else [fill(tried, WIDTH)]
-    elif compared.differences and not compared.observation_differs:
-        lines.append("\nno number of the observation differs, so no cause can be found")
-    elif compared.differences:
-        lines += [f"\nno change of {here} that was tried explains it", fill(tried, WIDTH)]
-    if found.robustness is not None:
-        lines += ["", records.robustness_text(found.robustness)]
-    lines += [f"{'passed' if each.met else 'failed'}: {each.text}" for each in found.gates]
-    return lines
+            " two shares: of all",
+            "moments, and of the early ones; the changes are alternatives, whose shares do not add up",
+        ]
+        return lines if is_whole else [*lines, tried]
+    if not compared.differences:
+        return []
+    if not compared.observation_differs:
+        return ["\nno number of the observation differs, so no cause can be found"]
+    return [f"\nno change of {here} that was tried explains it", tried]
 
 
 def _verdict(compared: Transfer) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 MAX_CLEARANCE_M = 1e6  # m; the distance between surfaces is asked for up to here
 ELLIPSOID = int(mj.mjtGeom.mjGEOM_ELLIPSOID)  # the shape of tires, and of nothing else
 MEETING_TOLERANCE_M = 1e-9  # m; by how much lines that meet in a point may miss it
+SEEN_GROUPS = np.ones(6, np.uint8)  # the groups of geoms that rays meet
+SEEN_GROUPS[HIDDEN_GROUP] = 0
 
 
 class ContactMonitor:
@@ -117,59 +119,66 @@ def penetrations(world: MujocoWorld) -> Iterable[tuple[int, int, float]]:
 # Rays
 
 
+class _Rays(NamedTuple):
+    """Rays of a link that pass through its own body, whose geoms have these `groups`.
+
+    `starts` and `directions` are in the frame of the link, of shape (rays, 3); `reach` is in m.
+    """
+
+    link: int
+    groups: NDArray[np.int32]
+    starts: FloatArray
+    directions: FloatArray
+    reach: float
+
+
 def rays(world: MujocoWorld, body: Body, link: int, ray_frames: Sequence[Frame], reach: float) -> RayReader:
     """Rays whose lines meet in a point are cast from there in one call, which costs a quarter of a call for
     each."""
-    model, data = world.model, world.data
-    own = body.geoms_of(None)
-    groups = model.geom_group[min(own) : max(own) + 1] if own else model.geom_group[:0]
+    own, groups = body.geoms_of(None), world.model.geom_group
     starts = np.array([origin for origin, _ in ray_frames])
     directions = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in ray_frames])
+    cast = _Rays(link, groups[min(own) : max(own) + 1] if own else groups[:0], starts, directions, reach)
     center = _meeting_point(starts, directions)
-    seen = np.ones(6, np.uint8)
-    seen[HIDDEN_GROUP] = 0
+    return _separate_rays(world, cast) if center is None else _rays_from_point(world, cast, center)
+
+
+def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
+    model, data, ray, seen = world.model, world.data, mj.mj_ray, SEEN_GROUPS
+    link, groups, starts, directions, reach = rays
+    position, turned = data.xpos[link], data.xmat[link].reshape(3, 3).T
+    origins, ways = np.empty_like(starts), np.empty_like(directions)
+    each = list(zip(origins, ways, strict=True))  # views of arrays that keep their memory
+
+    def read() -> list[float]:
+        world.update_positions()
+        kept = groups.copy()
+        groups.fill(HIDDEN_GROUP)
+        np.matmul(starts, turned, origins)
+        np.add(origins, position, origins)
+        np.matmul(directions, turned, ways)
+        lengths = [ray(model, data, origin, way, seen, True, -1, None, None) for origin, way in each]
+        groups[:] = kept
+        return [reach if length < 0.0 or length > reach else length for length in lengths]
+
+    return read
+
+
+def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> RayReader:
+    """`center` is in the frame of the link."""
+    model, data, ray, seen = world.model, world.data, mj.mj_ray, SEEN_GROUPS
+    link, groups, starts, directions, reach = rays
     position, axes = data.xpos[link], data.xmat[link].reshape(3, 3)
-
-    ray, aside = mj.mj_ray, np.ascontiguousarray(directions.T)
-
-    if center is None:
-        origins, ways = np.empty_like(starts), np.empty_like(directions)
-        each, turned = list(zip(origins, ways, strict=True)), axes.T  # views of arrays that keep their memory
-
-        def read_each() -> list[float]:
-            world.update_positions()
-            kept = groups.copy()
-            groups.fill(HIDDEN_GROUP)
-            np.matmul(starts, turned, origins)
-            np.add(origins, position, origins)
-            np.matmul(directions, turned, ways)
-            lengths = [ray(model, data, origin, way, seen, True, -1, None, None) for origin, way in each]
-            groups[:] = kept
-            return [reach if length < 0.0 or length > reach else length for length in lengths]
-
-        return read_each
-
-    count, ahead = len(ray_frames), np.einsum("ij,ij->i", starts - center, directions).tolist()
+    aside = np.ascontiguousarray(directions.T)
+    count, ahead = len(starts), np.einsum("ij,ij->i", starts - center, directions).tolist()
     far, geoms, met = reach + max(ahead), np.zeros(count, np.int32), np.zeros(count)
 
     def read() -> list[float]:
         world.update_positions()
         kept = groups.copy()
         groups.fill(HIDDEN_GROUP)
-        mj.mj_multiRay(
-            model,
-            data,
-            position + axes @ center,
-            (axes @ aside).T.ravel(),
-            seen,
-            True,
-            -1,
-            geoms,
-            met,
-            None,
-            count,
-            far,
-        )
+        origin, ways = position + axes @ center, (axes @ aside).T.ravel()
+        mj.mj_multiRay(model, data, origin, ways, seen, True, -1, geoms, met, None, count, far)
         lengths = met.tolist()
         free = [
             reach if length < 0.0 else min(length - start, reach)

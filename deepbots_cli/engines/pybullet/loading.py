@@ -187,8 +187,8 @@ def join_islands(client: int, pools: Iterable[Pool[Body]]) -> None:
 
 
 def _object(client: int, thing: ObjectBody, file: Path) -> Body:
-    known = not isinstance(thing.shape, Mesh)
-    body = _load(client, thing.name, as_robot(thing), not is_movable(thing), file, inertia_known=known)
+    model, fixed, is_mesh = as_robot(thing), not is_movable(thing), isinstance(thing.shape, Mesh)
+    body = _load(client, thing.name, model, fixed, file, inertia_known=not is_mesh)
     body.initial_pose = body.center_pose(*frames.frame(thing.pose))
     return body
 

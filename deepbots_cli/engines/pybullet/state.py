@@ -185,7 +185,8 @@ def pose(client: int, owner: Body, index: int, read_cache: ReadCache) -> PoseRea
     number = owner.number
     if index != BASE_LINK:
         read_link: Callable[[], tuple[Triple, ...]] = partial(p.getLinkState, number, index, 0, 1, client)
-        return read_cache.cached(("pose", number, index), lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
+        key = ("pose", number, index)
+        return read_cache.cached(key, lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
     if owner.is_centered:
         return partial(p.getBasePositionAndOrientation, number, client)
     placed = _root_frames(client, owner, read_cache)

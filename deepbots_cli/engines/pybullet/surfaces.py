@@ -97,9 +97,9 @@ class ContactMonitor:
 
     def touches_any_of(self, link: int, others: Collection[LinkKey]) -> ContactReader:
         """Whether the link touched one of `others`."""
-        known = frozenset(others)
+        wanted = frozenset(others)
         return self._flag(
-            link, lambda other, other_link: (other, other_link) in known or (other, ANY_LINK) in known
+            link, lambda other, other_link: (other, other_link) in wanted or (other, ANY_LINK) in wanted
         )
 
     def touches_any_but(self, link: int, without: Collection[int]) -> ContactReader:
@@ -111,13 +111,13 @@ class ContactMonitor:
 def penetrations(client: int) -> dict[tuple[LinkKey, LinkKey], float]:
     """How deep (m) links of two bodies lie within each other, as the world stands now; only pairs that do."""
     p.performCollisionDetection(client)
-    found: dict[tuple[LinkKey, LinkKey], float] = {}
+    depths: dict[tuple[LinkKey, LinkKey], float] = {}
     for point in p.getContactPoints(physicsClientId=client):
         _, one, other, link, other_link = point[:5]
         pair = ((one, link), (other, other_link))
         if one != other and point[8] < 0.0:
-            found[pair] = max(found.get(pair, 0.0), -point[8])
-    return found
+            depths[pair] = max(depths.get(pair, 0.0), -point[8])
+    return depths
 
 
 def force(client: int, body: int, link: int) -> ForceReader:

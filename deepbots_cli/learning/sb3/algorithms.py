@@ -84,45 +84,71 @@ def create(
         settings["action_noise"] = DecayingNoise(
             kind, env.action_space.shape, lambda: internals.progress_remaining(models[0])
         )
-    if not to_learn:
-        settings |= (
-            {"n_steps": 2, **({} if algorithm.base() == "A2C" else {"batch_size": 2})}
-            if algorithm.on_policy
-            else {"buffer_size": 1}
-        )
-        for name in ("replay_buffer_class", "replay_buffer_kwargs"):
-            settings.pop(name, None)
-    else:
+    if to_learn:
         check_replay(settings, env.observation_space)
+    else:
+        _without_experience(settings, algorithm)
+    memory = settings.pop("lstm", None)
+    inputs = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Mlp"
+    policy = f"{inputs}{'' if memory is None else 'Lstm'}Policy"
+    settings |= {
+        "seed": seed,
+        "device": _device(training.device, to_learn=to_learn),
+        "verbose": 0,
+        "policy_kwargs": _networks(training, algorithm, memory),
+    }
+    models.append(_made(algorithm, mixin, training, policy, env, settings))
+    for name in ("optimizer_class", "optimizer_kwargs"):  # so that model files name no class of deepbots
+        models[0].policy_kwargs.pop(name, None)
+    if not internals.saved_members(models[0])[0] or not models[0].policy.state_dict():
+        raise UsageError(_no_torch(algorithm, "its runs could be neither evaluated nor resumed"))
+    return models[0]
+
+
+def _without_experience(settings: Settings, algorithm: type[Model]) -> None:
+    """Change the settings to those of a model that does not learn."""
+    if not algorithm.on_policy:
+        settings["buffer_size"] = 1
+    else:
+        settings["n_steps"] = 2
+        if algorithm.base() != "A2C":
+            settings["batch_size"] = 2
+    for name in ("replay_buffer_class", "replay_buffer_kwargs"):
+        settings.pop(name, None)
+
+
+def _networks(training: Training, algorithm: type[Model], memory: int | None) -> Settings:
+    """The networks of a policy, with an LSTM of `memory` units, and their optimizer."""
     layers = list(training.network.hidden)
     networks: Settings = {
         "net_arch": {"pi": layers, "vf": layers} if algorithm.on_policy else layers,
         "activation_fn": _ACTIVATIONS[training.network.activation],
     }
-    memory = settings.pop("lstm", None)
     if memory is not None:
         networks["lstm_hidden_size"] = memory
     if algorithm.base() == training.algorithm != "A2C":  # whose optimizer is one of Stable-Baselines3
-        networks |= {
-            "optimizer_class": Adam,
-            "optimizer_kwargs": {"eps": 1e-5 if algorithm.on_policy else 1e-8},
-        }  # as by default
-    inputs = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Mlp"
-    policy = f"{inputs}{'' if memory is None else 'Lstm'}Policy"
-    algorithm_class = _imported(algorithm)
-    kind_of_model: Any = (
-        algorithm_class if mixin is None else type(algorithm_class.__name__, (mixin, algorithm_class), {})
-    )
-    settings |= {
-        "seed": seed,
-        "device": _device(training.device, to_learn=to_learn),
-        "verbose": 0,
-        "policy_kwargs": networks,
-    }
+        epsilon = 1e-5 if algorithm.on_policy else 1e-8  # as by default
+        networks |= {"optimizer_class": Adam, "optimizer_kwargs": {"eps": epsilon}}
+    return networks
+
+
+def _made(
+    algorithm: type[Model],
+    mixin: type | None,
+    training: Training,
+    policy: str,
+    env: VecEnv,
+    settings: Settings,
+) -> BaseAlgorithm:
+    """The model of the library; its refusals become errors of deepbots."""
+    made_of: Any = _imported(algorithm)
+    if mixin is not None:
+        made_of = type(made_of.__name__, (mixin, made_of), {})
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of batches that do not divide a rollout, which does no harm
-            models.append(kind_of_model(policy, env, **settings))
+            model: BaseAlgorithm = made_of(policy, env, **settings)
+            return model
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise UsageError(
@@ -131,16 +157,8 @@ def create(
     except Exception as error:
         if training.algorithm == algorithm.base():
             raise
-        raise UsageError(
-            _no_torch(
-                algorithm, f"it fails with {type(error).__name__}: {' '.join(str(error).split())[:200]}"
-            )
-        ) from error
-    for name in ("optimizer_class", "optimizer_kwargs"):  # so that model files name no class of deepbots
-        models[0].policy_kwargs.pop(name, None)
-    if not internals.saved_members(models[0])[0] or not models[0].policy.state_dict():
-        raise UsageError(_no_torch(algorithm, "its runs could be neither evaluated nor resumed"))
-    return models[0]
+        reason = f"it fails with {type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        raise UsageError(_no_torch(algorithm, reason)) from error
 
 
 class Adam(torch.optim.Adam):

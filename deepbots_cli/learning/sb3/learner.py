@@ -65,7 +65,8 @@ class SavesPlainly:
         worlds."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        models.save(path if path.suffix else path.with_suffix(".zip"), self)  # type: ignore[arg-type]  # of the algorithm
+        path = path if path.suffix else path.with_suffix(".zip")
+        models.save(path, self)  # type: ignore[arg-type]  # of the algorithm
 
 
 class StableLearner(Learner):

@@ -84,8 +84,8 @@ class TrainingLog(Logger):
 def encoded(value: Any) -> Any:
     """A number of numpy with its type, and without NaN, which JSON does not have."""
     if isinstance(value, np.generic):
-        plain = value.tolist()
-        return NumpyScalar(dtype=str(value.dtype), value=plain if math.isfinite(plain) else None)  # type: ignore[arg-type]
+        plain, dtype = value.tolist(), str(value.dtype)
+        return NumpyScalar(dtype=dtype, value=plain if math.isfinite(plain) else None)  # type: ignore[arg-type]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -1,0 +1,24 @@
+"""The private members of Ray that deepbots uses. No other module names one.
+
+Ray has no public switch for the messages of a cluster that is joined. A test looks for each member in the
+library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def messages_left_out() -> Iterator[None]:
+    """Within, a Ray that is joined does not print the messages of its nodes. Lost workers are reported by
+    deepbots."""
+    from ray._private import worker
+
+    before = worker.listen_error_messages
+    worker.listen_error_messages = lambda *_: None
+    try:
+        yield
+    finally:
+        worker.listen_error_messages = before

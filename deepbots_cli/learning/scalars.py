@@ -1,0 +1,94 @@
+"""The scalars that a training logs beside those of its learner."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from deepbots_cli.learning.active import ActiveTraining
+from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.learning.teacher import Plan, Teaching
+
+
+class Scalars:
+    """Records scalars of the episodes, the policy, the evaluations and the teacher of a training."""
+
+    def __init__(self, active: ActiveTraining) -> None:
+        self._active = active
+        agent = active.run.program.agent
+        newest = zip(agent.numbers, agent.newest, strict=True)
+        self._seen = {
+            number.full_name: place for number, place in newest if number.clip and not number.is_truth
+        }
+        """Where the newest value of each clipped number stands in an observation; a truth value is always at
+        an end of its range."""
+        self._began = time.monotonic(), active.statistics.steps
+
+    def record_episodes(self) -> None:
+        """Scalars beside those of the learner, which writes them with its own."""
+        log, statistics, curriculum = self._active.log, self._active.statistics, self._active.curriculum
+        log.record("rollout/episodes", statistics.episodes)
+        log.record("rollout/simulated_hours", statistics.simulated_hours)
+        began, steps = self._began
+        simulated = (statistics.steps - steps) * statistics.period
+        log.record("time/real_time_factor", simulated / max(1e-9, time.monotonic() - began))
+        value = curriculum.value(statistics.steps)
+        if curriculum.stages:
+            log.record("curriculum/stage", curriculum.index + 1)
+        if curriculum.criterion is not None and value is not None:
+            log.record(f"curriculum/{curriculum.criterion.metric}", value)
+            log.record("curriculum/threshold", curriculum.criterion.threshold)
+        for name, mean in statistics.term_means().items():
+            log.record(f"reward/{name}", mean)
+        for name, share in statistics.ended_by().items():
+            log.record(f"ended_by/{name}", share)
+
+    def record_policy(self) -> None:
+        """What the policy has seen and done in the last rollout, or in the last steps of the replay buffer.
+
+        `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` how often
+        an option was chosen, and `action/probability` the mean probability of the chosen actions.
+        `critic/value` is what the critic of an off-policy algorithm predicts, and `critic/followed` the
+        discounted return that followed.
+        """
+        log, learner = self._active.log, self._active.learner
+        choices = self._active.run.program.agent.choices
+        if (checked := learner.critic_check()) is not None:
+            for name, mean in zip(("value", "followed"), checked, strict=True):
+                log.record(f"critic/{name}", mean)
+        observations, actions, log_probs = learner.recent()
+        if log_probs is not None and choices:
+            log.record("action/probability", float(np.exp(log_probs).mean()))
+        if isinstance(observations, dict):
+            observations = observations.get("observation")
+        if observations is not None and observations.shape[-1] > max(
+            self._seen.values(), default=0
+        ):  # not a world of the caller's
+            shares = (np.abs(observations) >= 1.0).mean(axis=(0, 1))
+            for name, place in self._seen.items():
+                log.record(f"saturation/{name}", float(shares[place]))
+        for part, column in zip(
+            choices, np.asarray(actions).reshape(-1, max(1, len(choices))).T, strict=False
+        ):
+            for index, option in enumerate(part.options):
+                name = f"{part.name}/{option.name}" if len(choices) > 1 else option.name
+                log.record(f"action/{name}", float((column == index).mean()))
+
+    def record_evaluation(self, summary: Summary) -> None:
+        log = self._active.log
+        log.record("eval/mean_return", summary.mean_return)
+        log.record("eval/mean_length", summary.mean_length)
+        if self._active.defines_success:
+            log.record("eval/success_rate", summary.success_rate)
+
+    def record_teacher(self, teaching: Teaching, plan: Plan) -> None:
+        log = self._active.log
+        log.record("teacher/weight", plan.weight)
+        if teaching.demonstrations is None:
+            driven = 0 if plan.lesson is None else plan.lesson.worlds
+            log.record("teacher/driven_worlds", driven / self._active.learner.setup.training.environments)
+        if teaching.score is not None:  # in each stage of a curriculum another one
+            log.record("teacher/mean_return", teaching.score.mean_return)
+            if self._active.defines_success:
+                log.record("teacher/success_rate", teaching.score.success_rate)

@@ -1,0 +1,158 @@
+"""The evaluations of a training: held-out episodes of the present networks, the models with the best of them,
+and the choice of the best model at the end."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli.analysis import possible_returns
+from deepbots_cli.learning.active import ActiveTraining
+from deepbots_cli.learning.confirmation import COST_SHARE
+from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds
+from deepbots_cli.learning.order import Candidate, Shortlist, measure_of, most_episodes
+from deepbots_cli.learning.report import Activity
+from deepbots_cli.learning.statistics import Interval
+from deepbots_cli.rollout import Episode
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.learner import Learner
+
+EVALUATION_SHARE, URGENT_SHARE, UNLIMITED_SHARE = 0.1, 0.4, math.inf
+"""Largest ratio of the steps of evaluations to the steps of the training: as a rule, and when one evaluation
+may end the training soon, because its recent episodes meet `solved` or a teacher drives."""
+
+
+class TrainingEvaluations:
+    """Evaluates the networks of a training from the same starts each time.
+
+    Attributes:
+        shortlist: The models of the best evaluations.
+        returns: The lowest and the highest return in the evaluations of the stage.
+        evaluated_at: The steps of the training at the last evaluation.
+        count: The number of evaluations in this process.
+        newest: The result of the last one.
+        has_new_weights: Whether the networks have changed since.
+        chosen_steps: Steps of the episodes that chose the best model after the training.
+        activity: The choice of the best model while it lasts.
+    """
+
+    def __init__(self, active: ActiveTraining) -> None:
+        agent = active.run.program.agent
+        self._active = active
+        self.shortlist = Shortlist(
+            active.run, measure_of(agent.solved, defines_success=active.defines_success)
+        )
+        self.returns: Interval | None = None
+        self.evaluated_at = -1
+        self.count = 0
+        self.newest: Candidate | None = None
+        self.has_new_weights = True
+        self.chosen_steps = 0
+        self.activity: Activity | None = None
+
+    def share(self, *, has_teacher: bool) -> float:
+        """The largest ratio of the steps of evaluations to the steps of the training so far."""
+        share = URGENT_SHARE if has_teacher or self._seems_solved() else EVALUATION_SHARE
+        return self._active.off_policy_factor * share
+
+    def _seems_solved(self) -> bool:
+        """Whether the recent episodes of the training, with exploration, meet `solved`, which no confirmation
+        has shown."""
+        statistics = self._active.statistics
+        if statistics.solved_at is not None or statistics.solved is None:
+            return False
+        newest = statistics.newest(EVALUATION_EPISODES) if self._active.curriculum.is_last else None
+        return newest is not None and Summary.of_episodes(newest).meets_solved(statistics.solved)
+
+    def is_due(self, share: float) -> bool:
+        """Whether there are enough episodes since the last evaluation, and evaluations do not take more than
+        their `share` of the steps."""
+        statistics, steps = self._active.statistics, self._active.statistics.steps
+        fits = self._active.evaluator.steps + EVALUATION_EPISODES * statistics.mean_length <= share * steps
+        # In a long rollout, the same policy would play the same starts again without new weights.
+        is_new = steps != self.evaluated_at and self.has_new_weights
+        return statistics.has_episodes(EVALUATION_EPISODES) and is_new and fits
+
+    def evaluate(self) -> list[Episode]:
+        """The episodes of an evaluation of the present networks, which are kept if they are among the best."""
+        active = self._active
+        scenario, stage = active.curriculum.scenario_of(active.curriculum.index), active.curriculum.name
+        done = active.evaluator.evaluate(active.learner, scenario, active.interruption, stage)
+        summary = Summary.of_episodes(done)
+        self.evaluated_at, self.has_new_weights = active.statistics.steps, False
+        lowest, highest = self.returns or (math.inf, -math.inf)
+        self.returns = min(lowest, summary.least_return), max(highest, summary.greatest_return)
+        self.newest = Candidate.of(self.evaluated_at, summary)
+        is_best = self.shortlist.add(self.newest, active.learner.save)
+        about = {"steps": self.evaluated_at, "stage": stage, "is_best": is_best}
+        self._append("training.jsonl", about, done)
+        self.count += 1
+        return done
+
+    def put_first(self, confirmed: Summary) -> None:
+        """Make the evaluated model the best one, with the result of its confirmation."""
+        candidate = Candidate.of(self.evaluated_at, confirmed)
+        self.shortlist.put_first(candidate, self._active.learner.save)
+
+    def possible_returns(self) -> Interval:
+        """The lowest and the highest return: the possible ones, or where they are unknown, those of all
+        episodes of the stage so far."""
+        low, high = possible_returns(self._active.run.program)
+        seen = [each for each in (self.returns, self._active.statistics.returns) if each is not None]
+        return (
+            low if math.isfinite(low) else min(lowest for lowest, _ in seen),
+            high if math.isfinite(high) else max(highest for _, highest in seen),
+        )
+
+    def choose_best(self, load: Callable[[Path], Learner], report: Callable[[], None]) -> None:
+        """After the training: play new starts with the models of the best evaluations, and keep the best one.
+
+        Args:
+            load: Makes a policy from the file of a model.
+            report: Called once `activity` is set.
+        """
+        active, count, played = self._active, len(self.shortlist.candidates), 0
+        if count < 2:
+            return
+        scenario, stage = active.curriculum.scenario_of(active.curriculum.index), active.curriculum.name
+
+        def play(model: Path, numbers: range) -> list[Episode]:
+            nonlocal played
+            self.activity = Activity(
+                f"choosing the best of {count} models on new starts",
+                f"{played} of at most {most_episodes(count)} episodes",
+            )
+            report()
+            played += len(numbers)
+            first = EVALUATION_EPISODES
+            new = range(first + numbers.start, first + numbers.stop)
+            seeds = evaluation_seeds(active.run.record.seed, new)
+            done = active.evaluator.play(load(model), scenario, active.interruption, seeds, stage, here=True)
+            self._append("choice.jsonl", {"model": model.stem, "first_start": numbers.start}, done)
+            return done
+
+        self.chosen_steps = self.shortlist.choose(play, COST_SHARE * active.statistics.steps)
+        self.activity = None
+        best = self.shortlist.best
+        if best is not None and self.chosen_steps:
+            score = best.text(self.shortlist.measure, defines_success=active.defines_success)
+            active.reporter.note(
+                f"of the {count} best models, that of {best.steps:,} steps is the best on new starts ({score})"
+            )
+
+    def _append(self, name: str, about: Mapping[str, Any], done: Sequence[Episode]) -> None:
+        """A line for episodes in a file of `evaluations`."""
+        line = {
+            **about,
+            "returns": [episode.total_return for episode in done],
+            "lengths": [episode.length for episode in done],
+            "successes": [episode.is_success for episode in done],
+            "ended_by": [episode.ended_by for episode in done],
+        }
+        with (self._active.run.evaluations / name).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
