@@ -339,6 +339,7 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
         "--timesteps",
         "300",
         *FAST[2:],
+        *SOLVED,
         "--set",
         "evaluation={episodes: 2}",
         "--json",
