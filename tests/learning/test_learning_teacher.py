@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,6 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.envs import BitFlippingEnv
 from stable_baselines3.common.vec_env import DummyVecEnv
 from stable_baselines3.her import HerReplayBuffer
-from test_learning_resume import outcome
 from test_learning_shards import Forgetful
 
 from deepbots_cli import api
@@ -23,13 +20,13 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.learning.executor import SERIAL
 from deepbots_cli.learning.listing import read_listed
-from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
 from deepbots_cli.learning.teacher import Teaching
 from deepbots_cli.program.task import Teacher
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.recordings import record
 from tests.few import few
+from tests.learning.interruption import At, outcome
 
 BALANCER = [
     "truncation.max_time=0.4s",
@@ -74,23 +71,13 @@ def trained(name: str, folder: Path, changes: list[str] | None = None, **options
     return outcome(folder)
 
 
-class InterruptedAt(Reporter):
-    def __init__(self, steps: int) -> None:
-        self._steps = steps
-
-    def update(self, progress: TrainingProgress) -> None:
-        if progress.steps >= self._steps:
-            self._steps = 10**9
-            os.kill(os.getpid(), signal.SIGINT)
-
-
 @pytest.mark.parametrize("steps", few([100, 225, 350], ["225"]))
 @pytest.mark.parametrize("name", few(CASES, ["PPO in stages", "SAC"]))
 def test_an_interrupted_training_with_a_teacher_resumes_to_the_bit(
     tmp_path: Path, name: str, steps: int
 ) -> None:
     whole = trained(name, tmp_path / "whole")
-    trained(name, tmp_path / "parts", progress=InterruptedAt(steps))
+    trained(name, tmp_path / "parts", progress=At(steps))
     resumed = resume(tmp_path / "parts")
     assert (resumed.steps, resumed.inexact) == (STEPS, ())
     found = outcome(tmp_path / "parts")
@@ -265,7 +252,7 @@ def test_a_recording_teaches_and_its_training_resumes_to_the_bit(tmp_path: Path,
     options: dict[str, Any] = {"total_timesteps": STEPS, "stop_when_solved": False, "demonstrations": path}
     compiled = api.compile(scenario, overrides=changes)
     train(compiled, run=tmp_path / "whole", **options)
-    train(compiled, run=tmp_path / "parts", progress=InterruptedAt(225), **options)
+    train(compiled, run=tmp_path / "parts", progress=At(225), **options)
     path.unlink()  # the run has a copy
     assert resume(tmp_path / "parts").inexact == ()
     assert outcome(tmp_path / "parts") == (whole := outcome(tmp_path / "whole"))
