@@ -646,12 +646,6 @@ def test_a_resumed_run_takes_no_other_scenario(deepbots, words):
     assert "Usage: deepbots resume" in ran.err
 
 
-def test_there_must_be_something_to_train(deepbots):
-    ran = deepbots("train")
-    assert ran.code == 2
-    assert "deepbots train cartpole" in ran.err
-
-
 def read_until_closed(terminal: int) -> bytes:
     try:
         return os.read(terminal, 65_536)

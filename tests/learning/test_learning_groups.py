@@ -347,18 +347,6 @@ def test_runs_are_sorted_with_those_without_a_value_at_the_end(run_copy: Path) -
     assert list_runs(run_copy.parent / "nowhere") == []
 
 
-@pytest.mark.parametrize("seeds", ["5..1", "0..999999", "0..999,1000..1999", "", "-1", "0,0"])
-def test_a_list_of_seeds_that_cannot_be_is_refused_before_anything_is_made(
-    seeds: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["train", "cartpole", "--seeds", seeds]) == 2
-    told = capsys.readouterr().err
-    assert "--seeds: " in told
-    assert "training" not in told
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_log_that_is_no_text_is_listed_without_it(run_copy: Path) -> None:
     (run_copy / "monitor.csv").write_bytes(b"#\xff\n\xff\xfe\n" + bytes(range(256)) * 10)
     record = json.loads((run_copy / "run.json").read_text())
