@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import stand_in
 import torch
+from stand_in import hyper
 
 from deepbots_cli.learning import (
     TrainingResult,
@@ -29,7 +30,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Hyperparameter, Solved, Training
+from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Start
 
 SEED = 0
@@ -123,10 +124,6 @@ class Notes(Reporter):
     def update(self, progress: Any) -> None:
         if progress.activity:
             self.activities.append(progress.activity)
-
-
-def hyper(**settings: int) -> tuple[Hyperparameter, ...]:
-    return tuple(Hyperparameter(name, value) for name, value in settings.items())
 
 
 def learned(

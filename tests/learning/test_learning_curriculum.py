@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import stand_in
 from pydantic import ValidationError
+from stand_in import hyper
 
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli.records import evaluation_text, training_text
@@ -19,7 +20,7 @@ from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import Curriculum, CurriculumState
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Criterion, Hyperparameter, Solved, Training
+from deepbots_cli.program.task import Criterion, Solved, Training
 from deepbots_cli.rollout import Episode
 from tests.learning.interruption import At
 
@@ -27,7 +28,7 @@ PPO = Training(
     "PPO",
     1_000,
     3,
-    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+    hyper(n_steps=32, batch_size=32, n_epochs=1),
 )
 SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)
 

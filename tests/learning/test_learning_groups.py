@@ -13,6 +13,7 @@ from statistics import fmean
 
 import pytest
 import stand_in
+from stand_in import hyper
 
 from deepbots_cli.analysis.changes import scenario_changes
 from deepbots_cli.cli import main
@@ -38,13 +39,13 @@ from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.statistics import compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Hyperparameter, Solved, Training
+from deepbots_cli.program.task import Solved, Training
 
 SHORT = Training(
     "PPO",
     200,
     2,
-    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+    hyper(n_steps=32, batch_size=32, n_epochs=1),
 )
 SCENARIO = stand_in.compiled(training=SHORT, solved=Solved(10, mean_return=195.0))
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import stand_in
 from stable_baselines3 import PPO
+from stand_in import hyper
 
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import PluginError, UsageError
@@ -20,14 +21,12 @@ from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.run import Run
-from deepbots_cli.program.task import Hyperparameter, Training
+from deepbots_cli.program.task import Training
 from tests.learning.interruption import At
 from tests.plugins import test_plugins
 
 GROUPS = ("deepbots.callbacks", "deepbots.loggers")
-TASK = stand_in.compiled(
-    training=Training("PPO", 256, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
-)
+TASK = stand_in.compiled(training=Training("PPO", 256, 2, hyper(n_steps=32, batch_size=32)))
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -22,6 +22,7 @@ import pytest
 import stand_in
 import torch
 import yaml
+from stand_in import hyper
 
 from deepbots_cli import api
 from deepbots_cli.cli.records import training_text
@@ -34,7 +35,6 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import (
     ActionNoise,
     Hindsight,
-    Hyperparameter,
     Network,
     Schedule,
     Solved,
@@ -48,10 +48,6 @@ from tests.few import few
 from tests.learning.interruption import outcome
 
 SMALL = Network((16,))
-
-
-def hyper(**settings: Any) -> tuple[Hyperparameter, ...]:
-    return tuple(Hyperparameter(name, value) for name, value in settings.items())
 
 
 FORKS = multiprocessing.get_context("forkserver")
