@@ -177,12 +177,14 @@ class LocalProcesses:
         """A message of a worker; None is its end."""
         if message is None:
             self._remove(worker, _LAST_BREATH_S)
+        elif not worker.owed:
+            return  # a late message of a process that was ended, whose calls are lost
         elif message[0] in ("answer", "error"):
             owed = worker.owed.popleft()
             owed.result = message
             if owed.hear is not None and worker in self._alive:
                 self._idle.append(worker)
-        elif worker.owed and (hear := worker.owed[0].hear) is not None:
+        elif (hear := worker.owed[0].hear) is not None:
             hear(*message)
 
     def _remove(self, worker: Worker, patience_s: float = 0.0) -> None:

@@ -27,15 +27,14 @@ def inspected(deepbots, *words):
 
 def test_inspect_shows_units_ranges_and_what_was_written(deepbots):
     ran = deepbots("inspect", "cartpole", "--full")
-    assert ran.code == 0
+    assert (ran.code, ran.err) == (0, "")
     for shown in (
         "cart.pole_angle",
         "-20",
         "deg",
         "abs(cart.pole_angle) > fall_angle",
         "uniform(-1 .. 1 deg)",
-        "Discrete(2)",
-        "PPO",
+        "n_steps",
     ):
         assert shown in ran.out
 
@@ -117,28 +116,6 @@ def test_without_messages_there_is_no_table_of_messages(deepbots):
     assert not {"messages", "message_fields"} & inspected(deepbots, "--set", "messages.format=none").keys()
 
 
-def test_a_student_sees_the_parts_of_the_task_and_full_the_rest(deepbots):
-    shown, full = deepbots("inspect", "cartpole"), deepbots("inspect", "cartpole", "--full")
-    tables = [line.partition(":")[0] for line in shown.out.splitlines() if line and not line.startswith(" ")]
-    assert tables == [
-        "scenario",
-        "robots",
-        "message_fields",
-        "action",
-        "observation",
-        "reward",
-        "endings",
-        "training",
-    ]
-    assert (
-        shown.err
-        == "--full also shows: joints, parameters, sensors, actuators, messages, signals, timing, reset,"
-        " hyperparameters\n"
-    )
-    assert "n_steps" in full.out
-    assert full.err == ""
-
-
 def test_immediate_actions_act_at_once_and_every_observation_is_fresh(deepbots):
     timing = inspected(deepbots)["timing"]
     assert {row["age_s"] for row in timing} == {0}
@@ -158,13 +135,6 @@ def test_a_picture_of_the_world_is_a_png_with_something_in_it(deepbots, tmp_path
     with Image.open(tmp_path / "world.png") as image:
         assert image.size == (640, 480)
         assert len(set(image.tobytes())) > 20
-
-
-@pytest.mark.parametrize("name", ["world.jpg", "no/where.png"])
-def test_a_picture_that_could_not_be_written_is_refused_at_once(deepbots, name):
-    ran = deepbots("render", "cartpole", "-o", name)
-    assert (ran.code, ran.out) == (2, "")
-    assert name in ran.err
 
 
 def test_compile_prints_what_runs(deepbots, tmp_path):
@@ -222,13 +192,6 @@ def test_actions_go_by_name_or_number(deepbots):
     )
     assert named == numbered
     assert named != other
-
-
-@pytest.mark.parametrize("actions", ["left", "2", "-1", "", "forward:forward", "forward,,", "0.5"])
-def test_what_is_no_action_is_named_with_what_would_be(deepbots, actions):
-    ran = deepbots("try", "cartpole", f"--driver={actions}")
-    assert ran.code == 2
-    assert ran.err.startswith("error: ")
 
 
 def test_a_limit_of_steps_cuts_the_episode_and_says_so(deepbots):
@@ -355,13 +318,6 @@ def test_a_stage_of_the_curriculum_can_be_run(deepbots):
     assert (lonely["stage"], lonely["episodes"][0]["reward_terms"]["scrape"]) == ("open", 0)
 
 
-@pytest.mark.parametrize("verb", ["try", "inspect"])
-def test_a_stage_that_there_is_not_is_told_with_those_there_are(deepbots, verb):
-    ran = deepbots(verb, "find_ball_random", "--stage", "full")
-    assert (ran.code, "has no stage 'full'; there are: open, few, crowded" in ran.err) == (2, True)
-    assert "cannot be combined" in deepbots(verb, "find_ball_random", "--stage", "few", "--case", "few").err
-
-
 def test_inspect_shows_every_hyperparameter_with_its_source(deepbots):
     rows = {
         row["hyperparameter"]: (row["value"], row["from"]) for row in inspected(deepbots)["hyperparameters"]
@@ -397,23 +353,6 @@ def test_whole_numbers_may_be_written_short(deepbots, written, meant):
         "--json",
     )
     assert sum(episode["length"] for episode in json.loads(ran.out)["episodes"]) == meant
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (
-            ("train", "cartpole", "--timesteps", "many"),
-            "'many' is not a whole number; write it like 100000, 100_000, 100k or 1e5",
-        ),
-        (("try", "cartpole", "--episodes", "2.5"), "'2.5' is not a whole number"),
-        (("try", "cartpole", "--episodes", "0"), "0 is too small; the minimum is 1"),
-        (("try", "cartpole", "--seed", str(2**63)), "is too large; the maximum is 9223372036854775807"),
-    ],
-)
-def test_what_is_no_whole_number_is_refused_with_how_to_write_one(deepbots, words, said):
-    ran = deepbots(*words)
-    assert (ran.code, said in " ".join(ran.err.split())) == (2, True)
 
 
 def test_the_engine_that_steps_a_world_fastest_is_named_with_its_ratio(deepbots):

@@ -339,6 +339,7 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
         "--timesteps",
         "300",
         *FAST[2:],
+        *SOLVED,
         "--set",
         "evaluation={episodes: 2}",
         "--json",
@@ -643,12 +644,6 @@ def test_a_resumed_run_takes_no_other_scenario(deepbots, words):
     ran = deepbots("resume", "mine", *words)
     assert ran.code == 2
     assert "Usage: deepbots resume" in ran.err
-
-
-def test_there_must_be_something_to_train(deepbots):
-    ran = deepbots("train")
-    assert ran.code == 2
-    assert "deepbots train cartpole" in ran.err
 
 
 def read_until_closed(terminal: int) -> bytes:

@@ -12,16 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from test_cluster_fleet import act_at, outcomes
-from test_cluster_shards import At, trained, workers
 
-from deepbots_cli import api
 from deepbots_cli.cli import main, processes
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning import train_group
 from deepbots_cli.learning.calls import Watcher
-from deepbots_cli.learning.executor import SERIAL, results
+from deepbots_cli.learning.executor import results
 from tests.cluster.calls import imported, lose, priority, square
 
 
@@ -64,19 +60,6 @@ def test_a_lost_call_is_repeated_up_to_three_times(either: Cluster) -> None:
     assert isinstance(failure, DeepbotsError)
     assert "it ended its worker 3 times" in str(failure)
     assert sorted(losses.items) == [0, 1, 1]
-
-
-@pytest.mark.slow
-def test_workers_give_the_same_as_this_process_also_after_one_was_lost(
-    either: Cluster, tmp_path: Path
-) -> None:
-    kill = At(400, lambda: os.kill(workers()[0], signal.SIGKILL))
-    assert trained("PPO", tmp_path / "workers", either, progress=kill) == trained(
-        "PPO", tmp_path / "here", SERIAL
-    )
-    assert any("was lost; its shards continue" in note for note in kill.notes)
-    assert (tmp_path / "workers" / "workers" / "0.log").is_file()
-    assert not workers()  # they end with the training
 
 
 # Processes of this machine
@@ -153,18 +136,3 @@ def test_more_workers_than_cores_are_noted(
     with processes.executor(2, None) as executor:
         assert executor.workers == 2
     assert capsys.readouterr().err == "2 workers share 1 core; more workers than cores are not faster\n"
-
-
-def test_a_killed_worker_is_replaced_and_its_training_has_the_same_weights(
-    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    compiled = api.compile("cartpole", overrides=["train.n_steps=64"])
-    killed = act_at(monkeypatch, 100, 1, lambda: os.kill(workers()[0], signal.SIGKILL))
-    found = train_group(
-        compiled, (0, 1), group=tmp_path / "killed", total_timesteps=600, progress=True, executor=cluster
-    )
-    train_group(compiled, (0, 1), group=tmp_path / "here", total_timesteps=600)
-    assert len(killed) == 1
-    assert not found.failed
-    assert outcomes(tmp_path / "killed") == outcomes(tmp_path / "here")
-    assert list(cluster.map(square, range(3))) == [0, 1, 4]  # the workers go on

@@ -40,19 +40,6 @@ def outcomes(group: Path) -> list[Any]:
     return [outcome(run) for run in sorted(group.glob("seed-*"))]
 
 
-@pytest.mark.slow
-def test_trainings_on_workers_give_the_same(cluster: Cluster, scenario: Compiled, tmp_path: Path) -> None:
-    train_group(scenario, SEEDS[:2], group=tmp_path / "here", total_timesteps=800)
-    found = train_group(
-        scenario, SEEDS[:2], group=tmp_path / "workers", total_timesteps=800, executor=cluster
-    )
-    assert [result.run.name for result in found.trained] == ["seed-0", "seed-1"]
-    assert outcomes(tmp_path / "workers") == outcomes(tmp_path / "here")
-    assert sorted(path.name for path in (tmp_path / "workers").iterdir()) == sorted(
-        path.name for path in (tmp_path / "here").iterdir()
-    )
-
-
 def test_every_error_passes_from_a_worker_to_this_process() -> None:
     def kinds(base: type[DeepbotsError]) -> Iterator[type[DeepbotsError]]:
         yield base
@@ -89,23 +76,6 @@ def act_at(
 @pytest.fixture(scope="module")
 def trained_here(scenario: Compiled, tmp_path_factory: pytest.TempPathFactory) -> GroupTraining:
     return train_group(scenario, SEEDS, runs=tmp_path_factory.mktemp("here"), total_timesteps=6_000)
-
-
-@pytest.mark.slow
-def test_trainings_whose_workers_were_killed_give_the_same(
-    cluster: Cluster,
-    scenario: Compiled,
-    trained_here: GroupTraining,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    killed = act_at(monkeypatch, 1_000, 4, lambda: os.kill(workers()[0], signal.SIGKILL))
-    found = train_group(
-        scenario, SEEDS, group=tmp_path / "killed", total_timesteps=6_000, progress=True, executor=cluster
-    )
-    assert len(killed) == 4
-    assert not found.failed
-    assert outcomes(tmp_path / "killed") == outcomes(trained_here.group)
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import pytest
 from test_cluster_fleet import act_at, outcomes
-from test_cluster_shards import At, outcome, trained
+from test_cluster_shards import outcome, trained
 
 from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
@@ -24,6 +24,7 @@ from deepbots_cli.learning.calls import Watcher
 from deepbots_cli.learning.executor import SERIAL
 from tests.cluster.calls import square
 from tests.cluster.nodes import cluster_of_nodes
+from tests.learning.interruption import At
 
 pytest.importorskip("ray")
 

@@ -7,7 +7,6 @@ import csv
 import os
 import signal
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,9 @@ from deepbots_cli.cluster.local_processes import LocalProcesses, Owed, Worker
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import resume, train
 from deepbots_cli.learning.executor import SERIAL, Executor
-from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import Run
+from tests.learning.interruption import At
 
 TIMES = ("cpu_seconds", "wall_seconds", "solved_at")
 SOON = "solved=mean_return >= 1000 over 5 episodes"
@@ -110,22 +110,6 @@ def children(name: str) -> list[int]:
     parents = {int(pid): int(parent) for pid, parent, *_ in map(str.split, processes)}
     found = [int(line.split()[0]) for line in processes if name in line and "defunct" not in line]
     return sorted(pid for pid in found if os.getpid() in (parents[pid], parents.get(parents[pid])))
-
-
-class At(Reporter):
-    """Does something once, after some steps."""
-
-    def __init__(self, steps: int, act: Callable[[], None]) -> None:
-        self.steps, self.act, self.is_done = steps, act, False
-        self.notes: list[str] = []
-
-    def update(self, progress: TrainingProgress) -> None:
-        if progress.steps >= self.steps and not self.is_done:
-            self.is_done = True
-            self.act()
-
-    def note(self, text: str) -> None:
-        self.notes.append(text)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.document.load import loads
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Choices, Schedule, Solved, Training
+from deepbots_cli.program.task import Choices, Hyperparameter, Schedule, Solved, Training
 
 FALL = math.radians(15)
 TRACK = 0.39
@@ -54,6 +54,11 @@ termination: {{failure: {{fallen: abs(cart.pole_angle) > 15 deg, off_track: abs(
 truncation: {{max_steps: {max_steps}}}
 evaluation: {{episodes: 20{cases}}}
 """
+
+
+def hyper(**settings: Any) -> tuple[Hyperparameter, ...]:
+    """Hyperparameters of a training by their names."""
+    return tuple(Hyperparameter(name, value) for name, value in settings.items())
 
 
 def compiled(

@@ -16,6 +16,7 @@ import pytest
 import stable_baselines3
 import stand_in
 import torch
+from stand_in import hyper
 
 from deepbots_cli import api
 from deepbots_cli.errors import MissingExtraError, UsageError, install_hint
@@ -26,7 +27,7 @@ from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.learning.sb3.learner import OffPolicyLearner
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionNoise, Hindsight, Hyperparameter, Network, Schedule, Training
+from deepbots_cli.program.task import ActionNoise, Hindsight, Network, Schedule, Training
 from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.worlds import Worlds
 from tests.few import few
@@ -36,10 +37,6 @@ SMALL = Network((8,))
 
 def learned(world: Any, tmp_path: Path, training: Training, **settings: Any) -> TrainingResult:
     return train(stand_in.compiled(training=training, **settings), run=tmp_path / "run", build=world)
-
-
-def hyper(**figures: Any) -> tuple[Hyperparameter, ...]:
-    return tuple(Hyperparameter(name, value) for name, value in figures.items())
 
 
 # Optimizers

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import stand_in
 import torch
+from stand_in import hyper
 
 from deepbots_cli.learning import (
     TrainingResult,
@@ -30,7 +31,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.signals import Interruption
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Hyperparameter, Solved, Training
+from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Start
 
 SEED = 0
@@ -129,19 +130,17 @@ class Notes(Reporter):
 def learned(
     folder: Path,
     build: Any,
-    total: int = 800,
+    total: int = 300,
     solved: Solved | None = SUCCESS,
     n_steps: int = 32,
     batch_size: int = 32,
     **options: Any,
 ) -> TrainingResult:
-    values = {"n_steps": n_steps, "batch_size": batch_size, "n_epochs": 1}
-    hyperparameters = tuple(Hyperparameter(name, value) for name, value in values.items())
     task = stand_in.compiled(
-        training=Training("PPO", total, environments=2, hyperparameters=hyperparameters),
+        training=Training("PPO", total, 2, hyper(n_steps=n_steps, batch_size=batch_size, n_epochs=1)),
         solved=solved,
         success=True,
-        max_steps=50,
+        max_steps=6,
     )
     return train(task, runs=folder, seed=SEED, build=build, **options)
 
@@ -170,7 +169,7 @@ def test_the_policy_that_is_kept_succeeds_although_another_one_has_a_higher_retu
         lambda number: (9.0, False) if number == 0 else (0.1, number == 1),
         choice=lambda number: (0.1, number == 0),
     )
-    result = learned(tmp_path, build, total=6_000)
+    result = learned(tmp_path, build, total=2_000)
     first, second, *_ = evaluated_steps(result)
     assert first < second < result.steps
     assert result.best is not None
@@ -183,7 +182,7 @@ def test_where_solved_asks_for_a_return_the_higher_return_is_kept(tmp_path: Path
     build = Worlds(
         lambda number: (0.09, False) if number == 0 else (0.01, True), choice=lambda number: (0.01, False)
     )
-    result = learned(tmp_path, build, total=3_000, solved=Solved(20, mean_return=40.0))
+    result = learned(tmp_path, build, total=1_000, solved=Solved(20, mean_return=40.0))
     assert result.best is not None
     assert (result.best.measure, result.best.steps) == ("mean_return", evaluated_steps(result)[0])
 
@@ -197,7 +196,7 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
     # The first evaluation is the best by luck; on new starts only the model of the third one succeeds.
     build = Worlds(lambda number: (1.0, number < 3), choice=lambda number: (1.0, number == 0))
     notes = Notes()
-    result = learned(tmp_path, build, total=12_000, solved=None, progress=notes)
+    result = learned(tmp_path, build, total=4_000, solved=None, progress=notes)
     *_, third = evaluated_steps(result)[:3]
     assert result.best is not None
     assert (result.best.chosen_by, result.best.steps) == (
@@ -220,7 +219,7 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
 
 
 def test_candidates_are_models_that_can_be_named(tmp_path: Path) -> None:
-    result = learned(tmp_path, Worlds(lambda number: (float(number), False)), total=8_000, solved=None)
+    result = learned(tmp_path, Worlds(lambda number: (float(number), False)), total=2_600, solved=None)
     files = sorted((result.run / "models" / "agent").glob("candidate-*.zip"))
     assert 2 <= len(files) <= 5
     assert steps_of(result, files[0].stem) == int(files[0].stem.removeprefix("candidate-"))
@@ -250,15 +249,15 @@ def test_successes_of_training_episodes_do_not_solve_a_task(unpaid: tuple[Worlds
     build, result = unpaid
     assert result.success_rate == 1.0
     assert result.solved_at is None
-    assert (result.status, result.steps >= 800) == ("finished", True)
+    assert (result.status, result.steps >= 300) == ("finished", True)
     assert not set(build.seeds) & set(CONFIRMATIONS)
 
 
 def test_a_lucky_evaluation_does_not_stop_a_training(tmp_path: Path) -> None:
     notes = Notes()
     build = Worlds(good, confirmation=poor)
-    result = learned(tmp_path, build, total=3_000, progress=notes)
-    assert (result.status, result.steps >= 3_000, result.solved_at) == ("finished", True, None)
+    result = learned(tmp_path, build, total=1_000, progress=notes)
+    assert (result.status, result.steps >= 1_000, result.solved_at) == ("finished", True, None)
     assert result.confirmations >= 1
     assert notes.activities[0].startswith("confirming on ")
     assert any("not confirmed after" in note and "the training goes on" in note for note in notes.notes)
@@ -272,7 +271,7 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     )
     result = learned(tmp_path, build, total=100_000, solved=solved)
     assert build.evaluations == 2
-    assert result.steps < 20_000
+    assert result.steps < 6_000
     assert result.confirmed_at is not None
     assert result.confirmed_at.steps == result.steps == steps_of(result, "best")
     run = Run.open(result.run)
@@ -294,9 +293,7 @@ def test_a_single_lucky_evaluation_of_an_off_policy_training_begins_no_confirmat
     tmp_path: Path, successes: set[int], confirmations: int
 ) -> None:
     build = Worlds(lambda number: (1.0, number in successes))
-    values = {"learning_starts": 10, "train_freq": 100, "batch_size": 8}
-    hyperparameters = tuple(Hyperparameter(name, value) for name, value in values.items())
-    training = Training("DQN", 600, environments=1, hyperparameters=hyperparameters)
+    training = Training("DQN", 600, 1, hyper(learning_starts=10, train_freq=100, batch_size=8))
     result = train(
         stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=50),
         runs=tmp_path,
@@ -309,21 +306,21 @@ def test_a_single_lucky_evaluation_of_an_off_policy_training_begins_no_confirmat
 
 def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_steps(tmp_path: Path) -> None:
     build = Worlds(good, confirmation=poor)
-    result = learned(tmp_path, build, total=8_000)
+    result = learned(tmp_path, build, total=3_000)
     begun = [CONFIRMATIONS[seed] for seed in build.seeds if seed in CONFIRMATIONS]
     assert set(begun) == set(range(1, result.confirmations + 1))
     assert result.confirmations >= 2
     confirmed_from = [seed for seed in build.seeds if seed in CONFIRMATIONS]
     assert len(confirmed_from) == len(set(confirmed_from))
     last = confirmations.CONFIRMATION_PART  # episodes of a confirmation that fails at once
-    shortest = 8  # steps of an episode
+    shortest = 6  # steps of an episode
     assert shortest * (len(begun) - last) <= COST_SHARE * result.steps
 
 
 def test_a_training_that_does_not_stop_when_solved_notes_it_once(tmp_path: Path) -> None:
     build = Worlds(good, confirmation=good, choice=good)
-    result = learned(tmp_path, build, total=3_000, stop_when_solved=False)
-    assert result.steps >= 3_000
+    result = learned(tmp_path, build, total=1_000, stop_when_solved=False)
+    assert result.steps >= 1_000
     assert result.solved_at is not None
     assert result.solved_at.steps < result.steps
     assert (result.confirmations, result.confirmed_seed) == (1, None)
@@ -335,10 +332,10 @@ def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_bett
     build = Worlds(
         lambda number: (1.0 + number, True), confirmation=good, choice=lambda number: (1.0, number == 0)
     )
-    result = learned(tmp_path, build, total=4_000)
+    result = learned(tmp_path, build, total=2_500)
     assert result.confirmed_seed is not None
     before = evaluated_steps(result)
-    again = resume(result.run, total_timesteps=result.steps + 6_000, build=build)
+    again = resume(result.run, total_timesteps=2_500, build=build)
     after = evaluated_steps(again)
     assert after[: len(before)] == before
     assert len(after) > len(before)
@@ -351,7 +348,7 @@ def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_bett
 
 def test_a_checkpoint_of_before_goes_on(tmp_path: Path) -> None:
     build = Worlds(poor)
-    result = learned(tmp_path, build, total=800)
+    result = learned(tmp_path, build, total=300)
     (path,) = (result.run / "checkpoints").glob("0*/state.json")
     state = json.loads(path.read_text())
     for name in ("candidates", "confirmations", "confirmation_steps", "returns"):
@@ -363,19 +360,19 @@ def test_a_checkpoint_of_before_goes_on(tmp_path: Path) -> None:
         "evaluation_steps": 10**6,
     }
     path.write_text(json.dumps(state))
-    again = resume(result.run, total_timesteps=4_000, build=build)
+    again = resume(result.run, total_timesteps=1_500, build=build)
     assert len(evaluated_steps(again)) > 1  # although older versions spent more steps on evaluations
 
 
 def test_a_training_that_does_not_get_better_ends_after_its_patience(tmp_path: Path) -> None:
     build = Worlds(lambda number: (1.0, number == 0), choice=good)
     notes = Notes()
-    training = Training("PPO", 100_000, environments=2, patience=3_000)
-    task = stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=50)
+    training = Training("PPO", 30_000, 2, hyper(n_steps=32), patience=1_000)
+    task = stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=6)
     result = train(task, runs=tmp_path, build=build, progress=notes)
     assert result.stopped_by == PATIENCE
-    assert 3_000 <= result.steps < 30_000
-    assert any("`patience: 3000`" in note for note in notes.notes)
+    assert 1_000 <= result.steps < 10_000
+    assert any("`patience: 1000`" in note for note in notes.notes)
 
 
 def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: Path) -> None:
@@ -384,7 +381,7 @@ def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: P
         tmp_path, build, on_evaluation=lambda run: "somebody" if run.parent == tmp_path else None
     )
     assert (result.status, result.stopped_by, build.evaluations) == ("finished", "somebody", 1)
-    assert result.steps < 1_500
+    assert result.steps < 600
 
 
 # How evaluations go
@@ -393,20 +390,20 @@ def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: P
 @pytest.mark.slow
 def test_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> None:
     result = learned(tmp_path, Worlds(poor, choice=poor), total=20_000)
-    chosen = 5 * EVALUATION_EPISODES * 50 * 4
+    chosen = 5 * EVALUATION_EPISODES * 6 * 4
     assert (
         0
         < result.evaluation_steps
-        <= result.steps * training_evaluations.URGENT_SHARE + 2 * EVALUATION_EPISODES * 50 + chosen
+        <= result.steps * training_evaluations.URGENT_SHARE + 2 * EVALUATION_EPISODES * 6 + chosen
     )
 
 
 def test_the_best_models_are_not_the_same_policy_evaluated_again_within_a_long_rollout(
     tmp_path: Path,
 ) -> None:
-    result = learned(tmp_path, Worlds(poor), total=12_000, n_steps=1_500, batch_size=1_500)
+    result = learned(tmp_path, Worlds(poor), total=4_000, n_steps=500, batch_size=500)
     # The last evaluation follows the last update.
-    rollouts = [(steps - 1) // 3_000 for steps in evaluated_steps(result)[:-1]]
+    rollouts = [(steps - 1) // 1_000 for steps in evaluated_steps(result)[:-1]]
     assert len(rollouts) >= 2
     assert len(set(rollouts)) == len(rollouts)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import stand_in
+from stand_in import hyper
 
 from deepbots_cli.cli import records
 from deepbots_cli.errors import UsageError
@@ -17,13 +18,13 @@ from deepbots_cli.learning.group import GroupTraining
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.statistics import compare_episodes, mean_interval
 from deepbots_cli.learning.verdict import last_episodes
-from deepbots_cli.program.task import Hyperparameter, Solved, Training
+from deepbots_cli.program.task import Solved, Training
 
 SHORT = Training(
     "PPO",
     400,
     2,
-    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+    hyper(n_steps=32, batch_size=32, n_epochs=1),
 )
 STEP = "models/agent/step-000000256.zip"
 

@@ -4,32 +4,31 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shutil
-import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 import stand_in
 from pydantic import ValidationError
+from stand_in import hyper
 
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli.records import evaluation_text, training_text
 from deepbots_cli.errors import EngineError, RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import Curriculum, CurriculumState
-from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Criterion, Hyperparameter, Solved, Training
+from deepbots_cli.program.task import Criterion, Solved, Training
 from deepbots_cli.rollout import Episode
+from tests.learning.interruption import At
 
 PPO = Training(
     "PPO",
     1_000,
     3,
-    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+    hyper(n_steps=32, batch_size=32, n_epochs=1),
 )
 SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)
 
@@ -100,20 +99,6 @@ def test_the_criterion_asks_for_its_number_of_episodes_in_a_row() -> None:
     assert curriculum.add(Episode(0.0, 10, True, None), 50, 5) is False
 
 
-class Stop:
-    """Asks for the end of a training, as Ctrl-C does, once it has made so many steps."""
-
-    def __init__(self, steps: int) -> None:
-        self._steps = steps
-
-    def start(self, progress: TrainingProgress) -> None: ...
-    def stop(self) -> None: ...
-    def note(self, text: str) -> None: ...
-    def update(self, progress: TrainingProgress) -> None:
-        if self._steps < progress.steps < self._steps + 100:
-            os.kill(os.getpid(), signal.SIGINT)
-
-
 def test_a_stage_that_counts_evaluations_ends_with_one_and_resumes_to_the_bit(tmp_path: Path) -> None:
     evaluated = [Criterion("mean_return", length - 0.5, None) for length in (2, 3)]
     compiled = staged(*evaluated, None, lengths=(2, 3, 4), solved=Solved(5, mean_return=4.5))
@@ -127,7 +112,7 @@ def test_a_stage_that_counts_evaluations_ends_with_one_and_resumes_to_the_bit(tm
         ("b", 3.0, log[1]["steps"]),
     ]
     parts = train(
-        compiled, run=tmp_path / "parts", build=stand_in.build, total_timesteps=1400, progress=Stop(500)
+        compiled, run=tmp_path / "parts", build=stand_in.build, total_timesteps=1400, progress=At(501)
     )
     assert (parts.status, [done.name for done in parts.stages]) == ("interrupted", ["a"])
     again = resume(parts.run, build=stand_in.build)

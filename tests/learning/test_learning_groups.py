@@ -13,6 +13,7 @@ from statistics import fmean
 
 import pytest
 import stand_in
+from stand_in import hyper
 
 from deepbots_cli.analysis.changes import scenario_changes
 from deepbots_cli.cli import main
@@ -38,13 +39,13 @@ from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.statistics import compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Hyperparameter, Solved, Training
+from deepbots_cli.program.task import Solved, Training
 
 SHORT = Training(
     "PPO",
     200,
     2,
-    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+    hyper(n_steps=32, batch_size=32, n_epochs=1),
 )
 SCENARIO = stand_in.compiled(training=SHORT, solved=Solved(10, mean_return=195.0))
 
@@ -345,18 +346,6 @@ def test_runs_are_sorted_with_those_without_a_value_at_the_end(run_copy: Path) -
     assert [run.path.name for run in sort_runs(list_runs(run_copy.parent), "return")] == ["copy", "damaged"]
     assert [run.path.name for run in sort_runs(list_runs(run_copy.parent), "name")] == ["copy", "damaged"]
     assert list_runs(run_copy.parent / "nowhere") == []
-
-
-@pytest.mark.parametrize("seeds", ["5..1", "0..999999", "0..999,1000..1999", "", "-1", "0,0"])
-def test_a_list_of_seeds_that_cannot_be_is_refused_before_anything_is_made(
-    seeds: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["train", "cartpole", "--seeds", seeds]) == 2
-    told = capsys.readouterr().err
-    assert "--seeds: " in told
-    assert "training" not in told
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_log_that_is_no_text_is_listed_without_it(run_copy: Path) -> None:

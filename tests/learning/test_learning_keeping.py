@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import stand_in
+from stand_in import hyper
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import evaluate, train
@@ -18,14 +19,14 @@ from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Hyperparameter, Training
+from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE
 
 SHORT = Training(
     "PPO",
     400,
     2,
-    tuple(Hyperparameter(*pair) for pair in (("n_steps", 32), ("batch_size", 32), ("n_epochs", 1))),
+    hyper(n_steps=32, batch_size=32, n_epochs=1),
 )
 
 

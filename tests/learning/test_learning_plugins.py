@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -14,6 +12,7 @@ from typing import Any
 import pytest
 import stand_in
 from stable_baselines3 import PPO
+from stand_in import hyper
 
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import PluginError, UsageError
@@ -21,15 +20,13 @@ from deepbots_cli.learning import TrainingResult, resume, resume_group, train, t
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import RunRecord
-from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
-from deepbots_cli.program.task import Hyperparameter, Training
+from deepbots_cli.program.task import Training
+from tests.learning.interruption import At
 from tests.plugins import test_plugins
 
 GROUPS = ("deepbots.callbacks", "deepbots.loggers")
-TASK = stand_in.compiled(
-    training=Training("PPO", 256, 2, tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")))
-)
+TASK = stand_in.compiled(training=Training("PPO", 256, 2, hyper(n_steps=32, batch_size=32)))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -52,18 +49,10 @@ def lines(run: Path, name: str) -> list[str]:
     return [line for line in (run / "logs" / name).read_text().splitlines() if ",time/" not in line]
 
 
-class Interrupted(Reporter):
-    """Presses Ctrl-C after 128 steps."""
-
-    def update(self, progress: TrainingProgress) -> None:
-        if 128 <= progress.steps < 192:
-            os.kill(os.getpid(), signal.SIGINT)
-
-
 def test_a_training_that_was_interrupted_calls_and_logs_as_one_that_was_not(tmp_path: Path) -> None:
     names: dict[str, Any] = {"callbacks": ["explore_less"], "loggers": ["csv", "json_lines"]}
     whole = short(tmp_path / "whole", **names)
-    assert short(tmp_path / "parts", **names, progress=Interrupted()).interrupted
+    assert short(tmp_path / "parts", **names, progress=At(128)).interrupted
     with (tmp_path / "parts" / "logs" / "scalars.csv").open("a") as file:
         file.write("140,written after the checkpoint,1\n")
     parts = resume(tmp_path / "parts", build=stand_in.build)

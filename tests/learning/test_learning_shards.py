@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import stand_in
-from test_learning_resume import CASES, build_of, outcome
+from test_learning_resume import CASES, build_of
 
 from deepbots_cli.learning import train
 from deepbots_cli.learning.environments import WorldFactory
@@ -22,6 +22,7 @@ from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout.collector import Harvest, Order, RunningEpisode, ShardPool
 from deepbots_cli.rollout.worlds import Array
 from tests.few import few
+from tests.learning.interruption import outcome
 
 ALGORITHMS = [name for name in CASES if name not in ("DDPG", "TQC", "older weights")]
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,6 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.envs import BitFlippingEnv
 from stable_baselines3.common.vec_env import DummyVecEnv
 from stable_baselines3.her import HerReplayBuffer
-from test_learning_resume import outcome
 from test_learning_shards import Forgetful
 
 from deepbots_cli import api
@@ -23,18 +20,18 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.learning.executor import SERIAL
 from deepbots_cli.learning.listing import read_listed
-from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
 from deepbots_cli.learning.teacher import Teaching
 from deepbots_cli.program.task import Teacher
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.recordings import record
 from tests.few import few
+from tests.learning.interruption import At, outcome
 
 BALANCER = [
-    "truncation.max_time=1s",
+    "truncation.max_time=0.4s",
     "train.environments=4",
-    "train.n_steps=32",
+    "train.n_steps=16",
     "train.batch_size=64",
     "train.network.hidden=[16]",
 ]
@@ -52,14 +49,14 @@ CASES = {
     "SAC": (
         "balancer",
         [
-            "truncation.max_time=1s",
-            "train={algorithm: SAC, total_timesteps: 1000, environments: 4, learning_starts: 200,"
+            "truncation.max_time=0.4s",
+            "train={algorithm: SAC, total_timesteps: 500, environments: 4, learning_starts: 100,"
             " train_freq: 8, gradient_steps: 4, "
             "network: {hidden: [16]}, teacher: {script: lean, share: 0.5}}",
         ],
     ),
 }
-STEPS = 1024
+STEPS = 512
 
 
 def trained(name: str, folder: Path, changes: list[str] | None = None, **options: Any) -> dict[str, Any]:
@@ -74,23 +71,13 @@ def trained(name: str, folder: Path, changes: list[str] | None = None, **options
     return outcome(folder)
 
 
-class InterruptedAt(Reporter):
-    def __init__(self, steps: int) -> None:
-        self._steps = steps
-
-    def update(self, progress: TrainingProgress) -> None:
-        if progress.steps >= self._steps:
-            self._steps = 10**9
-            os.kill(os.getpid(), signal.SIGINT)
-
-
-@pytest.mark.parametrize("steps", few([200, 450, 700], ["450"]))
+@pytest.mark.parametrize("steps", few([100, 225, 350], ["225"]))
 @pytest.mark.parametrize("name", few(CASES, ["PPO in stages", "SAC"]))
 def test_an_interrupted_training_with_a_teacher_resumes_to_the_bit(
     tmp_path: Path, name: str, steps: int
 ) -> None:
     whole = trained(name, tmp_path / "whole")
-    trained(name, tmp_path / "parts", progress=InterruptedAt(steps))
+    trained(name, tmp_path / "parts", progress=At(steps))
     resumed = resume(tmp_path / "parts")
     assert (resumed.steps, resumed.inexact) == (STEPS, ())
     found = outcome(tmp_path / "parts")
@@ -109,11 +96,11 @@ def test_shards_that_are_lost_with_every_fragment_are_taught_the_same(tmp_path: 
 def test_a_policy_imitates_its_teacher(tmp_path: Path) -> None:
     found = {}
     for name, changes in (("taught", ["train.teacher=lean"]), ("alone", [])):
-        compiled = api.compile("balancer", overrides=[*BALANCER, "truncation.max_time=4s", *changes])
-        result = train(compiled, run=tmp_path / name, total_timesteps=4_000, stop_when_solved=False)
-        found[name] = evaluate(result.run, model="last", episodes=10).mean_length
-    assert found["taught"] > 300
-    assert found["alone"] < 150
+        compiled = api.compile("balancer", overrides=[*BALANCER, "truncation.max_time=2s", *changes])
+        result = train(compiled, run=tmp_path / name, total_timesteps=2_000, stop_when_solved=False)
+        found[name] = evaluate(result.run, model="last", episodes=5).mean_length
+    assert found["taught"] > 150
+    assert found["alone"] < 100
 
 
 @pytest.mark.slow
@@ -132,17 +119,18 @@ def test_an_actor_with_a_replay_buffer_imitates_its_teacher(tmp_path: Path, algo
 
 def test_with_a_teacher_evaluations_decide_what_exploration_spoils(tmp_path: Path) -> None:
     learner = (
-        "total_timesteps: 2400, environments: 4, learning_starts: 200, network: {hidden: [32]},"
+        "total_timesteps: 1600, environments: 4, learning_starts: 200, network: {hidden: [32]},"
         " action_noise: {type: normal, sigma: 1.0}"
     )
     train_ = f"train={{algorithm: TD3, {learner}, teacher: {{script: lean, share: 0.9}}}}"
     compiled = api.compile(
-        "balancer", overrides=["truncation.max_time=1s", "solved=mean_return >= 95 over 10 episodes", train_]
+        "balancer",
+        overrides=["truncation.max_time=0.5s", "solved=mean_return >= 47 over 10 episodes", train_],
     )
     result = train(compiled, run=tmp_path / "run")
     assert result.solved_at is not None
     assert result.mean_return is not None
-    assert result.mean_return < 95 <= result.solved_at.mean_return
+    assert result.mean_return < 47 <= result.solved_at.mean_return
     assert result.confirmed_seed is not None
 
 
@@ -264,7 +252,7 @@ def test_a_recording_teaches_and_its_training_resumes_to_the_bit(tmp_path: Path,
     options: dict[str, Any] = {"total_timesteps": STEPS, "stop_when_solved": False, "demonstrations": path}
     compiled = api.compile(scenario, overrides=changes)
     train(compiled, run=tmp_path / "whole", **options)
-    train(compiled, run=tmp_path / "parts", progress=InterruptedAt(450), **options)
+    train(compiled, run=tmp_path / "parts", progress=At(225), **options)
     path.unlink()  # the run has a copy
     assert resume(tmp_path / "parts").inexact == ()
     assert outcome(tmp_path / "parts") == (whole := outcome(tmp_path / "whole"))

@@ -10,10 +10,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import stand_in
+from stand_in import hyper
 
 from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Hyperparameter, Network, Training
+from deepbots_cli.program.task import Network, Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.worlds import Worlds
 from tests.few import few
@@ -122,7 +123,7 @@ def test_a_team_is_trained_evaluated_and_gone_on_with(tmp_path: Path, algorithm:
         algorithm,
         600,
         2,
-        tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size")),
+        hyper(n_steps=32, batch_size=32),
         Network((8,)),
     )
     result = train(stand_in.compiled(training=training), run=tmp_path / "run", build=Team)

@@ -20,6 +20,7 @@ from typing import Any
 import pytest
 import stand_in
 from stable_baselines3.common.env_checker import check_env
+from stand_in import hyper
 
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
@@ -33,7 +34,7 @@ from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.learning.training import _training_of
-from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Solved, Training
+from deepbots_cli.program.task import Network, Schedule, Solved, Training
 from tests.few import few
 
 
@@ -48,10 +49,6 @@ def short(tmp_path: Path, **settings: Any) -> TrainingResult:
     return train(
         stand_in.compiled(training=training, solved=settings.pop("solved", None)), runs=tmp_path, **settings
     )
-
-
-def hyper(**figures: Any) -> tuple[Hyperparameter, ...]:
-    return tuple(Hyperparameter(name, value) for name, value in figures.items())
 
 
 def rows(run: Path) -> list[dict[str, str]]:

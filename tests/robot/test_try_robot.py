@@ -20,6 +20,7 @@ from deepbots_cli.insight.real_robot import RESET_BY_ROBOT, SILENT, scored, try_
 from deepbots_cli.insight.robot import robot_program, sent_readings, serve_robot
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import named_driver
+from deepbots_robot import serving
 from deepbots_robot.serving import Transport
 
 
@@ -121,7 +122,7 @@ def test_a_robot_that_falls_silent_ends_the_episode(tmp_path: Path) -> None:
     transport, program = Transport(zmq=f"ipc://{tmp_path}/link"), api.compile("pit_escape").program
     with simulated("pit_escape", transport):  # it ends when it is out of the pit, which it does not measure
         (here,), _ = try_robot(
-            program, transport, lambda world: named_driver(world, "rocking"), lockstep=True, seconds=2
+            program, transport, lambda world: named_driver(world, "rocking"), lockstep=True, seconds=1
         )
     assert here.ended_by == SILENT
     assert here.length > 10
@@ -129,14 +130,17 @@ def test_a_robot_that_falls_silent_ends_the_episode(tmp_path: Path) -> None:
         try_robot(program, transport, lambda world: named_driver(world, "rocking"), seconds=0.1)
 
 
-def test_a_robot_that_is_not_there_is_named_after_5_s(tmp_path: Path) -> None:
+def test_a_robot_that_is_not_there_is_named_after_a_while(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serving, "QUIET", 0.25)
     transport, program = Transport(zmq=f"ipc://{tmp_path}/link"), api.compile("pit_escape").program
     notes: list[str] = []
     with pytest.raises(UsageError, match="no value of"):
         try_robot(
-            program, transport, lambda world: named_driver(world, "rocking"), seconds=5.5, note=notes.append
+            program, transport, lambda world: named_driver(world, "rocking"), seconds=0.7, note=notes.append
         )
-    assert notes[-1] == "no step in 5 s: there is no value of roller.gyro, roller.accel yet"
+    assert notes[-1] == "no step in 0.25 s: there is no value of roller.gyro, roller.accel yet"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,81 @@
+"""Trainings to which something happens after some steps, and what a training has made, to the bit."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from deepbots_cli.learning import checkpoints
+from deepbots_cli.learning.report import Reporter, TrainingProgress
+from deepbots_cli.learning.run import Run
+
+TIMES = {"cpu_seconds", "wall_seconds", "simulated_hours", "solved_at"}
+
+
+def press_ctrl_c() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+class At(Reporter):
+    """Does something once, after some steps."""
+
+    def __init__(self, steps: int, act: Callable[[], None] = press_ctrl_c) -> None:
+        self.steps, self.act, self.is_done = steps, act, False
+        self.notes: list[str] = []
+
+    def update(self, progress: TrainingProgress) -> None:
+        if progress.steps >= self.steps and not self.is_done:
+            self.is_done = True
+            self.act()
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+def outcome(folder: Path) -> dict[str, Any]:
+    """Everything that a training has made, without times."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    run = Run.open(folder)
+    assert run.record.result is not None
+    events = EventAccumulator(str(run.tensorboard), size_guidance={"scalars": 0})
+    events.Reload()
+    last = checkpoints.latest_checkpoint(run)
+    with run.monitor.open(newline="") as file:
+        next(file)
+        rows = [{name: value for name, value in row.items() if name != "t"} for row in csv.DictReader(file)]
+    return {
+        "result": {name: value for name, value in run.record.result if name not in TIMES},
+        "solved": run.record.result.solved_at and run.record.result.solved_at.steps,
+        "monitor": rows,
+        "scalars": {
+            tag: [(event.step, event.value) for event in events.Scalars(tag)]
+            for tag in events.Tags()["scalars"]
+            if not tag.startswith("time/")
+        },
+        "evaluations": (run.evaluations / "training.jsonl").read_text()
+        if (run.evaluations / "training.jsonl").exists()
+        else "",
+        "models": {path.name: models_in(path) for path in run.model("last").parent.glob("*.zip")},
+        "checkpoint": None if last is None else last.name,
+    }
+
+
+def models_in(path: Path) -> dict[str, Any]:
+    """The tensors of a model, to the bit."""
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    _, tensors, variables = load_from_zip_file(path, load_data=False, device="cpu")
+    return {"tensors": plain(tensors), "variables": plain(variables)}
+
+
+def plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [plain(inner) for inner in value]
+    return value.tolist() if hasattr(value, "tolist") else value
