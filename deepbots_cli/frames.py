@@ -67,6 +67,12 @@ def normalized(q: Quaternion) -> Quaternion:
     return (q[0] / length, q[1] / length, q[2] / length, q[3] / length)
 
 
+def leveled(turned: Quaternion) -> Quaternion:
+    """The yaw of a rotation alone; none where its forward axis is vertical."""
+    x, y, _ = rotate(turned, (1.0, 0.0, 0.0))
+    return quaternion(0.0, 0.0, atan2(y, x) if hypot(x, y) > 1e-9 else 0.0)
+
+
 def cross(a: Triple, b: Triple) -> Triple:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 

@@ -138,10 +138,11 @@ class Bindable(Protocol):
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         """The distance between two surfaces, m: 0 if they touch, infinite if a body is absent."""
 
-    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False) -> RayReader:
         """Rays along the x axis of frames in the frame of a link: how far (m) each is free, at most `reach`.
 
-        Rays ignore their own body, and bodies that are not solid.
+        Rays ignore their own body, and bodies that are not solid. With `upright`, the frames follow the yaw
+        of the link alone, and stay level when it tilts.
         """
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader: ...

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader
@@ -30,6 +30,7 @@ from deepbots_cli.scenario.sensors import (
     BASES,
     Camera,
     ContactSensor,
+    HeightScan,
     JointSensor,
     LinkSensor,
     RayScan,
@@ -101,7 +102,7 @@ class SensorsCompiler(NamespaceReader):
         if own is None:
             return
         faults, typed = _noise_model(self._namespace, spec, typed)
-        if isinstance(spec, RaySensor) and spec.lookup is None:
+        if isinstance(spec, HeightScan) or (isinstance(spec, RaySensor) and spec.lookup is None):
             sensor = self._with_ray_reach(sensor, spec, faults)
         unit = "" if typed.boolean or typed.picture else str(typed.dimension)
         self._sensors[name] = replace(sensor, unit=unit, faults=faults, parameters=own)
@@ -155,8 +156,8 @@ class SensorsCompiler(NamespaceReader):
             dimension, components or None, boolean=spec.boolean, known=Known.STEP
         ).with_intervals(intervals)
 
-    def _with_ray_reach(self, sensor: Sensor, spec: RaySensor, faults: NoiseModel | None) -> Sensor:
-        """The sensor with rays that go to the end of its range."""
+    def _with_ray_reach(self, sensor: Sensor, spec: RayScan, faults: NoiseModel | None) -> Sensor:
+        """The sensor with rays that go to the end of its range; those of a height scan begin at its begin."""
         if "range" not in spec.model_fields_set and not self._values.is_invalid("range"):
             headline = f"the range of `{sensor.name}` is missing"
             self._values.add_at_key(
@@ -166,7 +167,11 @@ class SensorsCompiler(NamespaceReader):
         if faults and faults.high and reach <= 0.0:
             span, headline = self._values.span((*spec.path, "range")), f"a range that ends at {reach:g} m"
             self._values.add("DB105", span, headline, "end the range above 0 m: distances are positive")
-        return replace(sensor, beams=replace(sensor.beams, reach=reach) if sensor.beams else None)
+        behind = 0.0
+        if isinstance(spec, HeightScan) and faults and faults.low:
+            behind = max(0.0, -min(faults.low))
+        beams = replace(sensor.beams, reach=reach + behind, behind=behind) if sensor.beams else None
+        return replace(sensor, beams=beams)
 
     def _against(self, spec: Touch) -> tuple[str, ...]:
         """The full names of what a touch sensor feels."""
@@ -241,16 +246,16 @@ def _scan(namespace: Namespace, spec: RayScan) -> tuple[RayConfig, Components, D
     """The rays, with components, dimension and interval of what they tell; None after a finding. Without a
     lookup, their reach is 0."""
     rays = _rays(namespace, spec)
+    align = spec.align or ("yaw" if isinstance(spec, HeightScan) else "link")
     if not isinstance(spec, RaySensor):
-        return (
-            None
-            if rays is None
-            else (RayConfig(tuple(rays.values()), 0.0), _components(rays), spec.dimension, spec.interval)
-        )
+        if rays is None:
+            return None
+        beams = RayConfig(tuple(rays.values()), 0.0, upright=align == "yaw")
+        return beams, _components(rays), spec.dimension, spec.interval
     table = _lookup(namespace, spec.lookup) if spec.lookup is not None else None
     if rays is None or (spec.lookup is not None and table is None):
         return None
-    beams = RayConfig(tuple(rays.values()), 0.0, spec.measure)
+    beams = RayConfig(tuple(rays.values()), 0.0, spec.measure, upright=align == "yaw")
     components = _components(rays) if spec.measure == "each" else ()
     if table is None:
         return beams, components, spec.dimension, spec.interval
@@ -267,13 +272,15 @@ def _components(rays: dict[str, Pose]) -> Components:
 def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     """The frames of rays by their names, "" for a single ray without a name; None after a finding."""
     values = namespace.values
+    if spec.grid is not None:
+        return _grid(namespace, spec)
     if isinstance(spec.rays, dict):
         if spec.angle_range is not None:
             help = "remove it, or write a number of rays, as in `rays: 5`, to spread them over the range"
             values.add_at_key(
                 "DB101", (*spec.path, "angle_range"), "`angle_range` does not apply to rays with names", help
             )
-        return {name: _frame(namespace, ray) for name, ray in spec.rays.items()}
+        return {name: _turned_down(_frame(namespace, ray), spec) for name, ray in spec.rays.items()}
     count = spec.rays or 1
     if spec.angle_range is None:
         if count > 1 and not values.is_invalid("angle_range"):
@@ -284,13 +291,38 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
             values.add("DB102", (*spec.path, "rays"), f"the directions of the {count} rays are missing", help)
         if count > 1:
             return None
-        return {"": Pose()} if spec.rays is None else {"r0": Pose()}
+        return {"" if spec.rays is None else "r0": _turned_down(Pose(), spec)}
     ends = namespace.fields.ends(spec, "angle_range", what="`angle_range`", falling=True)
     if ends is None:
         return None
     (first,), (last,) = ends.low, ends.high
     turns = [first + (last - first) * (index / (count - 1) if count > 1 else 0.5) for index in range(count)]
     return {f"r{index}": Pose(rpy=(0.0, 0.0, turn)) for index, turn in enumerate(turns)}
+
+
+def _grid(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
+    """The frames of parallel rays by their names; None after a finding."""
+    values = namespace.values
+    for key in ("rays", "angle_range"):
+        if key in spec.model_fields_set:
+            help = "remove it, or the `grid`: a sensor has rays by name, a fan of rays, or a grid"
+            values.add_at_key("DB101", (*spec.path, key), f"`{key}` does not apply to a grid of rays", help)
+            return None
+    size, spacing = namespace.fields.pair(spec, "grid"), namespace.fields.fixed(spec, "spacing")
+    if size is None or spacing is None:
+        return None
+    columns, rows = (int(number) for number in size)
+    poses: dict[str, Pose] = {}
+    for column, row in product(range(columns), range(rows)):
+        first, second = spacing * (column - (columns - 1) / 2), spacing * (row - (rows - 1) / 2)
+        xyz = (first, second, 0.0) if isinstance(spec, HeightScan) else (0.0, first, second)
+        poses[f"r{column}_{row}"] = _turned_down(Pose(xyz), spec)
+    return poses
+
+
+def _turned_down(pose: Pose, spec: RayScan) -> Pose:
+    """The frame of a ray, whose x axis points down where the sensor is a height scan."""
+    return replace(pose, rpy=(0.0, math.pi / 2, 0.0)) if isinstance(spec, HeightScan) else pose
 
 
 def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Dimension] | None:

@@ -836,10 +836,12 @@ def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tup
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
     begins = [ray[0] for ray in rays]
     ends = [*begins, *(frames.compose(ray, ((reach, 0.0, 0.0), frames.IDENTITY_ROTATION))[0] for ray in rays)]
-    pose, cast = engine.pose(*part), engine.rays(part, rays, reach)
+    upright = sensor.beams.upright
+    pose, cast = engine.pose(*part), engine.rays(part, rays, reach, **({"upright": True} if upright else {}))
 
     def measured() -> tuple[float, float]:
         (_, _, height), turn = pose()
+        turn = frames.leveled(turn) if upright else turn
         if min(cast()) < reach:
             return -inf, inf
         return height + min(frames.rotate(turn, end)[2] for end in ends), height + max(

@@ -63,13 +63,24 @@ class RayConfig:
     """Rays along x of frames in the sensor's frame, free up to `reach` m; `combined` says what becomes of
     several.
 
-    A reflectance sensor looks along -z of those frames.
+    A reflectance sensor looks along -z of those frames. `upright` rays follow the yaw of the link alone.
+    Rays begin so many m `behind` their frames, and readings are distances from the frames.
     """
 
     rays: tuple[Pose, ...]
     reach: float
     combined: RayReduction = "each"
     lookup: CalibrationTable | None = None
+    upright: bool = False
+    behind: float = 0.0
+
+    def digest_fields(self) -> dict[str, object]:
+        """Rays that begin in frames of their link count as they did before there were others."""
+        return {
+            entry.name: getattr(self, entry.name)
+            for entry in fields(self)
+            if entry.name not in ("upright", "behind") or getattr(self, entry.name)
+        }
 
 
 @dataclass(frozen=True)

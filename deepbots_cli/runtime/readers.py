@@ -237,15 +237,24 @@ def _part(name: str) -> Part:
 
 
 def ranging(site: Site) -> Instrument:
-    """The free distance along each ray, or one value for all rays, in m; or the reading that the lookup table
-    gives for it."""
+    """The free distance along each ray from its frame, or one value for all rays, in m; or the reading that
+    the lookup table gives for it."""
     beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
-    rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
-    read = _combined(site.engine.rays((site.robot, site.link), rays, beams.reach), beams)
+    start = ((-beams.behind, 0.0, 0.0), IDENTITY_ROTATION)
+    rays = [frames.compose(frames.compose(mount, frames.frame(ray)), start) for ray in beams.rays]
+    cast = site.engine.rays(
+        (site.robot, site.link), rays, beams.reach, **({"upright": True} if beams.upright else {})
+    )
+    read = _combined(_from_frames(cast, beams.behind), beams)
     if beams.lookup is None:
         return Instrument(read)
     table = LookupTable(beams.lookup, max(1, len(site.sensor.components)))
     return Instrument(read, table.restart, lookup=table)
+
+
+def _from_frames(read: RayReader, behind: float) -> RayReader:
+    """Distances from the frames of rays that begin `behind` them."""
+    return (lambda: [free - behind for free in read()]) if behind else read
 
 
 def _combined(read: RayReader, beams: RayConfig) -> RayReader:

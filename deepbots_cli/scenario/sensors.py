@@ -313,6 +313,20 @@ class RayScan(LinkSensor):
     and named `r0`, `r1`, ... By default there is one ray."""
     angle_range: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
+    grid: (
+        Annotated[
+            Scalar, Quantity("number", components=2, minimum=1, maximum=64, whole=True, example_text="9 5")
+        ]
+        | None
+    ) = None
+    """Parallel rays in place of a fan: their numbers in both directions, such as `9 5`. Those of a
+    `height_scan` are spread along x and y; others look along x, and are spread along y and z. They are named
+    `r0_0`, `r0_1`, ..."""
+    spacing: Annotated[Scalar, Quantity("length", minimum=0, exclusive=True)] = "10 cm"
+    """Distance between the rays of a `grid`."""
+    align: Literal["link", "yaw"] | None = None
+    """Whether the rays turn with the `link`, or only with its `yaw`, and stay level when it tilts. By
+    default, those of a `height_scan` follow the yaw, and others the link."""
 
 
 class RaySensor(RayScan):
@@ -351,6 +365,17 @@ class Lidar(RaySensor):
     """Free distance along the rays of a fan."""
 
     type: Literal["lidar"]
+
+
+class HeightScan(RayScan):
+    """Height of the sensor above what lies below each of its rays, which point down: the ground, and bodies on
+    it. The height is negative where the ground is higher than the sensor; `range` must then begin below 0."""
+
+    dimension = LENGTH
+    reader = f"{_READERS}:ranging"
+    perceives = True
+
+    type: Literal["height_scan"]
 
 
 class Reflectance(RayScan):
@@ -401,7 +426,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
 _KINDS = (
     *(JointPosition, JointVelocity, JointTorque),
     *(Gyro, Accelerometer, ProjectedGravity, Compass, Position, Velocity, Orientation, AngularVelocity),
-    *(Touch, Force, Infrared, Sonar, Laser, Lidar, Reflectance, Camera),
+    *(Touch, Force, Infrared, Sonar, Laser, Lidar, HeightScan, Reflectance, Camera),
 )
 SENSORS: PluginTable[type[Sensor]] = PluginTable(
     "deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read

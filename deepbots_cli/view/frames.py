@@ -82,12 +82,13 @@ class PlottedField(NamedTuple):
 
 class SensorRays(NamedTuple):
     """The rays of a sensor: `starts` (n, 3) and unit vectors `directions` (n, 3) in the frame of the link,
-    free up to `reach` m."""
+    free up to `reach` m. `upright` rays follow the yaw of the link alone."""
 
     part: LinkName
     starts: NDArray[np.float64]
     directions: NDArray[np.float64]
     reach: float
+    upright: bool = False
 
     def lines(self, frame: WorldFrame, key: str) -> NDArray[np.float32]:
         """Each ray from its start to where it is no longer free: x, y, z (world frame) and red, green, blue
@@ -96,6 +97,7 @@ class SensorRays(NamedTuple):
         Rays are green where nothing is near, and red where something is.
         """
         free, (origin, turn) = np.array(frame.rays[key])[:, None], frame.links[self.part]
+        turn = frames.leveled(turn) if self.upright else turn
         axes = np.array(
             [frames.rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
         )
@@ -330,7 +332,10 @@ class FrameReader:
             {key: beam for key, (beam, _) in beams.items()},
             {key: tap.fields for key, (_, tap) in self._message_recorders.items()},
         )
-        self._rays = {key: engine.rays(beam.part, rays, beam.reach) for key, (beam, rays) in beams.items()}
+        self._rays = {
+            key: engine.rays(beam.part, rays, beam.reach, **({"upright": True} if beam.upright else {}))
+            for key, (beam, rays) in beams.items()
+        }
         self._pushes = list(self._pushed_links(models))
         self._pooled = {thing.name for thing in world.objects if thing.pooled}
         self._variants = {thing.name: thing.variants[0].name for thing in world.objects if thing.variants}
@@ -472,7 +477,8 @@ def _beams(part: LinkName, sensor: Sensor) -> tuple[SensorRays, Sequence[Frame]]
         rays = [frames.compose(ray, (ZERO_VECTOR, _DOWNWARD)) for ray in rays]
     starts = np.array([origin for origin, _ in rays])
     directions = np.array([frames.rotate(turn, (1.0, 0.0, 0.0)) for _, turn in rays])
-    return SensorRays(part, starts, directions, sensor.beams.reach or _REFLECTANCE_REACH_M), rays
+    reach = sensor.beams.reach or _REFLECTANCE_REACH_M
+    return SensorRays(part, starts, directions, reach, sensor.beams.upright), rays
 
 
 _REFLECTANCE_REACH_M = 0.1  # m; a reflectance sensor has no reach of its own

@@ -38,7 +38,7 @@ import deepbots_cli
 from deepbots_cli import frames
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.frames import Frame, Triple
+from deepbots_cli.frames import Frame, Quaternion, Triple
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import FORMAT, Payloads
 from deepbots_cli.view.episodes import Player
@@ -148,7 +148,9 @@ class TopicEncoder:
             "truncated": frame.truncated,
         }
         for key, beams in layout.sensor_rays.items():
-            topics[f"/scan/{key}"] = _scan(beams, self._scans[key], frame.rays[key], stamp)
+            topics[f"/scan/{key}"] = _scan(
+                beams, self._scans[key], frame.rays[key], frame.links[beams.part][1], stamp
+            )
         for name, agent in frame.agents.items():
             topics[f"/agent/{name}"] = {
                 "observation": _named(_names(layout.observation), agent.observation),
@@ -220,8 +222,13 @@ def _fan(beams: SensorRays) -> tuple[Frame, float] | None:
 
 
 def _scan(
-    beams: SensorRays, fan: tuple[Frame, float] | None, free: Sequence[float], stamp: Any
+    beams: SensorRays,
+    fan: tuple[Frame, float] | None,
+    free: Sequence[float],
+    turned: Quaternion,
+    stamp: Any,
 ) -> dict[str, Any]:
+    """A scan in the frame of its link, which is `turned` in the world."""
     head = {"timestamp": stamp, "frame_id": "/".join(beams.part)}
     if fan is not None:
         pose, step = fan
@@ -233,13 +240,14 @@ def _scan(
             "ranges": list(free),
             "intensities": [0.0] * len(free),
         }
+    level = ((0.0, 0.0, 0.0), frames.multiply(frames.inverse(turned), frames.leveled(turned)))
     points = (beams.starts + np.array(free)[:, None] * beams.directions).astype("<f4")
     fields = [
         {"name": axis, "offset": 4 * place, "type": 7} for place, axis in enumerate("xyz")
     ]  # 7: FLOAT32
     return {
         **head,
-        "pose": _pose(frames.IDENTITY_FRAME),
+        "pose": _pose(level if beams.upright else frames.IDENTITY_FRAME),
         "point_stride": 12,
         "fields": fields,
         "data": points.tobytes(),

@@ -216,7 +216,7 @@ def test_the_points_of_a_scan_are_where_the_rays_end(count):
     ways = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1) @ tilt.T
     beams = SensorRays(("robot", "base"), np.tile([0.1, 0.2, 0.3], (count, 1)), ways, 4.0)
     free = list(np.linspace(1.0, 3.0, count))
-    scan = recordings._scan(beams, recordings._fan(beams), free, {})
+    scan = recordings._scan(beams, recordings._fan(beams), free, (0.0, 0.0, 0.0, 1.0), {})
     from scipy.spatial.transform import Rotation
 
     at = np.linspace(scan["start_angle"], scan["end_angle"], count)

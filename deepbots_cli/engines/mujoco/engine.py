@@ -314,9 +314,11 @@ class MuJoCoEngine:
         )
         return lambda: read() if near.present and far.present else inf
 
-    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False) -> RayReader:
         return self._pool(part[0]).bind_current(
-            lambda body: surfaces.rays(self._world, body, _link(body, part[1]), tuple(rays), reach)
+            lambda body: surfaces.rays(
+                self._world, body, _link(body, part[1]), tuple(rays), reach, upright=upright
+            )
         )
 
     def overlaps(self) -> list[Overlap]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import inf
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 MAX_CLEARANCE_M = 1e6  # m; the distance between surfaces is asked for up to here
 ELLIPSOID = int(mj.mjtGeom.mjGEOM_ELLIPSOID)  # the shape of tires, and of nothing else
+VERTICAL = 1e-9  # the horizontal length of a forward axis that points up or down
 MEETING_TOLERANCE_M = 1e-9  # m; by how much lines that meet in a point may miss it
 SEEN_GROUPS = np.ones(6, np.uint8)  # the groups of geoms that rays meet
 SEEN_GROUPS[HIDDEN_GROUP] = 0
@@ -122,7 +123,8 @@ def penetrations(world: MujocoWorld) -> Iterable[tuple[int, int, float]]:
 class _Rays(NamedTuple):
     """Rays of a link that pass through its own body, whose geoms have these `groups`.
 
-    `starts` and `directions` are in the frame of the link, of shape (rays, 3); `reach` is in m.
+    `starts` and `directions` are in the frame of the link, of shape (rays, 3); `reach` is in m. `upright`
+    rays follow the yaw of the link alone.
     """
 
     link: int
@@ -130,23 +132,53 @@ class _Rays(NamedTuple):
     starts: FloatArray
     directions: FloatArray
     reach: float
+    upright: bool
+
+    def axes(self, world: MujocoWorld) -> FloatArray:
+        """The matrix that turns the frame of the rays into that of the world."""
+        matrix = world.data.xmat[self.link].reshape(3, 3)
+        return level_axes(matrix[0, 0], matrix[1, 0]) if self.upright else matrix
 
 
-def rays(world: MujocoWorld, body: Body, link: int, ray_frames: Sequence[Frame], reach: float) -> RayReader:
+def level_axes(xx: Any, yx: Any) -> FloatArray:
+    """The matrices (..., 3, 3) of the yaw of links whose forward axes have these x and y in the world.
+
+    A link whose forward axis is vertical has the yaw 0. Without angles, single worlds and batches round alike.
+    """
+    length = np.sqrt(xx * xx + yx * yx)
+    is_vertical = length < VERTICAL
+    length = np.where(is_vertical, 1.0, length)
+    cosine, sine = np.where(is_vertical, 1.0, xx / length), np.where(is_vertical, 0.0, yx / length)
+    axes = np.zeros((*np.shape(cosine), 3, 3))
+    axes[..., 0, 0] = axes[..., 1, 1] = cosine
+    axes[..., 1, 0], axes[..., 0, 1], axes[..., 2, 2] = sine, -sine, 1.0
+    return axes
+
+
+def rays(
+    world: MujocoWorld,
+    body: Body,
+    link: int,
+    ray_frames: Sequence[Frame],
+    reach: float,
+    *,
+    upright: bool = False,
+) -> RayReader:
     """Rays whose lines meet in a point are cast from there in one call, which costs a quarter of a call for
     each."""
     own, groups = body.geoms_of(None), world.model.geom_group
     starts = np.array([origin for origin, _ in ray_frames])
     directions = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in ray_frames])
-    cast = _Rays(link, groups[min(own) : max(own) + 1] if own else groups[:0], starts, directions, reach)
+    own_groups = groups[min(own) : max(own) + 1] if own else groups[:0]
+    cast = _Rays(link, own_groups, starts, directions, reach, upright)
     center = _meeting_point(starts, directions)
     return _separate_rays(world, cast) if center is None else _rays_from_point(world, cast, center)
 
 
 def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
     model, data, ray, seen = world.model, world.data, mj.mj_ray, SEEN_GROUPS
-    link, groups, starts, directions, reach = rays
-    position, turned = data.xpos[link], data.xmat[link].reshape(3, 3).T
+    link, groups, starts, directions, reach, _ = rays
+    position = data.xpos[link]
     origins, ways = np.empty_like(starts), np.empty_like(directions)
     each = list(zip(origins, ways, strict=True))  # views of arrays that keep their memory
 
@@ -154,6 +186,7 @@ def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
         world.update_positions()
         kept = groups.copy()
         groups.fill(HIDDEN_GROUP)
+        turned = rays.axes(world).T
         np.matmul(starts, turned, origins)
         np.add(origins, position, origins)
         np.matmul(directions, turned, ways)
@@ -167,8 +200,8 @@ def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
 def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> RayReader:
     """`center` is in the frame of the link."""
     model, data, ray, seen = world.model, world.data, mj.mj_ray, SEEN_GROUPS
-    link, groups, starts, directions, reach = rays
-    position, axes = data.xpos[link], data.xmat[link].reshape(3, 3)
+    link, groups, starts, directions, reach, _ = rays
+    position = data.xpos[link]
     aside = np.ascontiguousarray(directions.T)
     count, ahead = len(starts), np.einsum("ij,ij->i", starts - center, directions).tolist()
     far, geoms, met = reach + max(ahead), np.zeros(count, np.int32), np.zeros(count)
@@ -177,6 +210,7 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
         world.update_positions()
         kept = groups.copy()
         groups.fill(HIDDEN_GROUP)
+        axes = rays.axes(world)
         origin, ways = position + axes @ center, (axes @ aside).T.ravel()
         mj.mj_multiRay(model, data, origin, ways, seen, True, -1, geoms, met, None, count, far)
         lengths = met.tolist()

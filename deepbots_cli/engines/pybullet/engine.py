@@ -254,12 +254,12 @@ class PyBulletEngine:
             return read
         return lambda: read() if all(pool.present for pool in pools) else inf
 
-    def rays(self, part: Part, rays: Sequence[Frame], reach: float) -> RayReader:
+    def rays(self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False) -> RayReader:
         if self._rays is None:
             self._rays = surfaces.Rays(
                 self._client, [body for pool in self._pools.values() for body in pool], self._cache
             )
-        return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach))
+        return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach, upright=upright))
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
         model = self._pool(part[0]).current.model

@@ -159,7 +159,11 @@ class Rays:
             if (rounded := _rounded(client, body, index, read_cache)) is not None
         }
 
-    def reader(self, body: Body, index: int, rays: Sequence[Frame], reach: float) -> RayReader:
+    def reader(
+        self, body: Body, index: int, rays: Sequence[Frame], reach: float, *, upright: bool = False
+    ) -> RayReader:
+        if upright:
+            return self._level_reader(body, index, rays, reach)
         center, principal = body.dynamics(index).inertia_frame
         back = frames.inverse(principal)
         ends = [frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0))) for origin, turned in rays]
@@ -197,6 +201,37 @@ class Rays:
             return free
 
         return read
+
+    def _level_reader(self, body: Body, index: int, rays: Sequence[Frame], reach: float) -> RayReader:
+        """Of rays that follow the yaw of a link alone, which PyBullet cannot mount on it."""
+        ends = [frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0))) for origin, turned in rays]
+        points = [origin for origin, _ in rays], ends
+        pose, mask = state.pose(self._client, body, index, self._cache), ~self._collision_group_bit(body)
+
+        def read() -> list[float]:
+            position, turned = pose()
+            level = (position, frames.leveled(turned))
+            starts, stops = (
+                [frames.compose(level, (point, frames.IDENTITY_ROTATION))[0] for point in each]
+                for each in points
+            )
+            hits = p.rayTestBatch(
+                starts, stops, numThreads=1, collisionFilterMask=mask, physicsClientId=self._client
+            )
+            return [
+                self._free(hit, start, stop, reach)
+                for hit, start, stop in zip(hits, starts, stops, strict=True)
+            ]
+
+        return read
+
+    def _free(self, hit: Any, start: Triple, stop: Triple, reach: float) -> float:
+        """The free distance along a ray from its hit; surfaces that PyBullet builds of triangles are round."""
+        surface = self._round_surfaces.get(hit[:2])
+        if surface is None:
+            return float(hit[2] * reach)
+        way = frames.scaled(frames.subtract(stop, start), 1.0 / reach)
+        return surface.hit_distance(start, way, hit[2] * reach)
 
     def _collision_group_bit(self, body: Body) -> int:
         """The bit of a body's own group; what it collides with stays as it was."""
