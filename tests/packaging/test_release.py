@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.packaging import release
+from tools.packaging import release
 
 ROOT = Path(__file__).resolve().parents[2]
 REPOSITORY = "https://host/owner/name"

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from deepbots_cli import api
-from tests.benchmarks.report import Row
 from tests.physics import robots
 from tests.physics.lab import ENGINE, off, trial
+from tools.benchmarks.report import Row
 
 G = 9.81
 FLOATING = "ground: {}, gravity: 0 0 0 m/s^2"

@@ -21,9 +21,9 @@ import pytest
 from deepbots_cli.document import shipped
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.statistics import mean_interval
-from tests.results import measure, page, picture
-from tests.results.__main__ import main
-from tests.results.experiment import (
+from tools.results import measure, page, picture
+from tools.results.__main__ import main
+from tools.results.experiment import (
     FIRST_SEED,
     RANDOM,
     Ahead,
@@ -39,12 +39,12 @@ from tests.results.experiment import (
     Tried,
     experiments,
 )
-from tests.results.experiments.not_measured import REASONS
-from tests.results.measure import ROOT, Places
-from tests.results.standing import Standing, judge, quartiles, together
+from tools.results.experiments.not_measured import REASONS
+from tools.results.measure import ROOT, Places
+from tools.results.standing import Standing, judge, quartiles, together
 
 PLACES = Places()
-CURRENT = "run: python -m tests.results --render"
+CURRENT = "run: python -m tools.results --render"
 EXPERIMENTS = list(experiments().values())
 
 
