@@ -3,9 +3,7 @@ them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import ceil, exp
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +11,25 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import RAIL, Make
 
-RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
-Make = Callable[..., Supervisor]
+STRONG = "robots.cart.joints={slider: {max_torque: 100 kN}}"
+"""The limit of the robot file is 10 N, and a greater one of an actuator has no effect."""
 
 TICK = 0.02
 FORWARD, BACKWARD = 0, 1
 ENDLESS = ("termination={failure: {off: abs(cart.place) > 1000 m}}", "reset={joints: {cart.hinge: 180 deg}}")
+
+
+@pytest.fixture
+def rail(make: Make) -> Make:
+    """The cart on a rail with settings of its motor, as in `rail(time_constant="20 ms")`."""
+
+    def make_rail(*overrides: str, engine: str = "exact", **motor: str) -> Supervisor:
+        keys = [f"robots.cart.actuators.motor.{key}={value}" for key, value in motor.items()]
+        return make(RAIL, STRONG, *overrides, *keys, engine=engine)
+
+    return make_rail
 
 
 def speeds(environment: Supervisor, ticks: int, action: int = FORWARD, seed: int = 0) -> list[float]:
@@ -269,14 +279,10 @@ def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
 
 
 @pytest.mark.parametrize("given", ["20 N", "uniform(20 .. 30 N)"])
-def test_a_limit_beyond_that_of_the_robot_file_does_not_hold(given: str):
-    world = api.make(
-        str(RAIL), overrides=[f"robots.cart.actuators.motor.max_torque={given}", *ENDLESS], engine="exact"
-    )
-    own = api.make(str(RAIL), overrides=list(ENDLESS), engine="exact")
+def test_a_limit_beyond_that_of_the_robot_file_does_not_hold(make: Make, given: str):
+    world = make(RAIL, f"robots.cart.actuators.motor.max_torque={given}", *ENDLESS, engine="exact")
+    own = make(RAIL, *ENDLESS, engine="exact")
     assert speeds(world, 3) == speeds(own, 3)
-    world.close()
-    own.close()
 
 
 def test_a_limit_over_several_joints_tightens_those_that_allow_more():

@@ -10,9 +10,8 @@ import pytest
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout.drivers import repeated_actions, zero_action
-from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
-Small = Callable[..., Supervisor]
 MIXED = "action={drive: -1 .. 1, gear: {choices: {low: 1, high: 3}, forbid: {high: step < 1}}, tilt: 0 .. 4}"
 REWARD = "reward: {drive: drive, gear: 10 * gear, tilt: 100 * tilt}\n"
 
@@ -21,7 +20,7 @@ def act(gear: Any, *ranges: float) -> dict[str, Any]:
     return {"choices": gear, "ranges": np.array(ranges, np.float32)}
 
 
-def test_choices_and_ranges_together_are_a_dict(small: Small) -> None:
+def test_choices_and_ranges_together_are_a_dict(small: Make) -> None:
     environment = small(REWARD, MIXED)
     environment.reset(seed=0)
     assert environment.step(act(1, 0.5, 0))[1] == 0.5 + 30 + 200
@@ -30,7 +29,7 @@ def test_choices_and_ranges_together_are_a_dict(small: Small) -> None:
         environment.step(environment.action_space.sample())
 
 
-def test_the_previous_action_lists_both_as_numbers_in_file_order(small: Small) -> None:
+def test_the_previous_action_lists_both_as_numbers_in_file_order(small: Make) -> None:
     environment = small(REWARD, MIXED, "observation={previous_action: auto}")
     names = [entry.component for entry in environment.scenario.agent.numbers]
     assert names == ["drive", "gear_low", "gear_high", "tilt"]
@@ -38,7 +37,7 @@ def test_the_previous_action_lists_both_as_numbers_in_file_order(small: Small) -
     assert environment.step(act(1, 0.5, -0.25))[0].tolist() == [0.5, 0, 1, -0.25]
 
 
-def test_masks_of_the_choices_go_with_samples_of_the_dict(small: Small) -> None:
+def test_masks_of_the_choices_go_with_samples_of_the_dict(small: Make) -> None:
     environment = small(REWARD, MIXED)
     _, info = environment.reset(seed=0)
     assert environment.action_masks().tolist() == [True, False]
@@ -46,7 +45,7 @@ def test_masks_of_the_choices_go_with_samples_of_the_dict(small: Small) -> None:
 
 
 @pytest.mark.parametrize("form", [list, tuple, lambda array: array.astype(float)])
-def test_both_parts_may_come_in_usual_forms(small: Small, form: Callable[[Any], Any]) -> None:
+def test_both_parts_may_come_in_usual_forms(small: Make, form: Callable[[Any], Any]) -> None:
     environment = small(REWARD, MIXED)
     environment.reset(seed=0)
     action = {"choices": np.array(1), "ranges": form(np.array([0.5, 0.0], np.float32))}
@@ -70,7 +69,7 @@ BAD = [
 
 
 @pytest.mark.parametrize("action", BAD, ids=str)
-def test_what_does_not_fit_is_refused_and_changes_nothing(small: Small, action: Any) -> None:
+def test_what_does_not_fit_is_refused_and_changes_nothing(small: Make, action: Any) -> None:
     environment = small(REWARD, MIXED)
     environment.reset(seed=0)
     with pytest.raises(UsageError, match="does not fit"):
@@ -78,7 +77,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(small: Small, action: 
     assert environment.step_count == 0
 
 
-def test_an_action_of_both_can_be_scripted_and_left_alone(small: Small) -> None:
+def test_an_action_of_both_can_be_scripted_and_left_alone(small: Make) -> None:
     environment = small(REWARD, MIXED)
     environment.reset(seed=0)
     assert environment.step(repeated_actions(environment, "0.5:high:-1").act(None))[1] == 0.5 + 30 + 0
