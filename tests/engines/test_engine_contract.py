@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import struct
+from contextlib import closing
 from itertools import product
 from math import isclose, pi, sqrt
 
 import pytest
 
-from deepbots_cli import frames
+from deepbots_cli import engines, frames
 from deepbots_cli.engines import ENGINES
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import quaternion
+from deepbots_cli.frames import IDENTITY_ROTATION, quaternion
+from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel
 
 TURNED = quaternion(0.4, -0.3, 1.1)
 
@@ -342,3 +345,101 @@ def test_a_pose_that_is_not_finite_is_found_out(engine_name, worlds, build):
     engine.step(4)
     with pytest.raises(EngineError, match="'robot' became infinite or NaN"):
         engine.require_finite()
+
+
+# A free robot whose root link is a mere frame moves as the body that hangs on it does
+
+
+TENSOR = {"ixx": 0.02, "iyy": 0.05, "izz": 0.06}
+SHAPE = (Geometry(Box((0.4, 0.3, 0.2))),)
+HELD = Joint("mount", "fixed", "frame", "hull", Pose((0.1, 0.0, 0.3)))
+
+
+def robot(bare: bool) -> RobotModel:
+    """A box on a fixed joint; the mass is at the box, or, which means the same, in the root's own
+    inertial."""
+    known = Inertial(2.0, **TENSOR)
+    hull = Link("hull", known if bare else None, SHAPE, SHAPE)
+    frame = Link("frame", None if bare else Inertial(2.0, Pose((0.1, 0.0, 0.3)), **TENSOR))
+    return RobotModel("robot", (frame, hull), (HELD,), "frame")
+
+
+def tumble(engine_name: str, model: RobotModel) -> list[float]:
+    world = WorldModel(0.01, 40, robots=(RobotBody("robot", model),))
+    with closing(engines.create(engine_name, world)) as engine:
+        read, found = engine.pose("robot"), []
+        engine.place("robot", (0.0, 0.0, 0.5), IDENTITY_ROTATION, (1.0, 0.0, 2.0), (1.0, 2.0, 3.0))
+        for _ in range(40):
+            engine.step(40)
+            found += [number for part in read() for number in part]
+        return found
+
+
+def test_a_root_without_mass_moves_with_what_is_fixed_to_it(engine_name: str) -> None:
+    assert tumble(engine_name, robot(bare=True)) == pytest.approx(
+        tumble(engine_name, robot(bare=False)), abs=3e-4
+    )  # of first order in the physics step
+
+
+def test_a_free_robot_without_any_mass_is_refused(engine_name: str) -> None:
+    massless = RobotModel("robot", (Link("frame"), Link("hull")), (HELD,), "frame")
+    with pytest.raises(EngineError, match="has no mass"):
+        engines.create(engine_name, WorldModel(0.01, 1, robots=(RobotBody("robot", massless),)))
+
+
+# Readings that are kept while the world stands still are those of the present moment, whatever changed it
+
+
+WHEELS = tuple(f"wheel_{i}" for i in range(4))
+TURNED_ABOUT_Z = (0.0, 0.0, 0.6, 0.8)
+
+
+def readers(engine):
+    """Two of each, bound apart."""
+    return [
+        read
+        for _ in range(2)
+        for read in (
+            engine.pose("robot"),
+            engine.pose("robot", "pole"),
+            engine.velocity("robot"),
+            engine.motion("robot"),
+            engine.motion("robot", "pole"),
+            engine.joint_states("robot", (*WHEELS, "hinge")),
+            engine.joint_torques("robot", (*WHEELS, "hinge")),
+        )
+    ]
+
+
+CHANGES = {
+    "place": lambda engine: engine.place(
+        "robot", (0.3, 0.2, 0.06), TURNED_ABOUT_Z, (0.1, 0.2, 0.0), (0.0, 0.0, 0.5)
+    ),
+    "set_joint": lambda engine: engine.set_joint("robot", "hinge", 0.4, 1.5),
+    "step": lambda engine: engine.step(4),
+    "reset": lambda engine: engine.reset(),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_reading_is_that_of_a_world_that_nobody_has_read_before(engine_name, change, worlds, build):
+    read_before, read_never = build(engine_name, worlds.arena()), build(engine_name, worlds.arena())
+    often = readers(read_before)
+    for engine in (read_before, read_never):
+        engine.place("robot", (0.0, 0.0, 0.3), TURNED_ABOUT_Z)
+        engine.step(3)
+        if engine is read_before:
+            earlier = [read() for read in often]
+        CHANGES[change](engine)
+    now = [read() for read in often]
+    assert now == [read() for read in readers(read_never)]
+    assert now != earlier
+
+
+def test_what_looks_before_every_engine_step_sees_a_new_pose_each_time(engine_name, worlds, build):
+    engine = build(engine_name, worlds.crooked())
+    pose, heights = engine.pose("robot"), []
+    engine.before_substep(lambda: heights.append(pose()[0][2]))
+    engine.step(10)
+    assert len(set(heights)) == 10
+    assert heights == sorted(heights, reverse=True)

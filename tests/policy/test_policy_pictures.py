@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.runtime import Supervisor
 from tests.worlds import Make
@@ -92,3 +96,18 @@ def test_a_picture_of_depth_grows_evenly_from_the_near_end_of_its_range_to_the_f
     assert picture.shape == (16, 24, 1)
     assert abs(int(picture[8, 12, 0]) - shade) <= 1  # the face of the box is 1 m ahead
     assert picture[0, 0, 0] == 255  # the sky
+
+
+# A camera that nothing but the goal looks through
+
+
+TURNING = Path(__file__).parent / "turning.yaml"
+
+
+def test_a_goal_sees_the_ball_until_the_robot_has_turned_away() -> None:
+    with closing(api.make(TURNING)) as environment:
+        environment.reset(seed=0)
+        seen = [environment.step(np.ones(1, np.float32))[1] for _ in range(10)]
+    assert seen[0] == 1.0
+    assert seen[-1] == 0.0
+    assert seen == sorted(seen, reverse=True)
