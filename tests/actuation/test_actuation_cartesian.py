@@ -4,15 +4,14 @@ fingers."""
 from __future__ import annotations
 
 from math import pi
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deepbots_cli.runtime import Supervisor
-from tests.worlds import Make
+from tests.worlds import SCENARIOS, Make
 
-ARM = Path(__file__).parents[1] / "data" / "scenarios" / "arm.yaml"
+ARM = SCENARIOS / "arm.yaml"
 HAND = "robots.panda.actuators.hand={type: cartesian, link: panda_grasptarget, joints: arm"
 JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
 

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 from math import isclose
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Push
-from tests.worlds import Make
+from tests.worlds import SCENARIOS, Make
 
-DRONE = Path(__file__).parents[1] / "data" / "scenarios" / "drone.yaml"
+DRONE = SCENARIOS / "drone.yaml"
 MASS, TICK = 0.02572680943 + 4 * 0.0005, 0.01
 ALONE = (
     "world.gravity=0 0 0 m/s^2",

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 from math import exp
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deepbots_cli.runtime import Supervisor
-from tests.worlds import Make
+from tests.worlds import SCENARIOS, Make
 
-DRONE = Path(__file__).parents[1] / "data" / "scenarios" / "drone.yaml"
+DRONE = SCENARIOS / "drone.yaml"
 
 MASS, GRAVITY, TURNING = 0.02572680943 + 4 * 0.0005, 9.81, 2.2e-5
 TICK = 0.01

@@ -25,9 +25,10 @@ from deepbots_cli.errors import BatchError, EvaluationError, UsageError
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.spaces import fitting_rows
 from deepbots_cli.runtime.vector import BatchEnvironment
+from tests.worlds import SCENARIOS
 
 FAST = ("cartpole", "find_ball", "find_and_avoid", "pit_escape", "balancer")
-PUSHED = str(Path(__file__).parents[1] / "data" / "scenarios" / "pushed.yaml")
+PUSHED = str(SCENARIOS / "pushed.yaml")
 SHORTER = {PUSHED: ("truncation.max_time=4 s",), "quadruped": ("truncation.max_time=4 s",)}
 """Settings with which episodes end within 500 steps."""
 OTHERS = (

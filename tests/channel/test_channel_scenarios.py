@@ -12,11 +12,11 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.errors import MessageError
 from deepbots_cli.runtime import Supervisor
-from tests.worlds import Make
+from tests.worlds import SCENARIOS, Make
 
 DRIVES = (1.0, -1.0, 0.5, -0.5, 0.25, 0.75)
 NEARLY = 1e-4
-PAIR = Path(__file__).parents[1] / "data" / "scenarios" / "pair.yaml"
+PAIR = SCENARIOS / "pair.yaml"
 
 
 def terms(environment: Supervisor, drives: Sequence[float] = DRIVES, seed: int = 0) -> dict[str, list[float]]:

@@ -12,6 +12,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.codegen.text import WIDTH, docstring, wrap_line
+from tests.worlds import SCENARIOS
 
 # Python's words, the words of generated code, and what the compiler would call its own variables.
 AWKWARD = [
@@ -145,7 +146,7 @@ def test_any_summary_can_be_printed(tmp_path: Path, summary: str) -> None:
 
 def test_the_code_does_not_depend_on_the_process(tmp_path: Path) -> None:
     """Sets are in another order in every process unless hashing is fixed."""
-    drawn = Path(__file__).parents[1] / "data" / "scenarios" / "drawn.yaml"
+    drawn = SCENARIOS / "drawn.yaml"
     program = f"from deepbots_cli import api; print(api.compile({str(drawn)!r}).code, end='')"
     answer = subprocess.run(
         [sys.executable, "-c", program],
@@ -161,7 +162,7 @@ def test_the_code_does_not_depend_on_the_process(tmp_path: Path) -> None:
 
 
 ROOT = Path(__file__).parents[2]
-SCENARIOS = ["cartpole", *map(str, sorted((ROOT / "tests/data/scenarios").glob("*.yaml")))]
+WRITTEN = ["cartpole", *map(str, sorted(SCENARIOS.glob("*.yaml")))]
 LONG = [
     "first_quantity",
     "another(1.0, 2.0)",
@@ -211,7 +212,7 @@ def test_a_docstring_says_what_the_text_says(text: str) -> None:
 
 
 @pytest.mark.parametrize("format", ["struct", "none"])
-@pytest.mark.parametrize("source", SCENARIOS, ids=lambda source: Path(source).stem)
+@pytest.mark.parametrize("source", WRITTEN, ids=lambda source: Path(source).stem)
 def test_generated_code_is_formatted(tmp_path: Path, source: str, format: str) -> None:
     file = tmp_path / "environment.py"
     overrides = (

@@ -14,6 +14,7 @@ from deepbots_cli.document import shipped
 from deepbots_cli.lint import all_findings, simulate
 from deepbots_cli.lint.simulation import simulation_plan
 from deepbots_cli.program.task import idle_action
+from tests.worlds import SCENARIOS
 
 pytestmark = pytest.mark.usefixtures("simulated_here")
 
@@ -23,7 +24,7 @@ CARTPOLE = (
     .replace("../robots/urdf/cartpole.urdf", "cartpole")
 )
 CARTPOLE = CARTPOLE.replace("world:\n", "world:\n  engine: mujoco\n", 1)  # steps it four times as fast
-ARM = Path(__file__).parents[1] / "data" / "scenarios" / "arm.yaml"
+ARM = SCENARIOS / "arm.yaml"
 Probed = Callable[[str], list[Finding]]
 
 

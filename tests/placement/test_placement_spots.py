@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +11,9 @@ from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Footprint, Patch, patch_distance
 from deepbots_cli.frames import Triple
 from deepbots_cli.runtime import Supervisor
-from tests.worlds import Make
+from tests.worlds import SCENARIOS, Make
 
-PLACED = Path(__file__).parents[1] / "data" / "scenarios" / "placed.yaml"
+PLACED = SCENARIOS / "placed.yaml"
 RADIUS = {"ball": 0.07, "mark": 0.05}
 HALF = (0.75, 0.6)
 

@@ -12,9 +12,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.runtime import Supervisor
-from tests.worlds import Make
+from tests.worlds import SCENARIOS, Make
 
-DATA = Path(__file__).parents[1] / "data" / "scenarios"
 TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
 REWARD = "reward: {pay: drive}\n"
 CHOICE = "action.drive={choices: {ahead: 1, back: -1, stay: 0}}"
@@ -66,7 +65,7 @@ def test_a_constant_beyond_the_range_is_clamped_too(small: Make) -> None:
 def test_components_of_a_vector_have_one_value_or_one_each() -> None:
     each = "{prop_fl: -30 mN, prop_fr: 15 mN, prop_rl: 0 N, prop_rr: 60 mN}"
     overrides = [f"scripts={{same: {{push: 15 mN}}, each: {{push: {each}}}, before: {{push: push + 3 mN}}}}"]
-    with closing(api.make(DATA / "drone.yaml", overrides=overrides)) as environment:
+    with closing(api.make(SCENARIOS / "drone.yaml", overrides=overrides)) as environment:
         environment.reset(seed=0)
         assert environment.script("same").tolist() == pytest.approx([0.5] * 4)
         assert environment.script("each").tolist() == pytest.approx([-1, 0.5, 0, 1])
@@ -77,7 +76,7 @@ def test_components_of_a_vector_have_one_value_or_one_each() -> None:
 
 def test_several_choices_are_an_array_and_stand_in_the_order_of_the_action() -> None:
     overrides = ["scripts={go: {hurry: {fast: time > 20 ms, slow: true}, both: apart}}"]
-    with closing(api.make(DATA / "pair.yaml", overrides=overrides, engine="exact")) as environment:
+    with closing(api.make(SCENARIOS / "pair.yaml", overrides=overrides, engine="exact")) as environment:
         environment.reset(seed=0)
         assert [said.tolist() for said in followed(environment, "go", 2)] == [[1, 0], [1, 1]]
         assert environment.action_space.contains(environment.script("go"))
@@ -197,7 +196,7 @@ def test_asking_changes_nothing() -> None:
     ]
 
     def episode(*, asking: bool) -> list[bytes]:
-        with closing(api.make(DATA / "pair.yaml", overrides=overrides)) as environment:
+        with closing(api.make(SCENARIOS / "pair.yaml", overrides=overrides)) as environment:
             environment.reset(seed=3)
             steps = []
             for _ in range(30):

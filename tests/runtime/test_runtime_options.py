@@ -20,9 +20,7 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_cli.view.frames import FrameReader
 from tests.contract.rollout import as_bytes
 from tests.few import LIGHT, few
-from tests.worlds import Make
-
-DATA = Path(__file__).parents[1] / "data" / "scenarios"
+from tests.worlds import SCENARIOS, Make
 
 SECTIONS = """\
 parameters:
@@ -330,10 +328,10 @@ def test_without_noise_what_was_drawn_gives_the_same_episode_for_every_seed(name
 
 
 @pytest.mark.parametrize(
-    "name", few([path.name for path in sorted(DATA.glob("*.yaml"))], ("placed.yaml", "pushed.yaml"))
+    "name", few([path.name for path in sorted(SCENARIOS.glob("*.yaml"))], ("placed.yaml", "pushed.yaml"))
 )
 def test_every_kind_of_draw_is_taken_back(name: str) -> None:
-    with closing(api.make(DATA / name)) as env:
+    with closing(api.make(SCENARIOS / name)) as env:
         for seed in range(5):
             world, drawn = start(env, seed=seed)
             assert start(env, seed=99, options=drawn) == (world, drawn)
