@@ -66,15 +66,15 @@ editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of
 
 .PHONY: results
 results: dev ## the pages of results and the benchmark: what is missing or stale of them; SCENARIO=, PART=benchmark, OPTIONS=--anew
-	$(BIN)/python -m tests.results $(SCENARIO) $(PART) $(OPTIONS)
+	$(BIN)/python -m tools.results $(SCENARIO) $(PART) $(OPTIONS)
 
 .PHONY: package
 package: dev ## sdists and wheels, used in new environments; downloads nothing
-	$(BIN)/python -m tests.packaging.clean
+	$(BIN)/python -m tools.packaging.clean
 
 .PHONY: release
 release: dev ## what goes to a package index, in dist: built, checked, installed elsewhere, trained; REPOSITORY=https://HOST/OWNER/NAME
-	$(BIN)/python -m tests.packaging.release $(or $(REPOSITORY),missing) $(OPTIONS)
+	$(BIN)/python -m tools.packaging.release $(or $(REPOSITORY),missing) $(OPTIONS)
 
 .PHONY: docs
 docs: $(VENV)/ready-for-docs ## the site in build/docs; a warning of Sphinx is an error
@@ -83,7 +83,7 @@ docs: $(VENV)/ready-for-docs ## the site in build/docs; a warning of Sphinx is a
 .PHONY: clean
 clean: ## remove .venv and what tools leave behind; runs stay
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
-	find deepbots_cli deepbots_robot tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find deepbots_cli deepbots_robot tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/made:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || \

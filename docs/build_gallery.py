@@ -20,9 +20,9 @@ from deepbots_cli.cli.sources import open_source
 from deepbots_cli.document import Permissions
 from deepbots_cli.insight.inspection import Tables, scenario_tables
 from deepbots_cli.program import Program
-from tests.results.experiment import experiments
-from tests.results.measure import Places, read
-from tests.results.standing import Headline, Standing
+from tools.results.experiment import experiments
+from tools.results.measure import Places, read
+from tools.results.standing import Headline, Standing
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTES = "docs/scenarios"

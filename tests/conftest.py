@@ -11,6 +11,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Generator, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import hypothesis
@@ -18,6 +19,7 @@ import pytest
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
+from tests.worlds import Make, Maker
 
 sys.path.insert(0, str(Path(__file__).parent / "exact"))
 
@@ -77,6 +79,18 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
         if WITHOUT and any(text in str(error) for text in (WITHOUT, *_NEEDS)):
             pytest.skip(WITHOUT)
         raise
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Maker]:
+    """Makes environments, and closes them after the test."""
+    with closing(Maker(tmp_path)) as maker:
+        yield maker
+
+
+@pytest.fixture
+def small(make: Maker) -> Make:
+    return make.small
 
 
 @pytest.fixture

@@ -3,33 +3,17 @@ fingers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from math import pi
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import SCENARIOS, Make
 
-ARM = Path(__file__).parents[1] / "data" / "scenarios" / "arm.yaml"
+ARM = SCENARIOS / "arm.yaml"
 HAND = "robots.panda.actuators.hand={type: cartesian, link: panda_grasptarget, joints: arm"
 JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
-Make = Callable[..., Supervisor]
-
-
-@pytest.fixture
-def arm() -> Iterator[Make]:
-    opened: list[Supervisor] = []
-
-    def make(*overrides: str) -> Supervisor:
-        opened.append(api.make(str(ARM), overrides=overrides))
-        return opened[-1]
-
-    yield make
-    for environment in opened:
-        environment.close()
 
 
 def act(
@@ -44,8 +28,8 @@ def where(reach: tuple[float, float, float]) -> tuple[float, float, float]:
     return (0.6 + 0.15 * reach[0], 0.2 + 0.15 * reach[1], 0.3 + 0.15 * reach[2])
 
 
-def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_attitude(arm: Make):
-    panda = arm()
+def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_attitude(make: Make):
+    panda = make(ARM)
     read, states = panda.engine.pose("panda", "panda_grasptarget"), panda.engine.joint_states("panda", JOINTS)
     model = panda.scenario.world.robots[0].model
     panda.reset(seed=0)
@@ -63,15 +47,15 @@ def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_
             assert limit.lower - 1e-3 <= state[0] <= limit.upper + 1e-3
 
 
-def test_a_stretched_arm_finds_a_way_to_bend(arm: Make):
-    panda = arm("reset.joints={panda.arm: 0 deg}")
+def test_a_stretched_arm_finds_a_way_to_bend(make: Make):
+    panda = make(ARM, "reset.joints={panda.arm: 0 deg}")
     panda.reset(seed=0)
     act(panda, (0.0, 0.0, -1.0), ticks=80)
     assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(where((0, 0, -1)), abs=1e-3)
 
 
-def test_joints_move_no_faster_than_their_limits(arm: Make):
-    panda = arm(f"{HAND}, rpy: 180 0 0 deg, max_velocity: 0.3 rad/s}}")
+def test_joints_move_no_faster_than_their_limits(make: Make):
+    panda = make(ARM, f"{HAND}, rpy: 180 0 0 deg, max_velocity: 0.3 rad/s}}")
     states = panda.engine.joint_states("panda", JOINTS)
     panda.reset(seed=0)
     fastest = 0.0
@@ -81,8 +65,8 @@ def test_joints_move_no_faster_than_their_limits(arm: Make):
     assert 0.2 < fastest < 0.33
 
 
-def test_without_an_attitude_only_the_place_counts(arm: Make):
-    panda = arm(f"{HAND}}}")
+def test_without_an_attitude_only_the_place_counts(make: Make):
+    panda = make(ARM, f"{HAND}}}")
     panda.reset(seed=0)
     act(panda, (-1.0, 0.5, 1.0), ticks=60)
     assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(
@@ -90,8 +74,8 @@ def test_without_an_attitude_only_the_place_counts(arm: Make):
     )
 
 
-def test_what_is_out_of_reach_is_approached(arm: Make):
-    panda = arm("robots.panda.apply.hand=vector(5 m, 0 m, 0.4 m) + 1 m * reach")
+def test_what_is_out_of_reach_is_approached(make: Make):
+    panda = make(ARM, "robots.panda.apply.hand=vector(5 m, 0 m, 0.4 m) + 1 m * reach")
     panda.reset(seed=0)
     act(panda, (0.0, 0.0, 0.0), ticks=60)
     x, y, _ = panda.engine.pose("panda", "panda_grasptarget")()[0]
@@ -99,8 +83,8 @@ def test_what_is_out_of_reach_is_approached(arm: Make):
     assert abs(y) < 0.2
 
 
-def test_a_gripper_goes_from_closed_to_open(arm: Make):
-    panda = arm("robots.panda.apply.grip=2 * open - 0.5")
+def test_a_gripper_goes_from_closed_to_open(make: Make):
+    panda = make(ARM, "robots.panda.apply.grip=2 * open - 0.5")
     fingers = panda.engine.joint_states("panda", ("panda_finger_joint1", "panda_finger_joint2"))
     panda.reset(seed=0)
     for action, opening in ((-1.0, 0.0), (0.0, 0.02), (1.0, 0.04), (-0.5, 0.0)):
@@ -108,8 +92,8 @@ def test_a_gripper_goes_from_closed_to_open(arm: Make):
         assert [state[0] for state in fingers()] == pytest.approx([opening] * 2, abs=5e-4)
 
 
-def test_the_same_commands_give_the_same_motion_after_any_past(arm: Make):
-    used, fresh = arm(), arm()
+def test_the_same_commands_give_the_same_motion_after_any_past(make: Make):
+    used, fresh = make(ARM), make(ARM)
     used.reset(seed=1)
     act(used, (0.3, -0.7, 0.5), ticks=17)
     found = []
@@ -121,8 +105,10 @@ def test_the_same_commands_give_the_same_motion_after_any_past(arm: Make):
 
 
 @pytest.mark.parametrize("route", ["latency: 1 s", "loss: 100 %"])
-def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(arm: Make, route: str):
-    panda = arm(f"messages.to_robot={{{route}}}", "reset.joints={panda.arm: ready, panda.fingers: 30 mm}")
+def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(make: Make, route: str):
+    panda = make(
+        ARM, f"messages.to_robot={{{route}}}", "reset.joints={panda.arm: ready, panda.fingers: 30 mm}"
+    )
     states = panda.engine.joint_states("panda", (*JOINTS, "panda_finger_joint1"))
     panda.reset(seed=0)
     before = [state[0] for state in states()]
@@ -130,14 +116,14 @@ def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(arm: Make, rou
     assert [state[0] for state in states()] == pytest.approx(before, abs=2e-3)
 
 
-def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_that_command(arm: Make):
+def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_that_command(make: Make):
     spring = (
         "robots.panda.actuators.hand={type: position_motor, joints: arm, stiffness: 500 N*m/rad,"
         " damping: 50 N*m*s/rad}"
     )
     steady = ("robots.panda.apply={hand: ready + 1e-9 rad * reach, grip: open}", "action.reach.range=-1 .. 1")
     late, prompt = (
-        arm(spring, *steady, f"messages.to_robot={{latency: {latency}}}") for latency in ("10 s", "0 s")
+        make(ARM, spring, *steady, f"messages.to_robot={{latency: {latency}}}") for latency in ("10 s", "0 s")
     )
     found = []
     for panda in (late, prompt):
@@ -151,8 +137,8 @@ def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_t
     assert found[0] != pytest.approx([0, -np.pi / 6, 0, -np.pi / 1.5, 0, np.pi / 2, np.pi / 4], abs=1e-4)
 
 
-def test_the_attitude_is_that_of_roll_pitch_and_yaw_in_the_world(arm: Make):
-    panda = arm(f"{HAND}, rpy: 180 0 90 deg}}")
+def test_the_attitude_is_that_of_roll_pitch_and_yaw_in_the_world(make: Make):
+    panda = make(ARM, f"{HAND}, rpy: 180 0 90 deg}}")
     panda.reset(seed=0)
     act(panda, (0.0, 0.0, 0.0), ticks=80)
     x, y, _, _ = panda.engine.pose("panda", "panda_grasptarget")()[1]

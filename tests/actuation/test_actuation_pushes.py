@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import pairwise
 from math import isclose
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Push
+from tests.worlds import SCENARIOS, Make
 
-DRONE = Path(__file__).parents[1] / "data" / "scenarios" / "drone.yaml"
+DRONE = SCENARIOS / "drone.yaml"
 MASS, TICK = 0.02572680943 + 4 * 0.0005, 0.01
 ALONE = (
     "world.gravity=0 0 0 m/s^2",
@@ -22,21 +21,16 @@ ALONE = (
     "reset={place: {drone: {z: 1 m}}}",
     "robots.drone.actuators.rotors.time_constant=0 ms",
 )
-Make = Callable[..., Supervisor]
 
 
 @pytest.fixture
-def pushed() -> Iterator[Make]:
+def pushed(make: Make) -> Make:
     """A quadrotor that floats, with rotors at rest, under the given disturbances."""
-    opened: list[Supervisor] = []
 
-    def make(disturbances: str, *overrides: str) -> Supervisor:
-        opened.append(api.make(str(DRONE), overrides=[*ALONE, *overrides, f"disturbances={disturbances}"]))
-        return opened[-1]
+    def float_under(disturbances: str, *overrides: str) -> Supervisor:
+        return make(DRONE, *ALONE, *overrides, f"disturbances={disturbances}")
 
-    yield make
-    for environment in opened:
-        environment.close()
+    return float_under
 
 
 def speeds(environment: Supervisor, ticks: int, seed: int = 0) -> list[tuple[float, float, float]]:

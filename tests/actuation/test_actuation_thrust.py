@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from functools import partial
 from math import exp
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import SCENARIOS, Make
 
-DRONE = Path(__file__).parents[1] / "data" / "scenarios" / "drone.yaml"
-Make = Callable[..., Supervisor]
+DRONE = SCENARIOS / "drone.yaml"
 
 MASS, GRAVITY, TURNING = 0.02572680943 + 4 * 0.0005, 9.81, 2.2e-5
 TICK = 0.01
@@ -27,16 +25,8 @@ EXACT_HOVER = f"parameters.hover={MASS * GRAVITY / 4!r} N"
 
 
 @pytest.fixture
-def drone() -> Iterator[Make]:
-    opened: list[Supervisor] = []
-
-    def make(*overrides: str) -> Supervisor:
-        opened.append(api.make(str(DRONE), overrides=[LEVEL, "disturbances={}", *overrides]))
-        return opened[-1]
-
-    yield make
-    for environment in opened:
-        environment.close()
+def drone(make: Make) -> Make:
+    return partial(make, DRONE, LEVEL, "disturbances={}")
 
 
 def fly(environment: Supervisor, ticks: int, pushes: tuple[float, ...] = (0.0,) * 4, seed: int = 0) -> None:

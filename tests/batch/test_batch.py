@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Dict, MultiDiscrete
+
+from deepbots_cli.cli import main
 
 pytest.importorskip("deepbots_cli.engines.mujoco")
 
@@ -22,10 +25,11 @@ from deepbots_cli.errors import BatchError, EvaluationError, UsageError
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.spaces import fitting_rows
 from deepbots_cli.runtime.vector import BatchEnvironment
+from tests.worlds import SCENARIOS
 
 FAST = ("cartpole", "find_ball", "find_and_avoid", "pit_escape", "balancer")
-PUSHED = str(Path(__file__).parents[1] / "data" / "scenarios" / "pushed.yaml")
-FEET = str(Path(__file__).parents[1] / "data" / "scenarios" / "feet.yaml")
+PUSHED = str(SCENARIOS / "pushed.yaml")
+FEET = str(SCENARIOS / "feet.yaml")
 SHORTER = {PUSHED: ("truncation.max_time=4 s",), "quadruped": ("truncation.max_time=4 s",)}
 """Settings with which episodes end within 500 steps."""
 OTHERS = (
@@ -439,3 +443,53 @@ def test_a_world_that_becomes_unstable_in_a_step_is_named_and_leaves_the_others_
         for world in (0, 2):
             single.reset(seed=7 + world)
             assert_same(observations[world], single.step(actions[world])[0])
+
+
+# Batches on the command line
+
+
+def test_compile_prints_the_module_of_a_batch(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compile", "cartpole", "--target", "batch"]) == 0
+    code = capsys.readouterr().out
+    assert "class CartPoleBatch(BatchSupervisor):" in code
+    assert "drive = pick(self.CHOICES_drive, action)" in code
+
+
+def test_compile_says_what_a_batch_cannot_hold(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compile", "see_ball", "--target", "batch"]) == 2
+    assert "SeeBall does not fit a batch: it has cameras" in capsys.readouterr().err
+
+
+def test_bench_compares_engines_and_batches(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = [
+        "bench",
+        "cartpole",
+        "--engine",
+        "mujoco,batch",
+        "--worlds",
+        "2",
+        "--steps",
+        "100",
+        "--pairs",
+        "1",
+        "--json",
+    ]
+    assert main(arguments) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["engine"], row["worlds"]) for row in rows] == [("mujoco", 1), ("batch", 2)]
+    assert all(0.0 < row["physics_us"] < row["step_us"] for row in rows)
+
+
+def test_one_round_of_a_bench_is_not_called_medians(capsys: pytest.CaptureFixture[str]) -> None:
+    assert (
+        main(["bench", "cartpole", "--engine", "mujoco,batch", "--worlds", "1", "--steps", "100", "--quick"])
+        == 0
+    )
+    ran = capsys.readouterr()
+    assert "random actions, one round; CPU times" in ran.out
+    assert "measuring 1 round of 100 steps" in ran.err
+
+
+def test_bench_refuses_worlds_without_a_batch(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "cartpole", "--worlds", "4"]) == 2
+    assert "--worlds needs --engine batch" in capsys.readouterr().err

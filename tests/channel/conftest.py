@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
-
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
 CART = """\
 deepbots: 1
@@ -34,19 +31,13 @@ reward: {sent: cart.rate / (0.1 m/s), truth: joint_velocity(cart.slider) / (0.1 
 
 
 @pytest.fixture
-def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
-    """As in `make("messages.to_robot={latency: 20 ms}")`, with `more` sections, a further robot, or of
-    another `text`."""
-    opened: list[Supervisor] = []
+def cart(make: Make) -> Make:
+    """Makes the cart, or another `source`, with settings, `more` sections and the section of a `rival`."""
 
-    def make_one(
-        *overrides: str, more: str = "", text: str = CART, rival: str = "", engine: str = "exact"
+    def make_cart(
+        *overrides: str, more: str = "", source: str = CART, rival: str = "", engine: str = "exact"
     ) -> Supervisor:
-        file = tmp_path / f"cart_{len(opened)}.yaml"
-        file.write_text(text.replace("observation:", f"{rival}observation:") + more)
-        opened.append(api.make(file, overrides=overrides, engine=engine))
-        return opened[-1]
+        text = source.replace("observation:", f"{rival}observation:") + more
+        return make(text, *overrides, engine=engine)
 
-    yield make_one
-    for environment in opened:
-        environment.close()
+    return make_cart

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -11,8 +10,8 @@ import pytest
 
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
-Make = Callable[..., Supervisor]
 TICK = 0.02
 THREE = "agent.action_repeat=3"
 
@@ -33,14 +32,14 @@ def episode(
 # Repeats
 
 
-def test_rewards_are_summed_over_the_ticks_of_a_step(make: Make) -> None:
-    rows = episode(make(THREE, "reward={one: 1, tick: time / (20 ms)}"), 3)
+def test_rewards_are_summed_over_the_ticks_of_a_step(cart: Make) -> None:
+    rows = episode(cart(THREE, "reward={one: 1, tick: time / (20 ms)}"), 3)
     assert [row[0] for row in rows] == pytest.approx([3 + 1 + 2 + 3, 3 + 4 + 5 + 6, 3 + 7 + 8 + 9])
     assert [row[3]["one"] for row in rows] == [3.0, 3.0, 3.0]
 
 
-def test_the_world_goes_as_far_as_with_the_same_action_given_anew_in_each_tick(make: Make) -> None:
-    held, given = make(THREE), make()
+def test_the_world_goes_as_far_as_with_the_same_action_given_anew_in_each_tick(cart: Make) -> None:
+    held, given = cart(THREE), cart()
     held.reset(seed=0)
     given.reset(seed=0)
     for drive in (0.5, -0.25, 1.0):
@@ -50,24 +49,24 @@ def test_the_world_goes_as_far_as_with_the_same_action_given_anew_in_each_tick(m
         assert observation.tobytes() == other.tobytes()
 
 
-def test_an_ending_stops_the_step_in_its_tick(make: Make) -> None:
-    environment = make(THREE, "reward={one: 1}", "termination={success: {late: time > 90 ms}}")
+def test_an_ending_stops_the_step_in_its_tick(cart: Make) -> None:
+    environment = cart(THREE, "reward={one: 1}", "termination={success: {late: time > 90 ms}}")
     assert [row[:3] for row in episode(environment, 9)] == [(3.0, False, False), (2.0, True, False)]
     assert (environment.step_count, environment.timestep_count) == (2, 5)
 
 
-def test_max_steps_counts_steps_and_max_time_simulated_time(make: Make) -> None:
-    by_steps = episode(make(THREE, "truncation={max_steps: 4}"), 99)
+def test_max_steps_counts_steps_and_max_time_simulated_time(cart: Make) -> None:
+    by_steps = episode(cart(THREE, "truncation={max_steps: 4}"), 99)
     assert (len(by_steps), by_steps[-1][1:3]) == (4, (False, True))
-    environment = make(THREE, "reward={one: 1}", "truncation={max_time: 160 ms}")
+    environment = cart(THREE, "reward={one: 1}", "truncation={max_time: 160 ms}")
     by_time = episode(environment, 99)
     assert [row[0] for row in by_time] == [3.0, 3.0, 2.0]
     assert environment.get_info()["ended_by"] == "max_time"
 
 
-def test_rewards_of_the_last_tick_see_the_limit_of_steps(make: Make) -> None:
+def test_rewards_of_the_last_tick_see_the_limit_of_steps(cart: Make) -> None:
     rows = episode(
-        make(THREE, "reward={cut: 1 when truncated, over: 1 when ended}", "truncation={max_steps: 2}"), 9
+        cart(THREE, "reward={cut: 1 when truncated, over: 1 when ended}", "truncation={max_steps: 2}"), 9
     )
     assert [row[0] for row in rows] == [0.0, 2.0]
 
@@ -76,39 +75,39 @@ def test_rewards_of_the_last_tick_see_the_limit_of_steps(make: Make) -> None:
     ("limits", "first"),
     [("max_steps: 2, max_time: 100 ms", "max_time"), ("max_steps: 2, max_time: 1 s", "max_steps")],
 )
-def test_of_two_limits_the_one_that_is_met_first_cuts_short(make: Make, limits: str, first: str) -> None:
-    environment = make(THREE, f"truncation={{{limits}}}")
+def test_of_two_limits_the_one_that_is_met_first_cuts_short(cart: Make, limits: str, first: str) -> None:
+    environment = cart(THREE, f"truncation={{{limits}}}")
     assert len(episode(environment, 9)) == 2
     assert environment.get_info()["ended_by"] == first
 
 
-def test_all_options_may_be_forbidden_while_none_has_to_be_chosen(make: Make) -> None:
+def test_all_options_may_be_forbidden_while_none_has_to_be_chosen(cart: Make) -> None:
     midst = "augment={midst: 'time > 70 ms and time < 110 ms'}"
     choice = "action.drive={choices: {ahead: 1, back: -1}, forbid: {ahead: midst, back: midst}}"
-    environment = make(THREE, midst, choice)
+    environment = cart(THREE, midst, choice)
     environment.reset(seed=0)
     for _ in range(2):
         environment.step(0)
     assert environment.action_masks().all()
 
 
-def test_an_ending_in_the_last_tick_beats_the_limit_of_steps(make: Make) -> None:
+def test_an_ending_in_the_last_tick_beats_the_limit_of_steps(cart: Make) -> None:
     rows = episode(
-        make(THREE, "truncation={max_steps: 2}", "termination={success: {late: time > 110 ms}}"), 99
+        cart(THREE, "truncation={max_steps: 2}", "termination={success: {late: time > 110 ms}}"), 99
     )
     assert rows[-1][1:3] == (True, False)
 
 
-def test_memories_advance_in_every_tick_and_step_counts_steps(make: Make) -> None:
+def test_memories_advance_in_every_tick_and_step_counts_steps(cart: Make) -> None:
     reward = "reward={moved: delta(time) / (20 ms), lasted: duration(time > 0 s) / (20 ms), step: step}"
-    rows = episode(make(THREE, reward), 2)
+    rows = episode(cart(THREE, reward), 2)
     assert [row[3]["moved"] for row in rows] == pytest.approx([3.0, 3.0])
     assert [row[3]["lasted"] for row in rows] == pytest.approx([1 + 2 + 3, 4 + 5 + 6])
     assert [row[3]["step"] for row in rows] == [3.0, 6.0]
 
 
-def test_one_message_goes_to_a_robot_per_step_and_one_comes_back_per_tick(make: Make) -> None:
-    environment = make(
+def test_one_message_goes_to_a_robot_per_step_and_one_comes_back_per_tick(cart: Make) -> None:
+    environment = cart(
         THREE,
         "robots.cart.emit={place: place, count: integral(rate * 0 + 1 m/s)}",
         "reward={ticks: cart.count / (20 mm)}",
@@ -120,28 +119,28 @@ def test_one_message_goes_to_a_robot_per_step_and_one_comes_back_per_tick(make: 
     assert [row[3]["ticks"] for row in rows] == pytest.approx([1 + 2 + 3, 4 + 5 + 6])
 
 
-def test_what_a_robot_applies_advances_per_message_and_not_per_tick(make: Make) -> None:
+def test_what_a_robot_applies_advances_per_message_and_not_per_tick(cart: Make) -> None:
     motor = "robots.cart.apply.motor=accumulate(drive * 0.1 m/s, -1 .. 1 m/s, 0 m/s)"
-    rows = episode(make(THREE, motor, "reward={truth: joint_velocity(cart.slider) / (0.05 m/s)}"), 3)
+    rows = episode(cart(THREE, motor, "reward={truth: joint_velocity(cart.slider) / (0.05 m/s)}"), 3)
     assert [row[3]["truth"] / 3 for row in rows] == pytest.approx([1.0, 2.0, 3.0], abs=1e-3)
 
 
-def test_paper_timing_is_a_tick_late_and_not_a_step(make: Make) -> None:
-    environment = make(
+def test_paper_timing_is_a_tick_late_and_not_a_step(cart: Make) -> None:
+    environment = cart(
         THREE, "messages.timing=delayed", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}"
     )
     assert [row[0] for row in episode(environment, 2, drive=1.0)] == pytest.approx([2.0, 3.0], abs=1e-3)
 
 
-def test_a_message_may_arrive_in_the_midst_of_a_step(make: Make) -> None:
-    environment = make(
+def test_a_message_may_arrive_in_the_midst_of_a_step(cart: Make) -> None:
+    environment = cart(
         THREE, "messages.to_robot={latency: 30 ms}", "reward={truth: joint_velocity(cart.slider) / (0.1 m/s)}"
     )
     assert [row[0] for row in episode(environment, 2, drive=1.0)] == pytest.approx([1.0, 3.0], abs=1e-3)
 
 
-def test_a_step_without_a_value_names_it_also_in_the_midst(make: Make) -> None:
-    environment = make(THREE, 'reward={bad: "1 / (time - 40 ms) * s"}')
+def test_a_step_without_a_value_names_it_also_in_the_midst(cart: Make) -> None:
+    environment = cart(THREE, 'reward={bad: "1 / (time - 40 ms) * s"}')
     environment.reset(seed=0)
     with pytest.raises(EvaluationError, match="step 1"):
         environment.step(np.zeros(1))
@@ -151,9 +150,9 @@ def test_a_step_without_a_value_names_it_also_in_the_midst(make: Make) -> None:
 
 
 def drawn(
-    make: Make, parameters: str, steps: int = 200, *overrides: str, seed: int = 0, term: str = "w"
+    cart: Make, parameters: str, steps: int = 200, *overrides: str, seed: int = 0, term: str = "w"
 ) -> list[float]:
-    environment = make(f"reward={{w: {term}}}", *overrides, more=f"parameters: {{{parameters}}}\n")
+    environment = cart(f"reward={{w: {term}}}", *overrides, more=f"parameters: {{{parameters}}}\n")
     return [row[3]["w"] for row in episode(environment, steps, seed=seed)]
 
 
@@ -163,38 +162,38 @@ def changes(values: list[float]) -> list[int]:
 
 
 @pytest.mark.parametrize(("period", "every"), [("100 ms", 5), ("0.1 s", 5), ("20 ms", 1), ("1 ms", 1)])
-def test_a_draw_is_repeated_after_each_period(make: Make, period: str, every: int) -> None:
-    found = changes(drawn(make, f"w: uniform(0 .. 1) every {period}"))
+def test_a_draw_is_repeated_after_each_period(cart: Make, period: str, every: int) -> None:
+    found = changes(drawn(cart, f"w: uniform(0 .. 1) every {period}"))
     assert found == list(range(1 + every, 201, every))
 
 
-def test_a_period_that_is_no_multiple_of_the_timestep_is_kept_on_average(make: Make) -> None:
-    found = changes(drawn(make, "w: uniform(0 .. 1) every 50 ms"))
+def test_a_period_that_is_no_multiple_of_the_timestep_is_kept_on_average(cart: Make) -> None:
+    found = changes(drawn(cart, "w: uniform(0 .. 1) every 50 ms"))
     assert found == [1 + -(-number * 5 // 2) for number in range(1, 80)]
 
 
-def test_each_step_is_a_new_draw_with_the_distribution_it_is_drawn_from(make: Make) -> None:
-    values = drawn(make, "w: uniform(0 .. 8) each step", 1000)
+def test_each_step_is_a_new_draw_with_the_distribution_it_is_drawn_from(cart: Make) -> None:
+    values = drawn(cart, "w: uniform(0 .. 8) each step", 1000)
     counts = Counter(int(value) for value in values)
     assert (
         sum((count - 125) ** 2 / 125 for count in counts.values()) < 24.3
     )  # 0.1 % of chi-square, 7 degrees of freedom
 
 
-def test_a_period_may_be_drawn_anew_each_time(make: Make) -> None:
-    found = changes(drawn(make, "w: uniform(0 .. 1) every uniform(40 .. 120 ms)", 900))
+def test_a_period_may_be_drawn_anew_each_time(cart: Make) -> None:
+    found = changes(drawn(cart, "w: uniform(0 .. 1) every uniform(40 .. 120 ms)", 900))
     spans = Counter(after - before for before, after in pairwise(found))
     assert set(spans) <= {2, 3, 4, 5, 6}
     assert {3, 4, 5} <= set(spans)
 
 
-def test_with_repeats_a_draw_stands_for_a_whole_step(make: Make) -> None:
-    environment = make(
+def test_with_repeats_a_draw_stands_for_a_whole_step(cart: Make) -> None:
+    environment = cart(
         THREE, "reward={w: abs(delta(w))}", more="parameters: {w: uniform(0 .. 1) each step}\n"
     )
     values = [row[3]["w"] for row in episode(environment, 50)]
     assert all(0 < value < 1 for value in values)
-    assert changes(drawn(make, "w: uniform(0 .. 1) every 100 ms", 20, THREE)) == [
+    assert changes(drawn(cart, "w: uniform(0 .. 1) every 100 ms", 20, THREE)) == [
         3,
         5,
         6,
@@ -209,19 +208,19 @@ def test_with_repeats_a_draw_stands_for_a_whole_step(make: Make) -> None:
     ]
 
 
-def test_what_is_made_of_a_value_follows_it(make: Make) -> None:
+def test_what_is_made_of_a_value_follows_it(cart: Make) -> None:
     parameters = "w: uniform(0 .. 1) every 100 ms, twice: 2 * w, both: 'vector(w, twice)'"
-    assert set(drawn(make, parameters, 60, term="twice - 2 * w + both.y - 2 * both.x")) == {0.0}
+    assert set(drawn(cart, parameters, 60, term="twice - 2 * w + both.y - 2 * both.x")) == {0.0}
 
 
-def test_components_are_drawn_together(make: Make) -> None:
-    found = drawn(make, "w: uniform(0 0 .. 1 1) every 100 ms", 60, term="w.x - w.y")
+def test_components_are_drawn_together(cart: Make) -> None:
+    found = drawn(cart, "w: uniform(0 0 .. 1 1) every 100 ms", 60, term="w.x - w.y")
     assert len(changes(found)) == 11
     assert 0.0 not in found
 
 
-def test_every_episode_begins_its_periods_anew_and_a_seed_gives_the_same(make: Make) -> None:
-    environment = make("reward={w: w}", more="parameters: {w: uniform(0 .. 1) every 100 ms}\n")
+def test_every_episode_begins_its_periods_anew_and_a_seed_gives_the_same(cart: Make) -> None:
+    environment = cart("reward={w: w}", more="parameters: {w: uniform(0 .. 1) every 100 ms}\n")
     first = [row[3]["w"] for row in episode(environment, 33)]
     second = [row[3]["w"] for row in episode(environment, 33)]
     environment.reset()
@@ -229,16 +228,16 @@ def test_every_episode_begins_its_periods_anew_and_a_seed_gives_the_same(make: M
     assert changes(first) == [6, 11, 16, 21, 26, 31]
 
 
-def test_a_new_draw_changes_no_other(make: Make) -> None:
-    alone = drawn(make, "w: uniform(0 .. 1) every 100 ms")
+def test_a_new_draw_changes_no_other(cart: Make) -> None:
+    alone = drawn(cart, "w: uniform(0 .. 1) every 100 ms")
     assert alone == drawn(
-        make, "v: uniform(0 .. 1) each step, w: uniform(0 .. 1) every 100 ms", term="w + 0 * v"
+        cart, "v: uniform(0 .. 1) each step, w: uniform(0 .. 1) every 100 ms", term="w + 0 * v"
     )
 
 
-def test_a_robot_is_told_of_such_a_value_by_message(make: Make) -> None:
+def test_a_robot_is_told_of_such_a_value_by_message(cart: Make) -> None:
     parameters = "w: uniform(0.5 .. 1) every 100 ms"
-    environment = make(
+    environment = cart(
         "robots.cart.receive={wind: w}",
         "robots.cart.apply.motor=wind * 0.1 m/s",
         "reward={w: w, truth: joint_velocity(cart.slider) / (0.1 m/s)}",

@@ -3,7 +3,7 @@ it is told."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,11 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.errors import MessageError
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import SCENARIOS, Make
 
-Make = Callable[..., Supervisor]
 DRIVES = (1.0, -1.0, 0.5, -0.5, 0.25, 0.75)
 NEARLY = 1e-4
-PAIR = Path(__file__).parents[1] / "data" / "scenarios" / "pair.yaml"
+PAIR = SCENARIOS / "pair.yaml"
 
 
 def terms(environment: Supervisor, drives: Sequence[float] = DRIVES, seed: int = 0) -> dict[str, list[float]]:
@@ -29,8 +29,8 @@ def terms(environment: Supervisor, drives: Sequence[float] = DRIVES, seed: int =
 @pytest.mark.parametrize(
     ("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)]
 )
-def test_a_robot_acts_when_the_message_arrives(make: Make, latency: str, ticks: int) -> None:
-    found = terms(make(f"messages.to_robot={{latency: {latency}}}"))
+def test_a_robot_acts_when_the_message_arrives(cart: Make, latency: str, ticks: int) -> None:
+    found = terms(cart(f"messages.to_robot={{latency: {latency}}}"))
     assert found["truth"] == pytest.approx([*[0.0] * ticks, *DRIVES][:6], abs=NEARLY)
     assert found["sent"] == pytest.approx(found["truth"])
 
@@ -38,16 +38,16 @@ def test_a_robot_acts_when_the_message_arrives(make: Make, latency: str, ticks: 
 @pytest.mark.parametrize(
     ("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)]
 )
-def test_a_supervisor_goes_by_what_has_arrived(make: Make, latency: str, ticks: int) -> None:
-    found = terms(make(f"messages.from_robot={{latency: {latency}}}"))
+def test_a_supervisor_goes_by_what_has_arrived(cart: Make, latency: str, ticks: int) -> None:
+    found = terms(cart(f"messages.from_robot={{latency: {latency}}}"))
     assert found["truth"] == pytest.approx(DRIVES, abs=NEARLY)
     assert found["sent"] == pytest.approx([*[0.0] * ticks, *DRIVES][:6], abs=NEARLY)
 
 
-def test_paper_timing_is_one_tick_more_either_way(make: Make) -> None:
+def test_paper_timing_is_one_tick_more_either_way(cart: Make) -> None:
     route = "{to_robot: {latency: 20 ms}, from_robot: {latency: 20 ms}"
     immediate, paper = (
-        terms(make(f"messages={route}, timing: {timing}}}")) for timing in ("immediate", "delayed")
+        terms(cart(f"messages={route}, timing: {timing}}}")) for timing in ("immediate", "delayed")
     )
     assert immediate["truth"] == pytest.approx([0.0, *DRIVES[:5]], abs=NEARLY)
     assert immediate["sent"] == pytest.approx([0.0, 0.0, *DRIVES[:4]], abs=NEARLY)
@@ -56,8 +56,8 @@ def test_paper_timing_is_one_tick_more_either_way(make: Make) -> None:
 
 
 @pytest.mark.parametrize("format", ["struct", "csv", "json", "msgpack"])
-def test_every_format_may_be_late_and_lost(make: Make, format: str) -> None:
-    environment = make(
+def test_every_format_may_be_late_and_lost(cart: Make, format: str) -> None:
+    environment = cart(
         f"messages={{format: {format}, to_robot: {{loss: 100 %, on_loss: zero}}, from_robot: {{latency: 20"
         f" ms}}}}"
     )
@@ -69,9 +69,9 @@ def test_every_format_may_be_late_and_lost(make: Make, format: str) -> None:
     [("hold", [0.0] * 6), ("skip", [0.0] * 6), ("zero", [1.0] * 6)],
     ids=lambda value: str(value)[:4],
 )
-def test_what_a_robot_makes_of_a_lost_message(make: Make, on_loss: str, moves: list[float]) -> None:
+def test_what_a_robot_makes_of_a_lost_message(cart: Make, on_loss: str, moves: list[float]) -> None:
     """All is lost here: the robot acts on zeros or on nothing at all."""
-    environment = make(
+    environment = cart(
         f"messages.to_robot={{loss: 1, on_loss: {on_loss}}}",
         "robots.cart.apply.motor=0.1 m/s + drive * 0.1 m/s",
     )
@@ -80,9 +80,9 @@ def test_what_a_robot_makes_of_a_lost_message(make: Make, on_loss: str, moves: l
 
 @pytest.mark.parametrize(("on_loss", "grown"), [("hold", True), ("skip", False)])
 def test_a_held_message_counts_as_one_more_for_what_the_robot_remembers(
-    make: Make, on_loss: str, grown: bool
+    cart: Make, on_loss: str, grown: bool
 ) -> None:
-    environment = make(
+    environment = cart(
         f"messages.to_robot={{loss: 50 %, on_loss: {on_loss}}}",
         "robots.cart.apply.motor=accumulate(drive * 0.1 m/s, -9 .. 9 m/s, 0 m/s)",
     )
@@ -91,9 +91,9 @@ def test_a_held_message_counts_as_one_more_for_what_the_robot_remembers(
     assert (last == pytest.approx(4.0, abs=0.2)) == grown or (last < 3.5 and not grown)
 
 
-def test_what_the_supervisor_holds_or_zeroes_is_what_arrived(make: Make) -> None:
+def test_what_the_supervisor_holds_or_zeroes_is_what_arrived(cart: Make) -> None:
     held, zeroed = (
-        terms(make(f"messages.from_robot={{loss: 0.5, on_loss: {word}}}"), [1.0] * 60)
+        terms(cart(f"messages.from_robot={{loss: 0.5, on_loss: {word}}}"), [1.0] * 60)
         for word in ("hold", "zero")
     )
     lost = [value == 0.0 for value in zeroed["sent"]]
@@ -103,8 +103,8 @@ def test_what_the_supervisor_holds_or_zeroes_is_what_arrived(make: Make) -> None
     assert held["sent"][first:] == pytest.approx([1.0] * (60 - first), abs=NEARLY)
 
 
-def test_beyond_its_range_a_robot_hears_nothing(make: Make) -> None:
-    near, far = (make("messages.to_robot={range: 1 m}", f"robots.cart.pose={{y: {y} m}}") for y in (0.5, 1.5))
+def test_beyond_its_range_a_robot_hears_nothing(cart: Make) -> None:
+    near, far = (cart("messages.to_robot={range: 1 m}", f"robots.cart.pose={{y: {y} m}}") for y in (0.5, 1.5))
     assert terms(near)["truth"] == pytest.approx(DRIVES, abs=NEARLY)
     assert terms(far)["truth"] == pytest.approx([0.0] * 6, abs=NEARLY)
 
@@ -127,16 +127,16 @@ SEEN = "reward={age: stale / (20 ms), came: 1 when came}"
     ],
 )
 def test_age_counts_from_measurement_and_fresh_says_that_one_came(
-    make: Make, route: str, ages: list[int], fresh: list[int]
+    cart: Make, route: str, ages: list[int], fresh: list[int]
 ) -> None:
-    found = terms(make(route, SEEN, more=TOLD))
+    found = terms(cart(route, SEEN, more=TOLD))
     assert found["age"] == pytest.approx(ages)
     assert found["came"] == fresh
 
 
-def test_the_first_message_of_an_episode_is_there_at_once(make: Make) -> None:
+def test_the_first_message_of_an_episode_is_there_at_once(cart: Make) -> None:
     observed = "observation={stale: 0 .. 1 s, came: auto, cart.place: -2.4 .. 2.4 m}"
-    environment = make(
+    environment = cart(
         "messages.from_robot={latency: 300 ms, loss: 0.9}",
         observed,
         "reset.joints={cart.slider: 1.2 m}",
@@ -145,8 +145,8 @@ def test_the_first_message_of_an_episode_is_there_at_once(make: Make) -> None:
     assert environment.reset(seed=0)[0].tolist() == pytest.approx([-1.0, 1.0, 0.5])
 
 
-def test_ages_of_a_drawn_latency_lie_between_its_ends(make: Make) -> None:
-    environment = make(
+def test_ages_of_a_drawn_latency_lie_between_its_ends(cart: Make) -> None:
+    environment = cart(
         "messages.from_robot={latency: uniform(0 .. 60 ms) each step, order: newest}", SEEN, more=TOLD
     )
     ages = {round(age) for age in terms(environment, [0.0] * 200)["age"]}
@@ -156,29 +156,29 @@ def test_ages_of_a_drawn_latency_lie_between_its_ends(make: Make) -> None:
 @pytest.mark.parametrize(
     "signal", ["age(cart) / s", "limit * step * inner", "wind * cart.place / m", "position(cart.cart).x / m"]
 )
-def test_a_signal_is_never_observed_whatever_it_is_made_of(make: Make, tmp_path: Path, signal: str) -> None:
+def test_a_signal_is_never_observed_whatever_it_is_made_of(cart: Make, tmp_path: Path, signal: str) -> None:
     names = f'{{inner: cart.rate * s / m, seen: "{signal}"}}'
-    make(more=f"parameters: {{limit: 2, wind: uniform(0 .. 1)}}\nsignals: {names}\n")
-    found = api.lint(tmp_path / "cart_0.yaml", overrides=["observation={seen: -1 .. 1}"])
+    cart(more=f"parameters: {{limit: 2, wind: uniform(0 .. 1)}}\nsignals: {names}\n")
+    found = api.lint(tmp_path / "scenario.yaml", overrides=["observation={seen: -1 .. 1}"])
     assert [finding.code for finding in found] == ["DB609"]
 
 
 # Episodes and robots
 
 
-def test_a_new_episode_knows_nothing_of_the_last(make: Make) -> None:
+def test_a_new_episode_knows_nothing_of_the_last(cart: Make) -> None:
     route = (
         "{to_robot: {latency: 60 ms, loss: 0.3, burst: 4}, from_robot: {latency: uniform(0 .. 50 ms)"
         " each step, loss: 0.3}}"
     )
-    environment = make(f"messages={route}")
+    environment = cart(f"messages={route}")
     first = terms(environment)
     terms(environment, [0.3] * 11, seed=5)
     assert terms(environment) == first
-    assert terms(make(f"messages={route}")) == first
+    assert terms(cart(f"messages={route}")) == first
 
 
-def test_what_happens_on_one_channel_leaves_the_other_alone(make: Make) -> None:
+def test_what_happens_on_one_channel_leaves_the_other_alone(cart: Make) -> None:
     """Robot `left` is out of reach of the supervisor in one world; what `right` hears and says stays the
     same, bit by bit."""
 
@@ -186,8 +186,8 @@ def test_what_happens_on_one_channel_leaves_the_other_alone(make: Make) -> None:
         drawn = "{latency: uniform(0 .. 60 ms) each step, loss: 0.3, burst: 2, range: REACH}".replace(
             "REACH", reach
         )
-        environment = make(
-            f"messages={{to_robot: {drawn}, from_robot: {drawn}}}", *overrides, text=PAIR.read_text()
+        environment = cart(
+            f"messages={{to_robot: {drawn}, from_robot: {drawn}}}", *overrides, source=PAIR.read_text()
         )
         observations = [environment.reset(seed=3)[0]]
         observations += [environment.step(np.array([step % 3, 0]))[0] for step in range(50)]
@@ -210,11 +210,11 @@ def test_what_happens_on_one_channel_leaves_the_other_alone(make: Make) -> None:
 )
 @pytest.mark.parametrize("format", ["struct", "csv"])
 def test_the_age_of_a_reading_is_its_own_and_that_of_the_message(
-    make: Make, sensor: str, route: str, ages: list[int], format: str
+    cart: Make, sensor: str, route: str, ages: list[int], format: str
 ) -> None:
     faults = [f"robots.cart.sensors.place.{sensor.replace(': ', '=')}"] if sensor else []
     messages = f"messages={{format: {format}, from_robot: {route}}}"
-    found = terms(make(messages, *faults, "reward={place: age(cart.place) / (20 ms)}"))
+    found = terms(cart(messages, *faults, "reward={place: age(cart.place) / (20 ms)}"))
     assert found["place"] == pytest.approx(ages)
 
 
@@ -236,10 +236,10 @@ SCRIPTED = """\
 
 
 @pytest.mark.parametrize("format", ["struct", "csv", "none"])
-def test_a_scripted_robot_goes_by_its_own_sensors_and_what_it_is_told(make: Make, format: str) -> None:
+def test_a_scripted_robot_goes_by_its_own_sensors_and_what_it_is_told(cart: Make, format: str) -> None:
     """No action variable reaches it: it goes forth and back around 3 mm, by what it senses, and drifts with
     where the other one is."""
-    environment = make(f"messages.format={format}", REWARD, rival=SCRIPTED)
+    environment = cart(f"messages.format={format}", REWARD, rival=SCRIPTED)
     found = terms(environment, [0.0] * 4)
     assert found["rival"] == pytest.approx([1.0, 1.0, -1.0, 1.0], abs=NEARLY)
     drifting = terms(environment, [1.0, 0.0])["rival"]
@@ -247,8 +247,8 @@ def test_a_scripted_robot_goes_by_its_own_sensors_and_what_it_is_told(make: Make
     assert [field.name for field in environment.scenario.robots[1].to_robot.fields] == ["seen"]
 
 
-def test_a_message_on_a_foreign_channel_is_refused(make: Make) -> None:
-    environment = make(REWARD, rival=SCRIPTED)
+def test_a_message_on_a_foreign_channel_is_refused(cart: Make) -> None:
+    environment = cart(REWARD, rival=SCRIPTED)
     environment.reset(seed=0)
     environment.to_rival.transmit(environment.to_cart.wire.encode((1.0,)))
     with pytest.raises(

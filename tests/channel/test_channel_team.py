@@ -4,7 +4,6 @@ environment."""
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -17,25 +16,19 @@ from gymnasium.utils.env_checker import check_env
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, UsageError
 from deepbots_cli.runtime.copies import CopiesSupervisor
+from tests.worlds import RAIL, Make
 
 TEAM = Path(__file__).parent / "team.yaml"
-RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
 ASIDE = (0.0, 1.0, 0.0)
 CALM = "reset.joints={cart.hinge: 0.02 rad}"
-Make = Callable[..., CopiesSupervisor]
 
 
 @pytest.fixture
-def team() -> Iterator[Make]:
-    opened: list[Any] = []
+def team(make: Make) -> Make:
+    def make_team(*overrides: str, source: Path = TEAM, engine: str = "exact") -> CopiesSupervisor:
+        return make(source, *overrides, engine=engine)
 
-    def make(*overrides: str, engine: str = "exact", source: Path = TEAM) -> Any:
-        opened.append(api.make(source, overrides=overrides, engine=engine))
-        return opened[-1]
-
-    yield make
-    for environment in opened:
-        environment.close()
+    return make_team
 
 
 def rows(environment: CopiesSupervisor, steps: int, seed: int | None = 0) -> list[Any]:

@@ -11,8 +11,7 @@ from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import shipped
 from tests.named import with_defaults
-
-RAIL = Path(__file__).parents[1] / "data" / "scenarios" / "rail.yaml"
+from tests.worlds import RAIL
 
 
 def shipped_text(name: str) -> str:

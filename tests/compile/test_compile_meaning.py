@@ -114,11 +114,6 @@ def test_a_further_item_changes_no_other_draw(workshop, rail) -> None:
     assert more[0] != plain[0]
 
 
-def test_the_same_seed_draws_the_same_and_another_seed_does_not(workshop, rail) -> None:
-    assert start(workshop, rail()).tobytes() == start(workshop, rail()).tobytes()
-    assert start(workshop, rail(), seed=0).tobytes() != start(workshop, rail(), seed=1).tobytes()
-
-
 def test_any_yaw_is_drawn_from_the_whole_circle(workshop, cartpole) -> None:
     compiled = workshop.compile(cartpole(("{z: 0.04 m}", "{z: 0.04 m, yaw: any}")))
     (yaw,) = (place.rpy[2] for place in compiled.program.reset.placements)
@@ -152,28 +147,10 @@ def endings(success: str, failure: str) -> tuple[str, str]:
     return old, f"termination:\n  success: {{{success}}}\n  failure: {{{failure}}}\n"
 
 
-def test_failure_beats_success(workshop, rail) -> None:
-    terminated, truncated, _, info = outcome(
-        workshop, rail(endings("late: time > 0.09 s", "later: time > 0.09 s"))
-    )
-    assert terminated
-    assert not truncated
-    assert info["ended_by"] == "later"
-    assert info["is_success"] is False
-
-
 def test_success_alone_is_success(workshop, rail) -> None:
     *_, info = outcome(workshop, rail(endings("late: time > 0.09 s", "later: time > 1 s")))
     assert info["ended_by"] == "late"
     assert info["is_success"] is True
-
-
-def test_an_ending_beats_the_limit_of_the_same_step(workshop, rail) -> None:
-    text = rail(endings("done: time > 0.09 s", "never: time < 0 s"), ("max_steps: 300", "max_steps: 5"))
-    terminated, truncated, _, info = outcome(workshop, text)
-    assert terminated
-    assert not truncated
-    assert info["ended_by"] == "done"
 
 
 def test_a_limit_truncates(workshop, rail) -> None:

@@ -21,8 +21,8 @@ from deepbots_cli.document import shipped
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
 from tests.few import WORLDS, few
+from tests.worlds import SCENARIOS
 
-DATA = Path(__file__).parents[1] / "data" / "scenarios"
 MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rail", ()),
     ("rail", ("messages.format=none",)),
@@ -62,7 +62,7 @@ class Case:
 
 CASES = [
     *(Case(name) for name in shipped.scenario_names()),
-    *(Case(str(DATA / f"{name}.yaml"), overrides) for name, overrides in MADE_FOR_TESTS),
+    *(Case(str(SCENARIOS / f"{name}.yaml"), overrides) for name, overrides in MADE_FOR_TESTS),
 ]
 
 

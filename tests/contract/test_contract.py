@@ -28,6 +28,7 @@ from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.expressions.scalar import Draw
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import SCENARIOS
 
 Make = Callable[..., Supervisor]
 EXACT_FORMATS = ("struct", "json", "msgpack", "csv", "none")
@@ -121,7 +122,7 @@ def test_a_fresh_process_gives_the_same_bytes(cases: list[Any]) -> None:
 @pytest.mark.parametrize("name", ["cartpole", "rail", "drawn", "pair"])
 def test_every_message_format_gives_the_same_bytes(name: str, timing: str) -> None:
     """`none` knows no delay, so it takes part in immediate timing only."""
-    data = Path(__file__).parents[1] / "data" / "scenarios" / f"{name}.yaml"
+    data = SCENARIOS / f"{name}.yaml"
     engine, source = ("exact", str(data)) if data.exists() else ("pybullet", name)
     found = {}
     for format in EXACT_FORMATS if timing == "immediate" else EXACT_FORMATS[:-1]:

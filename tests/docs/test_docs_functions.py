@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,8 +11,7 @@ from deepbots_cli.document import loads
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.types import Symbol
-
-SCENARIOS = Path(__file__).parents[1] / "data" / "scenarios"
+from tests.worlds import SCENARIOS
 
 
 def scenario_with_examples(observation: dict[str, str]) -> CheckedScenario:

@@ -8,6 +8,7 @@ import yaml
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.document import MappingNode, Node, ScalarNode, SequenceNode, descend, to_data
 from deepbots_cli.document.parse import parse
+from tests.golden.cases import mistakes
 
 
 def read(text: str) -> tuple[Node | None, list[Finding]]:
@@ -131,75 +132,7 @@ def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
 @pytest.mark.parametrize(
     ("text", "code", "marked", "hint"),
     [
-        # what begins a value
-        ("a: *", "DB001", "*", '"*"'),
-        ("a: [*_hip, b]", "DB001", "*_hip", '"*_hip"'),
-        ("a: *_hip b", "DB001", "b", '"*_hip b"'),
-        ("a: !done", "DB005", "!done", "quotes"),
-        ("a: ! b", "DB005", "!", "quotes"),
-        ("a: %5", "DB001", "%", '"%5"'),
-        ("%5", "DB001", "%", "quotes"),
-        ("a: > 0.2", "DB001", ">", '"> 0.2"'),
-        ("a: >= 0.2 # m", "DB001", ">", '">= 0.2"'),
-        ("a: >5", "DB107", "a", '">5"'),
-        ("a: [1, 2] + x", "DB001", "+ x", '"[1, 2] + x"'),
-        ("a: `b`", "DB001", "`", '"`b`"'),
-        ("a: @b", "DB001", "@", '"@b"'),
-        ("a: ? b", "DB001", "?", "`a if condition else b`"),
-        ("a: - b", "DB001", "-", "next line"),
-        ("a: &", "DB001", "&", "quotes"),
-        ("a: }", "DB001", "}", "quotes"),
-        # what goes on in one
-        ("a: b: c", "DB001", ":", "quotes"),
-        ("a: b ? c : d", "DB001", "b ? c : d", "`c if b else d`"),
-        ("a: {b: where(c > d, -1, 2)}", "DB001", "where(c > d, -1, 2)", "`-1 if c > d else 2`"),
-        ("a: {b: c ? d : e}", "DB001", ":", "`a if condition else b`"),
-        ('a: "b" c', "DB001", "c", "quotes"),
-        ("a: 'it's'", "DB001", "s'", '"it\'s"'),
-        ("color: #ff0000", "DB107", "color", '"#ff0000"'),
-        ("a: {color: #ff0}\nb: 1", "DB001", "#ff0", '"#ff0"'),
-        ("a: {yaw: uniform(-1, 1), b: 2}", "DB001", "uniform(-1, 1)", "`uniform(-1 .. 1)`"),
-        ("a: [max(b, c), d]", "DB001", "max(b, c)", '"max(b, c)"'),
-        ("a: {b:1}", "DB107", "b:1", "space after the colon"),
-        ("a: {b: 1, c}", "DB107", "c", "comma"),
-        # what is never closed, or closed too often
-        ("a: {b: 1\nc: 2", "DB001", "{", "closing `}`"),
-        ("a: [b", "DB001", "[", "closing `]`"),
-        ("a: [b, c}", "DB001", "}", "commas"),
-        ('a: "b\nc: 1', "DB001", '"', "close"),
-        ('a: "\\q"', "DB001", "\\q", "single quotes"),
-        # lines
-        ("a:\n\tb: 1", "DB001", "\t", "spaces"),
-        ("a:\n  b: 1\n\tc: 2", "DB001", "\t", "spaces"),
-        ("a: 1\n  b: 2", "DB001", "b", "`b: 2`"),
-        ("a:\n    b: 1\n  c: 2", "DB001", "c: 2", "`    c: 2`"),
-        ("a: 1\nb:2\nc: 3", "DB001", "b:2", "space after the colon"),
-        ("a: 1\nword\nb: 2", "DB001", "word", "`word:`"),
-        ("a: 1\n- b", "DB001", "- b", "indent the list"),
-        ("a: 1\n---\nb: 2", "DB001", "---", "one document"),
-        # nothing
-        ("", "DB107", "", "deepbots new"),
-        ("# only words\n", "DB107", "", "deepbots new"),
-        ("a:\nb: 1", "DB107", "a", "indent"),
-        ("a: null", "DB107", "a", "no null"),
-        ("a: ~", "DB107", "a", "no null"),
-        # keys
-        ("1: a", "DB103", "1", '"1"'),
-        ("true: a", "DB103", "true", '"true"'),
-        ("[a]: 1", "DB001", "[a]", "name: value"),
-        ("? [a]\n: 1", "DB001", "[a]", "name: value"),
-        (": 1", "DB001", ":", "key: value"),
-        ("<<: {a: 1}", "DB101", "<<", "`extends`"),
-        # numbers
-        ("a: on", "DB003", "on", "true"),
-        ("a: [No]", "DB003", "No", "false"),
-        ("a: 1_0000", "DB004", "1_0000", "10000"),
-        ("a: 0777", "DB004", "0777", "777"),
-        ("a: 1,5", "DB004", "1,5", "1.5"),
-        ("a: 12:30", "DB004", "12:30", "750 s"),
-        ("a: 0x1F", "DB004", "0x1F", "31"),
-        ("a: 0o17", "DB004", "0o17", "15"),
-        ("a: 1e999", "DB105", "1e999", "smaller"),
+        *mistakes("document"),
         pytest.param("a: " + "9" * 5000, "DB105", "9" * 5000, "smaller", id="5000 digits"),
     ],
 )

@@ -9,6 +9,7 @@ import pytest
 
 from tests.faults.injected import Injected, everything
 from tests.faults.trying import Project
+from tests.golden.cases import mistakes
 
 SAMPLED = 75
 """Of all, which take two minutes."""
@@ -45,70 +46,13 @@ def test_there_are_a_thousand_of_them_in_every_way_of_writing(cases: list[Inject
     assert all(sum(bool(case.chain) == brought for case in cases) > 300 for brought in (True, False))
 
 
-FOLLOWED = {
-    "a misspelled arena leaves a region without spots": (
-        "find_ball_random",
-        "size: 1 1 m",
-        "sizze: 1 1 m",
-        "DB101",
-    ),
-    "a misspelled goal makes a success rate meaningless": (
-        "panda_reach",
-        "  range:   ",
-        "  rangge:   ",
-        "DB101",
-    ),
-    "a misspelled group makes an action a single number": (
-        "quadrotor",
-        "each: drone",
-        "eacch: drone",
-        "DB101",
-    ),
-    "a misspelled range leaves no action": ("quadrotor", "push: {range:", "push: {rangge:", "DB101"),
-    "a misspelled policy leaves copies without one": (
-        "multi_cartpole",
-        "agent: {each:",
-        "agent: {eacch:",
-        "DB101",
-    ),
-    "a misspelled spacing leaves copies at one place": ("multi_cartpole", "spacing:", "spacinng:", "DB101"),
-    "a misspelled place leaves copies of an object without one": ("tag", "  place:", "  placce:", "DB101"),
-    "a misspelled limit leaves an ending that a test expects without one": (
-        "balancer",
-        "{max_time: 10",
-        "{max_timme: 10",
-        "DB101",
-    ),
-    "a misspelled name of a stage leaves a test without its stage": (
-        "find_ball_random",
-        "- {name: open",
-        "- {nname: open",
-        "DB101",
-    ),
-    "a misspelled range leaves rays without an end": (
-        "find_and_avoid",
-        "rays: 13, range:",
-        "rays: 13, rangge:",
-        "DB101",
-    ),
-    "a misspelled action of a test leaves another one undecided": (
-        "find_ball",
-        "[{gas: 1, wheel: -1}",
-        "[{gas: 1, wheeel: -1}",
-        "DB201",
-    ),
-    "a parenthesis left out puts two comparisons in a row": (
-        "line_follower",
-        "2 * width) > 1 s",
-        "2 * width > 1 s",
-        "DB401",
-    ),
-}
-
-
-@pytest.mark.parametrize("symptom", FOLLOWED)
-def test_what_follows_from_a_mistake_is_not_told(project: Project, symptom: str) -> None:
-    name, right, wrong, code = FOLLOWED[symptom]
+@pytest.mark.parametrize(
+    ("symptom", "name", "right", "wrong", "code"),
+    [pytest.param(*row, id=row[0]) for row in mistakes("followed")],
+)
+def test_what_follows_from_a_mistake_is_not_told(
+    project: Project, symptom: str, name: str, right: str, wrong: str, code: str
+) -> None:
     text = (project.scenarios / f"{name}.yaml").read_text(encoding="utf-8")
     assert right in text
     faulty = text.replace(right, wrong, 1)

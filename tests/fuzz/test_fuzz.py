@@ -3,6 +3,7 @@ made by hypothesis."""
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterator, Sequence
 
 import pytest
@@ -13,9 +14,11 @@ from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.fixes import Fixer
+from tests.fuzz.beside import check, check_layout, session, unkempt
 from tests.fuzz.mutations import CORPUS, PIECES, READS, SEEDS, Case, case
 from tests.fuzz.mutations import ROOT as REPOSITORY
 from tests.fuzz.workbench import Workbench, digest, digests_elsewhere
+from tests.lsp.client import Client
 
 COUNT = 200
 FOLDER = SEEDS.relative_to(REPOSITORY)
@@ -86,3 +89,34 @@ def test_bytes_put_anywhere_give_findings(
         at = int(where * len(text))
         text = text[:at] + piece + text[at + length :]
     bench.check(Case(0, FOLDER / main, FOLDER / victim, text))
+
+
+# `fmt`, `diff`, `schema --for` and the language server, upon damaged files
+
+
+def test_fmt_changes_no_meaning_of_a_damaged_file_and_is_done_at_once() -> None:
+    for number in range(100):
+        check_layout(case(number).data.decode("utf-8", "ignore"))
+
+
+def test_fmt_makes_of_a_file_with_white_space_anywhere_what_it_would_leave_as_it_is() -> None:
+    chances = [random.Random(number) for number in range(100)]
+    tidied = [
+        check_layout(unkempt(CORPUS[chance.choice(sorted(READS))].decode("utf-8"), chance))
+        for chance in chances
+    ]
+    assert sum(tidied) > 25
+
+
+def test_a_damaged_file_does_not_differ_from_itself_and_no_verb_fails(bench: Workbench) -> None:
+    for number in range(20):
+        check(bench, number)
+
+
+def test_random_edits_and_questions_at_places_that_are_not_there_leave_the_language_server_in_order(
+    bench: Workbench,
+) -> None:
+    with Client(bench.folder) as client:
+        answered = session(client, bench.folder / SEEDS.relative_to(SEEDS.parents[2]), random.Random(0))
+    assert answered > 5
+    assert (client.code, client.errors) == (0, "")

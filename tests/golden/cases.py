@@ -2,7 +2,7 @@
 
 A page `err/db101.md` holds sections; a section is a case: its name as a heading, the scenario in a block
 `yaml` and the findings in a block `text`. `UPDATE_GOLDEN=1 pytest tests/golden` writes the blocks of
-findings.
+findings. `mistakes.yaml` has a line for each mistake in a part of a scenario.
 """
 
 from __future__ import annotations
@@ -11,6 +11,9 @@ import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 HERE = Path(__file__).parent
 CASE = re.compile(r"^## (\S+)\n\n```yaml\n(.*?)^```\n\n```text\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
@@ -45,10 +48,17 @@ def cases(kind: str) -> list[Case]:
     ]
 
 
+def mistakes(part: str) -> list[list[Any]]:
+    """The lines of a part of mistakes.yaml: `scenario`, `document`, `expression` and others."""
+    return list(yaml.safe_load((HERE / "mistakes.yaml").read_text(encoding="utf-8"))[part])
+
+
 def write(folder: Path) -> Path:
     """Write the scenarios into a new folder as `lint/err/db101-mistake.yaml`, beside what they extend; return
     the folder."""
-    shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns("*.md", "*.py", "__pycache__"))
+    shutil.copytree(
+        HERE, folder, ignore=shutil.ignore_patterns("*.md", "*.py", "mistakes.yaml", "__pycache__")
+    )
     for kind in ("lint", "deep"):
         (folder / kind / "err").mkdir(exist_ok=True)
         for case in cases(kind):

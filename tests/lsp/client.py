@@ -13,7 +13,11 @@ from pathlib import Path
 from queue import Queue
 from typing import Any
 
+import yaml
+
 ROOT = Path(__file__).parents[2]
+TABLES = yaml.safe_load(Path(__file__).with_name("tables.yaml").read_text(encoding="utf-8"))
+"""Places, and what a server has to say of each."""
 PATIENCE = 30.0
 """Seconds that an answer may take on a busy machine."""
 

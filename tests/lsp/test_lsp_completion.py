@@ -7,7 +7,7 @@ import pytest
 
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.workspace import Document, Workspace, analyze, uri_of
-from tests.lsp.client import edited
+from tests.lsp.client import TABLES, edited
 
 
 @pytest.fixture
@@ -27,114 +27,12 @@ def typing(client, pit, project):
 
 @pytest.mark.parametrize(
     ("old", "new", "offered", "not_offered"),
-    [
-        (
-            "timestep: 32 ms, substeps",
-            "timestep: 32 ms, gr¦, substeps",
-            {"gravity", "ground", "arena"},
-            {"timestep", "substeps", "gyro"},
-        ),
-        ("{max_time: time_limit}", "{max¦}", {"max_time", "max_steps"}, {"truncation", "episodes"}),
-        ("  n_steps: 64\n", "  n_¦\n", {"n_steps", "n_epochs", "clip_range"}, {"buffer_size", "algorithm"}),
-        (
-            "signals:\n",
-            "augment: {at: {value: position(roller).x, ¦}}\nsignals:\n",
-            {"noise"},
-            {"value", "range"},
-        ),
-        (
-            "signals:\n",
-            "mes¦\nsignals:\n",
-            {"messages", "goal", "disturbances"},
-            {"world", "robots", "timestep"},
-        ),
-        (
-            "    apply: {pitch",
-            "    ¦\n    apply: {pitch",
-            {"receive", "groups", "emit"},
-            {"apply", "urdf", "world"},
-        ),
-    ],
+    [row for part in ("keys", "words", "names", "expressions") for row in TABLES[part]],
 )
-def test_keys_are_those_of_the_place_that_are_not_there_yet(typing, old, new, offered, not_offered):
+def test_what_is_due_at_a_place_is_offered_and_nothing_else(typing, old, new, offered, not_offered):
     found = set(typing(old, new))
-    assert offered <= found
-    assert not found & not_offered
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "offered"),
-    [
-        ("signals:\n", "messages: {format: s¦}\nsignals:\n", {"struct", "csv", "json", "none"}),
-        ("{type: gyro, link", "{type: ¦, link", {"gyro", "accelerometer", "camera"}),
-        ("algorithm: PPO", "algorithm: ¦", {"PPO", "SAC", "TD3"}),
-        ("terrain: {type: pit,", "terrain: {type: p¦", {"pit", "mesh", "heightfield"}),
-    ],
-)
-def test_words_of_the_language_are_offered_where_one_is_due(typing, old, new, offered):
-    assert offered <= set(typing(old, new))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "offered"),
-    [
-        ("joint: pitch", "joint: ¦", {"pitch", "yaw"}),
-        ("gyro, link: ball}", "gyro, link: ¦", {"ball", "weight", "carrier"}),
-        ("    apply: {pitch", "    emit: [gyro, ¦\n    apply: {pitch", {"gyro", "accel"}),
-        ("{pitch_motor: pitch * speed", "{¦: pitch * speed", {"pitch_motor"}),
-        ("{roller.gyro: -5", "{rol¦: -5", {"roller.gyro", "previous_action"}),
-        ("forward_only: {roll: forward}", "forward_only: {roll: {¦", {"forward", "turn_left"}),
-        ("forward_only: {roll: forward}", "forward_only: {roll: f¦", {"forward", "turn_left"}),
-        ("reset: {place: {roller", "reset: {place: {¦", {"roller"}),
-        ("{driver: rocking, ", "{driver: ¦, ", {"rocking", "forward_only", "random", "zero"}),
-        ("{driver: rocking, ", "{actions: [¦], ", {"forward", "turn_left"}),
-        ("ends_by: escaped", "ends_by: ¦", {"escaped", "max_time"}),
-    ],
-)
-def test_names_of_the_scenario_and_of_its_robot_file_are_offered_where_one_is_due(typing, old, new, offered):
-    assert offered <= set(typing(old, new))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "offered", "not_offered"),
-    [
-        (
-            "delta(metric)",
-            "delta(me¦",
-            {"metric", "reach", "radius", "delta(", "running_max(", "when"},
-            {"gyro", "uniform(", "m"},
-        ),
-        (
-            "{pitch_motor: pitch * speed",
-            "{pitch_motor: pi¦ * speed",
-            {"pitch", "speed", "gyro"},
-            {"reach", "roller.gyro", "position("},
-        ),
-        ("norm(position(roller).xy)", "norm(position(¦", {"roller", "roller.ball"}, {"radius", "norm(", "m"}),
-        (
-            "roller.gyro.y < 0 rad/s",
-            "roller.gyro.¦",
-            {"roller.gyro.x", "roller.gyro.z", "roller.gyro.xy"},
-            {"gyro"},
-        ),
-        ("radius: 2.7 m", "radius: 2.7 ¦", {"m", "deg", "N"}, {"speed", "uniform("}),
-        ("8.72 rad/s", "8.72 rad/¦", {"s", "ms"}, {"radius", "when"}),
-        ("max_torque: 10 N*m}\n      yaw", "max_torque: 10 N*¦}\n      yaw", {"m", "mm"}, {"N*m"}),
-        ("max_torque: 10 N*m}\n      yaw", "max_torque: 10 N*m¦}\n      yaw", {"m", "mm"}, {"N*m"}),
-        ("radius: 2.7 m", "radius: uni¦", {"uniform(", "time_limit"}, {"reach", "delta("}),
-        ("norm(position(roller).xy)", "norm(position(roller).¦", {"x", "y", "z", "xy"}, {"radius", "norm("}),
-        ("signals:\n", "augment: {at: {value: pos¦, noise: 2 mm}}\nsignals:\n", {"position("}, {"gyro"}),
-        ("norm(position(roller).xy)", "norm(2 * position(roller).x¦", {"x", "y", "z"}, {"radius", "norm("}),
-        ("reach > radius", "reach > (2 * radius).¦", set(), {"x", "radius"}),
-        ("progress: delta(metric)", "progress: 10 wh¦", {"when", "m"}, {"metric"}),
-        ("timestep: 32 ms", "timestep: 32 wh¦", {"ms"}, {"when"}),
-        ("always: reach < radius", "always: esc¦", {"escaped", "reach", "position("}, {"gyro", "delta("}),
-    ],
-)
-def test_expressions_offer_what_has_a_value_there(typing, old, new, offered, not_offered):
-    found = set(typing(old, new))
-    assert offered <= found
-    assert not found & not_offered
+    assert {*offered} <= found
+    assert not found & {*not_offered}
 
 
 @pytest.mark.parametrize(
@@ -304,41 +202,7 @@ scripts:
 """
 
 
-@pytest.mark.parametrize(
-    ("changes", "offered", "not_offered"),
-    [
-        (
-            [("{old: 1 m}", "{far: 1 m, old: 1 m}"), ("reward: {time: 1", "reward: {time: f¦")],
-            {"far", "old", "delta("},
-            {"wheels"},
-        ),
-        ([("{old: 1 m}", "{old: 1 m, far: f¦}")], {"old"}, {"far"}),
-        (
-            [
-                ("name: Begun\n", "name: Begun\nparameters: {wide: 1 s}\nsignals: {far: 1 s}\n"),
-                ("20 ms", "w¦"),
-            ],
-            {"wide"},
-            {"far", "old"},
-        ),
-        (
-            [
-                ("pole_hinge}}", "pole_hinge}, tilt: {type: joint_velocity, joint: pole_hinge}}"),
-                ("{wheels: go}", "{wheels: t¦}"),
-            ],
-            {"tilt", "pole_angle", "go"},
-            {"old"},
-        ),
-        (
-            [
-                ("action:", "objects: {crate: {shape: box, size: 1 1 1 m}}\naction:"),
-                ("{time: 1", "{time: clearance(cr¦"),
-            ],
-            {"crate", "cart"},
-            {"old", "time"},
-        ),
-    ],
-)
+@pytest.mark.parametrize(("changes", "offered", "not_offered"), TABLES["written"])
 def test_names_written_since_the_last_analysis_are_offered_where_they_have_a_value(
     tmp_path, changes, offered, not_offered
 ):
@@ -356,13 +220,13 @@ def test_names_written_since_the_last_analysis_are_offered_where_they_have_a_val
     workspace.put(written)
     before = completion(workspace.view(known.uri, position))
     assert before.is_incomplete  # so that an editor asks again at the next letter
-    assert offered <= labels(before)
-    assert not labels(before) & not_offered
+    assert {*offered} <= labels(before)
+    assert not labels(before) & {*not_offered}
     workspace.record(analyze(written, workspace.drafts))
     after = completion(workspace.view(known.uri, position))
     assert not after.is_incomplete
-    assert offered <= labels(after)
-    assert not labels(after) & not_offered
+    assert {*offered} <= labels(after)
+    assert not labels(after) & {*not_offered}
 
 
 def labels(found):

@@ -20,9 +20,9 @@ from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
 from deepbots_cli.lsp.server import CodeActions, diagnostics, formatting
 from deepbots_cli.lsp.workspace import Document, Workspace, analyze, uri_of
-from tests.benchmarks.lsp_cost import heavy_imports
 from tests.few import few
 from tests.lsp.client import Client, position
+from tools.benchmarks.lsp_cost import heavy_imports
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = sorted((ROOT / "scenarios").glob("*.yaml"))

@@ -4,44 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from tests.lsp.client import offset, place_of
+from tests.lsp.client import TABLES, offset, place_of
 
 
-@pytest.mark.parametrize(
-    ("around", "said"),
-    [
-        ("reach > rad¦ius", ["a parameter", "a length (m)", "2.7 m", "fixed"]),
-        ("0.5 * re¦ach / radius", ["a signal", "at least 0 m", "different in every step"]),
-        ("pitch_motor: pit¦ch * speed", ["an action variable", "from -1 to 1"]),
-        ("{backward: roller.gyro.y¦ < 0", ["an angular velocity (rad/s)"]),
-        ("position(rol¦ler).xy", ["a robot"]),
-        ("y: uniform(-0.15 .. 0.15¦ m), yaw", ["a length (m)", "0.15 m"]),
-        ("timestep: 3¦2 ms", ["a duration (s), 0.032 s"]),
-        ("0.5 *¦ reach / radius", ["`0.5 * reach`", "a length (m)"]),
-    ],
-)
-def test_expressions_tell_type_unit_and_interval(client, pit, around, said):
-    found = client.hover(pit, around)
-    assert [words for words in said if words not in found] == []
-
-
-@pytest.mark.parametrize(
-    ("around", "said"),
-    [
-        ("sub¦steps: 8", ["a whole number", "**Default:** `1`"]),
-        ("max_tor¦que: 10 N*m}\n      yaw", ["torque"]),
-        ("algorithm: P¦PO", ["`PPO`:"]),
-        ("gyro: {type: gy¦ro", ["`gyro`:"]),
-        ("gyro: {ty¦pe: gyro", ["one of", "`camera`"]),
-        ("joint: pi¦tch", ["a continuous joint", '<joint name="pitch"']),
-        ("escap¦ed: reach", ["an ending", "a truth value"]),
-        ("rea¦ch:  running", ["a signal", "a length (m), at least 0 m"]),
-        ("prog¦ress: delta", ["a plain number", "different in every step"]),
-        ("sensors: {gy¦ro:", ["a sensor", "an angular velocity (rad/s)", "x, y, z"]),
-        ("forw¦ard_only:", ["a name of your choice"]),
-    ],
-)
-def test_keys_and_words_tell_what_they_are_for(client, pit, around, said):
+@pytest.mark.parametrize(("around", "said"), TABLES["hover"])
+def test_expressions_keys_and_words_tell_what_they_are(client, pit, around, said):
     found = client.hover(pit, around)
     assert [words for words in said if words not in found] == []
 
@@ -91,47 +58,16 @@ def test_while_the_text_is_broken_elsewhere_hover_and_definition_go_on(client, p
     assert client.definition(pit, "reach > rad¦ius") == [place_of("pit_escape.yaml", "¦radius: 2.7 m")]
 
 
-@pytest.mark.parametrize(
-    ("around", "place"),
-    [
-        ("reach > rad¦ius", ("pit_escape.yaml", "¦radius: 2.7 m")),
-        ("delta(met¦ric)", ("pit_escape.yaml", "¦metric: |")),
-        ("pitch_motor: pit¦ch * speed", ("pit_escape.yaml", "¦pitch: 1,")),
-        ("{pitch_mo¦tor: pitch", ("pit_escape.yaml", "¦pitch_motor: {type")),
-        ("{roller.gy¦ro: -5", ("pit_escape.yaml", "¦gyro: {type")),
-        ("{backward: roller.gyro.¦y", ("pit_escape.yaml", "¦gyro: {type")),
-        ("forward_only: {roll: forw¦ard}", ("pit_escape.yaml", "¦forward:    {")),
-        ("joint: pi¦tch", ("roller.urdf", 'joint name="¦pitch"')),
-        ("urdf: ../robots/urdf/rol¦ler.urdf", ("roller.urdf", "¦<?xml")),
-        ("position(rol¦ler).xy", ("pit_escape.yaml", "¦roller:\n")),
-    ],
-)
-def test_a_name_leads_to_its_definition(client, pit, around, place):
-    assert client.definition(pit, around) == [place_of(*place)]
+@pytest.mark.parametrize(("around", "file", "place"), TABLES["definitions"])
+def test_a_name_leads_to_its_definition(client, pit, around, file, place):
+    assert client.definition(pit, around) == [place_of(file, place)]
 
 
-@pytest.mark.parametrize(
-    ("around", "place"),
-    [
-        ("log(clamp(proxi¦mity", ("epuck.yaml", "¦proximity:\n")),
-        ("include: ../rob¦ots/epuck.yaml", ("epuck.yaml", "¦# A robot file is")),
-        ("clearance(epuck, obst¦acle)", ("find_ball_random.yaml", "¦obstacle:\n    count")),
-        (
-            "few:  {set: {reset.layout: scattered, obstacles: integer(1 .. 3),  objects.obstacle.one_of:"
-            " *uns¦een}}",
-            ("find_ball_random.yaml", "one_of: ¦&unseen"),
-        ),
-        (
-            "none:\n      set:\n        reset.lay¦out: scattered",
-            ("find_ball_random.yaml", "reset:\n  ¦layout: {"),
-        ),
-        ("layout: {scat¦tered: 88 %", ("find_ball_random.yaml", "layouts:\n    ¦scattered:")),
-    ],
-)
+@pytest.mark.parametrize(("around", "file", "place"), TABLES["included"])
 def test_definitions_are_found_in_included_files_by_aliases_and_by_paths_of_settings(
-    client, ball, around, place
+    client, ball, around, file, place
 ):
-    assert client.definition(ball, around) == [place_of(*place)]
+    assert client.definition(ball, around) == [place_of(file, place)]
 
 
 def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client, ball, project):

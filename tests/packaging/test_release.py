@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.packaging import release
+from tools.packaging import release
 
 ROOT = Path(__file__).resolve().parents[2]
 REPOSITORY = "https://host/owner/name"
@@ -44,3 +44,83 @@ def test_hadolint_finds_nothing_in_the_dockerfile() -> None:
         pytest.skip("hadolint is not installed here")
     done = subprocess.run([command, str(ROOT / "Dockerfile")], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "")
+
+
+# What `make` says on a machine that lacks what it needs; the workflows that call it
+
+
+OTHER_PYTHON = "#!/bin/sh\nexit 1\n"
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make here")
+@pytest.mark.parametrize("pythons", [(), ("python3",)], ids=["no python at all", "another python"])
+def test_without_a_python_that_fits_make_says_so_in_one_sentence_and_begins_nothing(
+    tmp_path: Path, pythons: tuple[str, ...]
+) -> None:
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    (tools / "sh").symlink_to("/bin/sh")
+    for name in pythons:
+        (tools / name).write_text(OTHER_PYTHON)
+        (tools / name).chmod(0o755)
+    (tmp_path / "deepbots_robot").mkdir()
+    for project in (".", "deepbots_robot"):
+        (tmp_path / project / "pyproject.toml").write_text("")
+    make = shutil.which("make")
+    assert make is not None
+    command = [make, "-f", str(ROOT / "Makefile"), "train"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env={"PATH": str(tools)}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    first, *rest = done.stderr.splitlines()
+    assert first.startswith("Python 3.11, 3.12 or 3.13 is needed")
+    assert len(rest) == 1  # make's own line on the target that failed
+    assert not (tmp_path / ".venv").exists()
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make here")
+def test_without_node_make_says_what_the_tests_of_editors_need(tmp_path: Path) -> None:
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    (tools / "sh").symlink_to("/bin/sh")
+    (tmp_path / "tests" / "editors").mkdir(parents=True)
+    (tmp_path / "tests" / "editors" / "package.json").write_text("{}")
+    make = shutil.which("make")
+    assert make is not None
+    command = [make, "-f", str(ROOT / "Makefile"), "build/editors/installed"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env={"PATH": str(tools)}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("node and npm are needed")
+    assert not (tmp_path / "build").exists()
+
+
+@pytest.mark.parametrize(
+    ("schema", "files"),
+    [
+        ("vendor.github-workflows", sorted((ROOT / ".github" / "workflows").glob("*.yml"))),
+        ("vendor.citation-file-format", [ROOT / "CITATION.cff"]),
+    ],
+    ids=["workflows", "citation"],
+)
+def test_files_for_services_fit_the_schema_of_the_service(schema: str, files: list[Path]) -> None:
+    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", schema, *map(str, files)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_workflows_call_targets_that_exist() -> None:
+    text = "\n".join(
+        path.read_text(encoding="utf-8") for path in (ROOT / ".github" / "workflows").glob("*.yml")
+    )
+    called = {
+        target
+        for line in re.findall(r"make ([a-z ]+?)(?: [A-Z]+=.*)?$", text, re.MULTILINE)
+        for target in line.split()
+    }
+    assert called <= set(
+        re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    )
+    assert {"docs", "nightly", "release"} <= called

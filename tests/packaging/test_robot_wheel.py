@@ -18,7 +18,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli.scenario.scenario import ROS_TYPES
 from deepbots_robot.topics import PARTS
-from tests.packaging import clean
+from tools.packaging import clean
 
 ROOT = Path(__file__).resolve().parents[2]
 NEEDS_ROBOT = {"dev", "export", "robot", "ros", "sign", "zmq"}

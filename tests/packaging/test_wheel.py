@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 import deepbots_cli
-from tests.packaging import clean
+from tools.packaging import clean
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from tests.benchmarks.report import Row
 from tests.physics import contact, feeling, motion
+from tools.benchmarks.report import Row
 
 EXPERIMENTS: dict[str, Callable[[], Iterable[Row]]] = {
     experiment.__name__: experiment

@@ -7,9 +7,9 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from tests.benchmarks.report import Row
 from tests.physics import robots
 from tests.physics.lab import off, trial
+from tools.benchmarks.report import Row
 
 G = 9.81
 INERTIAL = (

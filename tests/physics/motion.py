@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import cos, hypot, pi, radians, sin, sqrt
-from pathlib import Path
 
 import numpy as np
 
 from deepbots_cli import api
-from tests.benchmarks.report import Row
 from tests.physics import robots
 from tests.physics.lab import ENGINE, off, trial
+from tests.worlds import SCENARIOS
+from tools.benchmarks.report import Row
 
 G = 9.81
 FLOATING = "ground: {}, gravity: 0 0 0 m/s^2"
@@ -202,7 +202,7 @@ def changed_bodies() -> Iterator[Row]:
 
 def hover() -> Iterator[Row]:
     """Thrust that balances the weight: what is left to fall, of what a fall would be."""
-    scenario = Path(__file__).parents[1] / "data" / "scenarios" / "drone.yaml"
+    scenario = SCENARIOS / "drone.yaml"
     weight = (0.02572680943 + 4 * 0.0005) * G
     overrides = (
         "disturbances={}",

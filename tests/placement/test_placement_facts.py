@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
 WORLD = """\
 deepbots: 1
@@ -40,12 +37,8 @@ reset: {place: {cart: {x: -0.3 m, y: 0 m}, ball: {x: 0.5 m, y: 0.6 m, z: 0.2 m},
 
 
 @pytest.fixture
-def environment(tmp_path: Path) -> Iterator[Supervisor]:
-    file = tmp_path / "scenario.yaml"
-    file.write_text(WORLD)
-    made = api.make(file)
-    yield made
-    made.close()
+def environment(make: Make) -> Supervisor:
+    return make(WORLD)
 
 
 def test_gaps_are_between_surfaces(environment: Supervisor) -> None:

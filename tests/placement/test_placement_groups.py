@@ -4,31 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
 GROUPED = Path(__file__).with_name("grouped.yaml")
 NAMES = ("turned", "crates", "things", "nearest", "room", "some", "every")
-
-
-@pytest.fixture
-def make() -> Iterator[Callable[..., Supervisor]]:
-    opened: list[Supervisor] = []
-
-    def make_one(*overrides: str) -> Supervisor:
-        opened.append(api.make(GROUPED, overrides=overrides))
-        return opened[-1]
-
-    yield make_one
-    for environment in opened:
-        environment.close()
 
 
 def seen(observation: Any) -> dict[str, float]:
@@ -44,8 +30,8 @@ def place(environment: Supervisor, body: str) -> tuple[float, float, float]:
     return environment.engine.pose(body)()[0]
 
 
-def test_reductions_go_over_the_copies_that_are_there(make: Callable[..., Supervisor]) -> None:
-    environment = make("reset.layout=scattered")
+def test_reductions_go_over_the_copies_that_are_there(make: Make) -> None:
+    environment = make(GROUPED, "reset.layout=scattered")
     observation, _ = environment.reset(seed=0)
     counts = Counter()
     for _ in range(60):
@@ -62,8 +48,8 @@ def test_reductions_go_over_the_copies_that_are_there(make: Callable[..., Superv
     assert set(counts) == {0, 1, 2, 3, 4}
 
 
-def test_absent_copies_touch_nothing_and_are_no_gap(make: Callable[..., Supervisor]) -> None:
-    environment = make("reset.layout=row", "parameters.crates=2")
+def test_absent_copies_touch_nothing_and_are_no_gap(make: Make) -> None:
+    environment = make(GROUPED, "reset.layout=row", "parameters.crates=2")
     observation, _ = environment.reset(seed=0)
     assert seen(observation)["things"] == pytest.approx(0.0, abs=1e-6)
     assert environment.engine.clearance(("cart", None), ("thing#1", None))() == math.inf
@@ -73,8 +59,8 @@ def test_absent_copies_touch_nothing_and_are_no_gap(make: Callable[..., Supervis
     ]
 
 
-def test_layouts_are_drawn_in_their_shares(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_layouts_are_drawn_in_their_shares(make: Make) -> None:
+    environment = make(GROUPED)
     environment.reset(seed=1)
     drawn: Counter[str] = Counter()
     draw = environment.bodies.layout
@@ -92,9 +78,9 @@ def test_layouts_are_drawn_in_their_shares(make: Callable[..., Supervisor]) -> N
 
 
 def test_a_map_puts_each_letter_on_its_cell_and_draws_which_where_there_are_more(
-    make: Callable[..., Supervisor],
+    make: Make,
 ) -> None:
-    environment = make("reset.layout=drawn", "parameters.crates=2")
+    environment = make(GROUPED, "reset.layout=drawn", "parameters.crates=2")
     environment.reset(seed=0)
     cells = {(-0.8, 0.8), (0.4, 0.0), (0.8, 0.0), (0.4, -0.4), (0.4, -0.8)}
     used = set()
@@ -115,8 +101,8 @@ def test_a_map_puts_each_letter_on_its_cell_and_draws_which_where_there_are_more
     assert used == cells
 
 
-def test_walls_of_a_map_are_there_only_in_its_layout(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_walls_of_a_map_are_there_only_in_its_layout(make: Make) -> None:
+    environment = make(GROUPED)
     gap = environment.engine.clearance(("cart", None), ("drawn wall#1", None))
     environment.reset(seed=0)
     finite = []
@@ -126,8 +112,8 @@ def test_walls_of_a_map_are_there_only_in_its_layout(make: Callable[..., Supervi
     assert set(finite) == {(True, 3), (False, 0)}
 
 
-def test_every_copy_draws_its_own_mass_and_kind(make: Callable[..., Supervisor]) -> None:
-    environment = make("reset.layout=scattered", "parameters.crates=4")
+def test_every_copy_draws_its_own_mass_and_kind(make: Make) -> None:
+    environment = make(GROUPED, "reset.layout=scattered", "parameters.crates=4")
     masses: list[tuple[float, ...]] = []
     set_parameter = environment.engine.set_parameter
     heard: list[float] = []
@@ -149,7 +135,7 @@ def test_every_copy_draws_its_own_mass_and_kind(make: Callable[..., Supervisor])
     assert 30 < kinds["ball"] < 70
 
 
-def test_the_same_seed_gives_the_same_episodes_whatever_was_before(make: Callable[..., Supervisor]) -> None:
+def test_the_same_seed_gives_the_same_episodes_whatever_was_before(make: Make) -> None:
     def episodes(environment: Supervisor) -> list[bytes]:
         told = [environment.reset(seed=9)[0].tobytes()]
         for _ in range(6):
@@ -157,7 +143,7 @@ def test_the_same_seed_gives_the_same_episodes_whatever_was_before(make: Callabl
             told += [environment.step(np.array([1.0]))[0].tobytes() for _ in range(5)]
         return told
 
-    fresh, used = make(), make()
+    fresh, used = make(GROUPED), make(GROUPED)
     used.reset(seed=3)
     for _ in range(12):
         used.step(np.array([0.5]))

@@ -3,38 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.errors import EvaluationError
 from deepbots_cli.footprint import Footprint, Patch, patch_distance
 from deepbots_cli.frames import Triple
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import SCENARIOS, Make
 
-PLACED = Path(__file__).parents[1] / "data" / "scenarios" / "placed.yaml"
+PLACED = SCENARIOS / "placed.yaml"
 RADIUS = {"ball": 0.07, "mark": 0.05}
 HALF = (0.75, 0.6)
-
-
-@pytest.fixture
-def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
-    opened: list[Supervisor] = []
-
-    def make_one(*overrides: str, text: str | None = None) -> Supervisor:
-        file = PLACED
-        if text is not None:
-            file = tmp_path / "scenario.yaml"
-            file.write_text(text, encoding="utf-8")
-        opened.append(api.make(file, overrides=overrides))
-        return opened[-1]
-
-    yield make_one
-    for environment in opened:
-        environment.close()
 
 
 def poses(environment: Supervisor, *bodies: str) -> list[tuple[Triple, float]]:
@@ -60,9 +41,9 @@ def patches(environment: Supervisor) -> dict[str, Patch]:
 
 
 def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_walls(
-    make: Callable[..., Supervisor],
+    make: Make,
 ) -> None:
-    environment = make()
+    environment = make(PLACED)
     clearances = {"ball": 0.04, "plank": 0.0, "hunter": 0.05, "prey": 0.05, "mark": 0.0}
     environment.reset(seed=3)
     for _ in range(40):
@@ -82,16 +63,16 @@ def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_wa
 
 
 def test_objects_without_a_height_rest_on_the_ground_and_robots_stand_on_it(
-    make: Callable[..., Supervisor],
+    make: Make,
 ) -> None:
-    environment = make()
+    environment = make(PLACED)
     environment.reset(seed=0)
     heights = [position[2] for position, _ in poses(environment, "ball", "plank", "mark", "hunter")]
     assert heights == pytest.approx([0.07, 0.15, 0.005, 0.0], abs=1e-9)
 
 
-def test_a_grid_gives_the_middles_of_its_cells(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_a_grid_gives_the_middles_of_its_cells(make: Make) -> None:
+    environment = make(PLACED)
     environment.reset(seed=0)
     for _ in range(20):
         environment.reset()
@@ -100,8 +81,8 @@ def test_a_grid_gives_the_middles_of_its_cells(make: Callable[..., Supervisor]) 
         assert round((y + 0.5) / 0.2, 6) in range(6)
 
 
-def test_what_is_required_holds_in_every_episode(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_what_is_required_holds_in_every_episode(make: Make) -> None:
+    environment = make(PLACED)
     environment.reset(seed=1)
     for _ in range(50):
         environment.reset()
@@ -109,8 +90,8 @@ def test_what_is_required_holds_in_every_episode(make: Callable[..., Supervisor]
         assert math.dist(hunter[:2], prey[:2]) > 0.5
 
 
-def test_the_same_seed_gives_the_same_places_and_another_seed_others(make: Callable[..., Supervisor]) -> None:
-    one, other = make(), make()
+def test_the_same_seed_gives_the_same_places_and_another_seed_others(make: Make) -> None:
+    one, other = make(PLACED), make(PLACED)
     bodies = ("ball", "plank", "hunter", "prey", "mark")
     one.reset(seed=5)
     other.reset(seed=4)
@@ -136,9 +117,9 @@ reset: {place: {post: {x: 0 m, y: 0 m}, cart: {x: 0.9 m, y: 0.9 m}, disc: {regio
 """
 
 
-def test_spots_are_uniform_over_what_is_free(make: Callable[..., Supervisor]) -> None:
+def test_spots_are_uniform_over_what_is_free(make: Make) -> None:
     """Counts in 16 cells of equal size against the free area of each, known in closed form by symmetry."""
-    environment = make(text=ALONE)
+    environment = make(ALONE)
     environment.reset(seed=0)
     count, cells = 4000, np.zeros((4, 4))
     place = environment._begin
@@ -160,9 +141,9 @@ def test_spots_are_uniform_over_what_is_free(make: Callable[..., Supervisor]) ->
 
 
 def test_a_body_at_coordinates_is_placed_before_those_that_look_for_a_place(
-    make: Callable[..., Supervisor],
+    make: Make,
 ) -> None:
-    environment = make("reset.place.hunter={x: 0.3 m, y: 0 m}", "reset.require=true")
+    environment = make(PLACED, "reset.place.hunter={x: 0.3 m, y: 0 m}", "reset.require=true")
     environment.reset(seed=0)
     for _ in range(30):
         environment.reset()
@@ -170,12 +151,12 @@ def test_a_body_at_coordinates_is_placed_before_those_that_look_for_a_place(
         assert min(patch_distance(laid["hunter"], laid[other]) for other in ("ball", "prey")) >= 0.04 - 1e-6
 
 
-def test_a_start_that_is_never_found_names_the_body_and_the_seed(make: Callable[..., Supervisor]) -> None:
-    environment = make("reset.place.plank.clearance=90 cm", "reset.attempts=3")
+def test_a_start_that_is_never_found_names_the_body_and_the_seed(make: Make) -> None:
+    environment = make(PLACED, "reset.place.plank.clearance=90 cm", "reset.attempts=3")
     with pytest.raises(
         EvaluationError, match=r"3 attempts \(seed 7\): there is no free position for '(hunter|prey|plank)'"
     ):
         environment.reset(seed=7)
-    environment = make("reset.require=ground_distance(hunter, prey) > 5 m", "reset.attempts=3")
+    environment = make(PLACED, "reset.require=ground_distance(hunter, prey) > 5 m", "reset.attempts=3")
     with pytest.raises(EvaluationError, match=r"no start met `reset.require`"):
         environment.reset(seed=7)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.overview import extent
+from tests.worlds import Make
 
 HALF = (0.3, 0.2)
 TABLE = """
@@ -41,21 +39,6 @@ reset:
 """
 
 
-@pytest.fixture
-def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
-    opened: list[Supervisor] = []
-
-    def make_one(*overrides: str) -> Supervisor:
-        file = tmp_path / "table.yaml"
-        file.write_text(TABLE, encoding="utf-8")
-        opened.append(api.make(file, overrides=overrides))
-        return opened[-1]
-
-    yield make_one
-    for environment in opened:
-        environment.close()
-
-
 def on_the_table(environment: Supervisor, body: str) -> tuple[float, float, float]:
     """Where a body is in the axes of the table's top, m."""
     (tx, ty, tz), (_, _, qz, qw) = environment.engine.pose("table")()
@@ -65,8 +48,8 @@ def on_the_table(environment: Supervisor, body: str) -> tuple[float, float, floa
     return math.cos(yaw) * dx + math.sin(yaw) * dy, math.cos(yaw) * dy - math.sin(yaw) * dx, z - tz - 0.2
 
 
-def test_a_block_on_a_raised_table_finds_a_place_and_rests_there(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_a_block_on_a_raised_table_finds_a_place_and_rests_there(make: Make) -> None:
+    environment = make(TABLE)
     environment.reset(seed=0)
     for _ in range(20):
         environment.reset()
@@ -80,8 +63,8 @@ def test_a_block_on_a_raised_table_finds_a_place_and_rests_there(make: Callable[
     assert environment.engine.pose("block")()[0] == pytest.approx(begun, abs=2e-3)
 
 
-def test_every_part_of_the_top_is_found(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_every_part_of_the_top_is_found(make: Make) -> None:
+    environment = make(TABLE)
     environment.reset(seed=1)
     quarters = set()
     for _ in range(40):
@@ -91,8 +74,8 @@ def test_every_part_of_the_top_is_found(make: Callable[..., Supervisor]) -> None
     assert len(quarters) == 6
 
 
-def test_a_region_is_cut_to_the_top(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_a_region_is_cut_to_the_top(make: Make) -> None:
+    environment = make(TABLE)
     environment.reset(seed=2)
     for _ in range(20):
         environment.reset()
@@ -104,10 +87,12 @@ def test_a_region_is_cut_to_the_top(make: Callable[..., Supervisor]) -> None:
 
 
 def test_a_table_that_is_drawn_is_placed_first_and_takes_what_stands_on_it_along(
-    make: Callable[..., Supervisor],
+    make: Make,
 ) -> None:
     environment = make(
-        "reset.place.table={region: {x: -1 .. 1 m, y: -1 .. 1 m}, yaw: any}", "reset.place.mug={on: table}"
+        TABLE,
+        "reset.place.table={region: {x: -1 .. 1 m, y: -1 .. 1 m}, yaw: any}",
+        "reset.place.mug={on: table}",
     )
     environment.reset(seed=3)
     where = set()
@@ -121,8 +106,8 @@ def test_a_table_that_is_drawn_is_placed_first_and_takes_what_stands_on_it_along
     assert len(where) > 4
 
 
-def test_bodies_stack_on_what_stands_on_a_table(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_bodies_stack_on_what_stands_on_a_table(make: Make) -> None:
+    environment = make(TABLE)
     environment.reset(seed=4)
     (x, y, z), _ = environment.engine.pose("crate")()
     for copy in ("coin#1", "coin#2", "coin#3"):
@@ -131,18 +116,20 @@ def test_bodies_stack_on_what_stands_on_a_table(make: Callable[..., Supervisor])
         assert math.hypot(cx - x, cy - y) < 0.05 * math.sqrt(2)
 
 
-def test_a_height_counts_from_the_top(make: Callable[..., Supervisor]) -> None:
-    environment = make("reset.place.block={on: table, z: 0.3 m}")
+def test_a_height_counts_from_the_top(make: Make) -> None:
+    environment = make(TABLE, "reset.place.block={on: table, z: 0.3 m}")
     environment.reset(seed=5)
     assert on_the_table(environment, "block")[2] == pytest.approx(0.3, abs=1e-9)
 
 
 def test_a_body_on_a_table_keeps_clear_of_what_rises_beside_it_and_not_of_what_lies_below(
-    make: Callable[..., Supervisor],
+    make: Make,
 ) -> None:
     """The crate stands on the ground beside the table, where a body as high as the table would be in nobody's
     way."""
-    environment = make("reset.place.crate={x: 0.5 m, y: -0.2 m, z: 0.05 m}", "reset.place.coin={on: table}")
+    environment = make(
+        TABLE, "reset.place.crate={x: 0.5 m, y: -0.2 m, z: 0.05 m}", "reset.place.coin={on: table}"
+    )
     environment.reset(seed=6)
     spots = []
     for _ in range(40):
@@ -151,8 +138,8 @@ def test_a_body_on_a_table_keeps_clear_of_what_rises_beside_it_and_not_of_what_l
     assert min(math.hypot(*spot) for spot in spots) < 0.08
 
 
-def test_the_same_seed_gives_the_same_places_on_a_top(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_the_same_seed_gives_the_same_places_on_a_top(make: Make) -> None:
+    environment = make(TABLE)
     environment.reset(seed=7)
     first = [environment.engine.pose(body)() for body in ("block", "mug", "crate", "coin#2")]
     environment.reset(seed=8)
@@ -160,7 +147,7 @@ def test_the_same_seed_gives_the_same_places_on_a_top(make: Callable[..., Superv
     assert [environment.engine.pose(body)() for body in ("block", "mug", "crate", "coin#2")] == first
 
 
-def test_a_picture_holds_what_stands_on_a_table(make: Callable[..., Supervisor]) -> None:
+def test_a_picture_holds_what_stands_on_a_table(make: Make) -> None:
     """The scene reaches up to the top of the mug."""
-    scene = extent(make("objects.mug.height=2 m").scenario)
+    scene = extent(make(TABLE, "objects.mug.height=2 m").scenario)
     assert max(high[2] for _, high in scene) == pytest.approx(0.4 + 2.0, abs=0.01)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.footprint import Footprint
-from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.paths import DistanceField
+from tests.worlds import Make
 
 ARENA = (-0.5, -0.5, 0.5, 0.5)
 RADIUS = 0.04
@@ -172,26 +169,12 @@ reset: {place: {cart: {x: -0.5 m, y: 0 m}, goal: {x: 0.5 m, y: 0 m}, wall: {x: 0
 """
 
 
-@pytest.fixture
-def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
-    opened: list[Supervisor] = []
-
-    def make_one(*overrides: str) -> Supervisor:
-        (tmp_path / "scenario.yaml").write_text(WORLD, encoding="utf-8")
-        opened.append(api.make(tmp_path / "scenario.yaml", overrides=overrides))
-        return opened[-1]
-
-    yield make_one
-    for environment in opened:
-        environment.close()
-
-
 def path(observation: np.ndarray) -> float:
     return float((observation[0] + 1.0) * 5.0)
 
 
-def test_a_scenario_measures_ways_between_bodies(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_a_scenario_measures_ways_between_bodies(make: Make) -> None:
+    environment = make(WORLD)
     observation, _ = environment.reset(seed=0)
     # About a robot of 4.5 cm: up to the corner of the wall, along its thickness and down again.
     corner = math.hypot(0.49, 0.3)
@@ -203,9 +186,10 @@ def test_a_scenario_measures_ways_between_bodies(make: Callable[..., Supervisor]
     assert path(observation) > before
 
 
-def test_what_moves_changes_the_ways(make: Callable[..., Supervisor]) -> None:
+def test_what_moves_changes_the_ways(make: Make) -> None:
     """A gap beside the wall that a jar shuts."""
     environment = make(
+        WORLD,
         "objects.wall.size=2 180 20 cm",
         "reset.place.jar={x: 0.02 m, y: -0.9 m}",
         "reset.place.wall={x: 0 m, y: 10 cm}",
@@ -218,8 +202,9 @@ def test_what_moves_changes_the_ways(make: Callable[..., Supervisor]) -> None:
     assert observation[1] == 1.0
 
 
-def test_a_start_may_be_required_to_have_a_way(make: Callable[..., Supervisor]) -> None:
+def test_a_start_may_be_required_to_have_a_way(make: Make) -> None:
     environment = make(
+        WORLD,
         "reset.place.wall={x: 0 m, y: uniform(-0.7 .. 0.7 m)}",
         "objects.wall.size=2 140 20 cm",
         "reset.require=reachable(cart, goal)",
@@ -231,13 +216,13 @@ def test_a_start_may_be_required_to_have_a_way(make: Callable[..., Supervisor]) 
 
 
 def test_an_episode_has_the_ways_of_its_own_world_whatever_the_one_before_had(
-    make: Callable[..., Supervisor],
+    make: Make,
 ) -> None:
     """The wall is in one of three places; the field of an episode may only be kept for one that has it in the
     same."""
     draws = ("reset.place.wall={x: 0 m, y: choice(0 cm | 5 cm | 10 cm)}",)
-    environment = make(*draws)
+    environment = make(WORLD, *draws)
     lengths = [path(environment.reset(seed=seed)[0]) for seed in range(12)]
     assert len(set(lengths)) == 3
     for seed in (0, 5, 11):
-        assert path(make(*draws).reset(seed=seed)[0]) == lengths[seed]
+        assert path(make(WORLD, *draws).reset(seed=seed)[0]) == lengths[seed]

@@ -12,7 +12,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import EvaluationError, ScenarioError, UsageError
-from deepbots_cli.runtime import Supervisor
+from tests.worlds import CART, Maker
 
 MODULE = """\
 calls = []
@@ -48,14 +48,8 @@ def package(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monkey
 
 
 @pytest.fixture
-def written(tmp_path: Path, small: Callable[..., Supervisor]) -> Callable[[str], Path]:
-    def write(sections: str) -> Path:
-        small("reward: {pay: drive}\n")
-        file = tmp_path / "small.yaml"
-        file.write_text(file.read_text().replace("reward: {pay: drive}\n", sections))
-        return file
-
-    return write
+def written(make: Maker) -> Callable[[str], Path]:
+    return lambda sections: make.written(CART + sections)
 
 
 def test_a_term_in_python_is_refused_at_its_place(written: Callable[[str], Path]) -> None:

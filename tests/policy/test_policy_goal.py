@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,8 @@ import pytest
 
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
-Small = Callable[..., Supervisor]
 GOAL = """\
 parameters: {mark: uniform(-0.3 .. 0.3 m)}
 goal: {achieved: position(cart.cart).x, desired: mark, tolerance: 5 cm, range: -0.4 .. 0.4 m}
@@ -52,7 +51,7 @@ def episode(environment: Supervisor, seed: int, steps: int = 40) -> list[Any]:
     return [environment.step(generator.uniform(-1, 1, 1).astype(np.float32)) for _ in range(steps)]
 
 
-def test_a_goal_makes_the_observation_a_dict(small: Small) -> None:
+def test_a_goal_makes_the_observation_a_dict(small: Make) -> None:
     environment = small(GOAL + SPARSE)
     observation, _ = environment.reset(seed=0)
     assert environment.observation_space.contains(observation)
@@ -68,7 +67,7 @@ def test_a_goal_makes_the_observation_a_dict(small: Small) -> None:
 @pytest.mark.parametrize(
     "sections", [GOAL + SPARSE, GOAL + DENSE, PLANE, NOISY + SPARSE, NOISY + DENSE, MEASURED + DENSE]
 )
-def test_the_reward_of_a_step_is_what_compute_reward_says(small: Small, sections: str) -> None:
+def test_the_reward_of_a_step_is_what_compute_reward_says(small: Make, sections: str) -> None:
     environment = small(sections, "world.timestep=100 ms")
     for seed in range(4):
         for observation, reward, _, _, info in episode(environment, seed):
@@ -79,7 +78,7 @@ def test_the_reward_of_a_step_is_what_compute_reward_says(small: Small, sections
             assert isinstance(again, float)
 
 
-def test_noise_on_what_is_achieved_is_what_the_policy_sees_of_it(small: Small) -> None:
+def test_noise_on_what_is_achieved_is_what_the_policy_sees_of_it(small: Make) -> None:
     environment = small(NOISY + SPARSE, "truncation.max_steps=100_000")
     errors = []
     for _ in range(2000):
@@ -93,14 +92,14 @@ def test_noise_on_what_is_achieved_is_what_the_policy_sees_of_it(small: Small) -
     assert np.std(errors) == pytest.approx(0.02, rel=0.06)
 
 
-def test_noise_on_what_is_achieved_changes_no_other_draw(small: Small) -> None:
+def test_noise_on_what_is_achieved_changes_no_other_draw(small: Make) -> None:
     plain, noisy = small(GOAL + SPARSE).reset(seed=5)[0], small(NOISY + SPARSE).reset(seed=5)[0]
     assert plain["desired_goal"] == noisy["desired_goal"]
     assert plain["observation"] == noisy["observation"]
     assert plain["achieved_goal"] != noisy["achieved_goal"]
 
 
-def test_one_measurement_with_noise_is_the_same_in_observation_goal_and_reward(small: Small) -> None:
+def test_one_measurement_with_noise_is_the_same_in_observation_goal_and_reward(small: Make) -> None:
     environment = small(
         MEASURED + "reward: {at: achieved / m}\n", "observation={at: -0.4 .. 0.4 m, left: -0.8 .. 0.8 m}"
     )
@@ -113,7 +112,7 @@ def test_one_measurement_with_noise_is_the_same_in_observation_goal_and_reward(s
 
 
 @pytest.mark.parametrize("sections", [GOAL + SPARSE, GOAL + DENSE, PLANE])
-def test_a_batch_of_goals_gives_what_each_gives_alone(small: Small, sections: str) -> None:
+def test_a_batch_of_goals_gives_what_each_gives_alone(small: Make, sections: str) -> None:
     environment = small(sections)
     size = environment.observation_space["achieved_goal"].shape[0]
     achieved, desired = np.random.default_rng(0).uniform(-1, 1, (2, 200, size)).astype(np.float32)
@@ -123,28 +122,28 @@ def test_a_batch_of_goals_gives_what_each_gives_alone(small: Small, sections: st
     assert together.shape == (200,)
 
 
-def test_the_reward_is_that_of_the_formula(small: Small) -> None:
+def test_the_reward_is_that_of_the_formula(small: Make) -> None:
     environment = small(GOAL + DENSE)
     achieved, desired = np.array([[0.5], [0.25]]), np.array([[0.5], [-0.25]])
     expected = [1 + 0.1, np.exp(-0.2 / 0.1) - 0.5 + 0.1]
     np.testing.assert_allclose(environment.compute_reward(achieved, desired), expected, rtol=1e-12)
 
 
-def test_goals_of_another_shape_are_refused(small: Small) -> None:
+def test_goals_of_another_shape_are_refused(small: Make) -> None:
     environment = small(GOAL + SPARSE)
     for achieved, desired in (((3, 2), (3, 2)), ((3, 1), (2, 1)), ((2,), (2,))):
         with pytest.raises(UsageError, match="goals of shape"):
             environment.compute_reward(np.zeros(achieved), np.zeros(desired))
 
 
-def test_a_task_without_a_goal_has_no_other_rewards(small: Small) -> None:
+def test_a_task_without_a_goal_has_no_other_rewards(small: Make) -> None:
     environment = small("reward: {pay: drive}\n")
     assert not hasattr(environment, "compute_reward")  # by which Stable-Baselines3 tells tasks with a goal
     with pytest.raises(UsageError, match="no `goal`"):
         environment.reward_for(np.zeros((1, 1)), np.zeros((1, 1)))
 
 
-def test_an_episode_that_is_cut_short_succeeds_if_the_goal_is_reached_then(small: Small) -> None:
+def test_an_episode_that_is_cut_short_succeeds_if_the_goal_is_reached_then(small: Make) -> None:
     environment = small(GOAL + SPARSE, "truncation.max_steps=3")
     outcomes = set()
     for seed in range(30):
@@ -155,7 +154,7 @@ def test_an_episode_that_is_cut_short_succeeds_if_the_goal_is_reached_then(small
     assert outcomes == {True, False}
 
 
-def test_reaching_the_goal_may_end_the_task(small: Small) -> None:
+def test_reaching_the_goal_may_end_the_task(small: Make) -> None:
     environment = small(
         GOAL + SPARSE + "termination: {success: {there: goal_reached}}\n",
         "world.timestep=1 s",
@@ -169,7 +168,7 @@ def test_reaching_the_goal_may_end_the_task(small: Small) -> None:
     assert (reward, info["is_success"], info["ended_by"]) == (0.0, True, "there")
 
 
-def test_what_lies_beyond_the_range_counts_as_its_end(small: Small) -> None:
+def test_what_lies_beyond_the_range_counts_as_its_end(small: Make) -> None:
     environment = small(GOAL + "reward: {at: achieved / m}\n", "reset.joints={cart.slider: 2 m}")
     observation, _ = environment.reset(seed=0)
     assert observation["achieved_goal"].item() == 1.0
@@ -189,14 +188,14 @@ def test_what_lies_beyond_the_range_counts_as_its_end(small: Small) -> None:
     ],
 )
 def test_a_reward_that_hindsight_cannot_recompute_is_refused(
-    tmp_path: Path, small: Small, reward: str
+    tmp_path: Path, small: Make, reward: str
 ) -> None:
     with pytest.raises(ScenarioError, match="DB709"):
         small(GOAL + f"reward: {{odd: {reward}}}\n")
 
 
 @pytest.mark.slow
-def test_stable_baselines_learns_from_hindsight(small: Small) -> None:
+def test_stable_baselines_learns_from_hindsight(small: Make) -> None:
     stable_baselines3 = pytest.importorskip("stable_baselines3")
     environment = small(GOAL + SPARSE, "truncation.max_steps=20")
     buffer = stable_baselines3.HerReplayBuffer
@@ -212,7 +211,7 @@ def test_stable_baselines_learns_from_hindsight(small: Small) -> None:
     assert model.replay_buffer.size() == 60
 
 
-def test_a_goal_is_part_of_what_policy_and_world_agree_on(small: Small) -> None:
+def test_a_goal_is_part_of_what_policy_and_world_agree_on(small: Make) -> None:
     from deepbots_cli.program.identity import interface
 
     assert interface(small(GOAL + SPARSE).scenario)["agent"]["goal"] == "-0.4 .. 0.4 m"

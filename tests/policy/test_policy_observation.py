@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
@@ -11,15 +10,14 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.errors import EvaluationError, UsageError
-from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.observing import Observer
+from tests.worlds import Make
 
-Small = Callable[..., Supervisor]
 CHOICES = ("action.drive={choices: {ahead: 1, back: -1, stay: 0}}",)
 
 
 def observe(
-    small: Small,
+    small: Make,
     observation: str,
     *overrides: str,
     sections: str = "reward: {pay: drive}\n",
@@ -35,19 +33,19 @@ def observe(
     return [[round(float(number), 6) for number in row] for row in seen]
 
 
-def test_a_history_begins_with_the_first_value_and_ends_with_the_newest(small: Small) -> None:
+def test_a_history_begins_with_the_first_value_and_ends_with_the_newest(small: Make) -> None:
     sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
     seen = observe(small, "{at: {range: 0 .. 10, history: 3}}", sections=sections)
     assert seen == [[-1, -1, -1], [-1, -1, -0.8], [-1, -0.8, -0.6], [-0.8, -0.6, -0.4]]
 
 
-def test_a_history_of_a_vector_keeps_its_components_together(small: Small) -> None:
+def test_a_history_of_a_vector_keeps_its_components_together(small: Make) -> None:
     sections = "signals:\n  at: vector(step, 10 - step, 0)\naugment: [at]\nreward: {pay: drive}\n"
     seen = observe(small, "{at: {range: 0 .. 10, history: 2}}", sections=sections)
     assert seen[1] == [-1, 1, -1, -0.8, 0.8, -1]
 
 
-def test_a_stack_repeats_whole_frames_oldest_first(small: Small) -> None:
+def test_a_stack_repeats_whole_frames_oldest_first(small: Make) -> None:
     sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
     seen = observe(
         small,
@@ -59,7 +57,7 @@ def test_a_stack_repeats_whole_frames_oldest_first(small: Small) -> None:
     assert seen[3] == [-0.8, -0.6, -0.5, -0.6, -0.4, 0.25]
 
 
-def test_histories_do_not_reach_over_a_reset(small: Small) -> None:
+def test_histories_do_not_reach_over_a_reset(small: Make) -> None:
     environment = small(
         "reward: {pay: drive}\n",
         "observation={cart.place: {range: -1 .. 1 m, history: 5}, previous_action: auto}",
@@ -71,17 +69,17 @@ def test_histories_do_not_reach_over_a_reset(small: Small) -> None:
     np.testing.assert_array_equal(first, again)
 
 
-def test_the_previous_action_is_what_the_agent_gave_and_not_what_it_meant(small: Small) -> None:
+def test_the_previous_action_is_what_the_agent_gave_and_not_what_it_meant(small: Make) -> None:
     seen = observe(small, "{previous_action: auto}", "action.drive=2 .. 4", steps=(1.0, -0.5, 3.0))
     assert seen == [[0], [1], [-0.5], [1]]
 
 
-def test_a_previous_choice_is_one_hot_and_nothing_before_the_first(small: Small) -> None:
+def test_a_previous_choice_is_one_hot_and_nothing_before_the_first(small: Make) -> None:
     seen = observe(small, "{previous_action: auto}", *CHOICES, steps=(0, 2, np.int64(1)))
     assert seen == [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0]]
 
 
-def test_several_choices_are_one_hots_in_a_row(small: Small) -> None:
+def test_several_choices_are_one_hots_in_a_row(small: Make) -> None:
     pair = "action={drive: {choices: {ahead: 1, back: -1}}, lamp: {choices: {on: 1, off: 0}}}"
     sections = "reward: {pay: drive + lamp}\n"
     seen = observe(
@@ -90,11 +88,11 @@ def test_several_choices_are_one_hots_in_a_row(small: Small) -> None:
     assert seen == [[0, 0, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0]]
 
 
-def test_one_option_of_the_previous_action_can_be_seen_alone(small: Small) -> None:
+def test_one_option_of_the_previous_action_can_be_seen_alone(small: Make) -> None:
     assert observe(small, "{previous_action.back: auto}", *CHOICES, steps=(1, 0)) == [[0], [1], [0]]
 
 
-def test_an_expression_may_use_the_previous_action(small: Small) -> None:
+def test_an_expression_may_use_the_previous_action(small: Make) -> None:
     sections = "reward: {pay: previous_action.drive, more: 1 when previous_action.drive > 0}\n"
     environment = small(sections, "action.drive=0 .. 0.5")
     environment.reset(seed=0)
@@ -102,14 +100,14 @@ def test_an_expression_may_use_the_previous_action(small: Small) -> None:
 
 
 def test_the_previous_reward_is_that_of_this_step_when_it_is_observed_and_else_that_of_the_last(
-    small: Small,
+    small: Make,
 ) -> None:
     sections = "signals: {last: previous_reward}\naugment: [last]\nreward: {pay: drive}\n"
     seen = observe(small, "{previous_reward: -1 .. 1, last: -1 .. 1}", sections=sections)
     assert seen == [[0, 0], [1, 0], [-0.5, 1], [0.25, -0.5]]
 
 
-def test_the_return_of_an_episode_is_summed_and_begins_anew(small: Small) -> None:
+def test_the_return_of_an_episode_is_summed_and_begins_anew(small: Make) -> None:
     environment = small("reward: {pay: drive}\n", "observation={episode_return: -4 .. 4}")
     for _ in range(2):
         assert environment.reset(seed=0)[0] == [0.0]
@@ -120,14 +118,14 @@ def test_the_return_of_an_episode_is_summed_and_begins_anew(small: Small) -> Non
         ]
 
 
-def test_time_and_steps_can_be_seen(small: Small) -> None:
+def test_time_and_steps_can_be_seen(small: Make) -> None:
     assert observe(small, "{time: 0 .. 0.2 s, step: 0 .. 10}")[2] == [-0.6, -0.6]
 
 
 # Noise and clipping
 
 
-def noisy(small: Small, noise: str, count: int = 4000, seed: int = 1) -> Any:
+def noisy(small: Make, noise: str, count: int = 4000, seed: int = 1) -> Any:
     """A value of 0.5 m with noise, once per step."""
     observation = f"observation={{at: {{range: -1 .. 1 m, noise: {noise}, clip: false}}}}"
     sections = "signals: {at: 0.5 m + 0 m * step}\naugment: [at]\nreward: {pay: drive}\n"
@@ -137,27 +135,27 @@ def noisy(small: Small, noise: str, count: int = 4000, seed: int = 1) -> Any:
     return np.array(rows)
 
 
-def test_noise_has_the_deviation_that_is_given(small: Small) -> None:
+def test_noise_has_the_deviation_that_is_given(small: Make) -> None:
     found = noisy(small, "0.02 m")
     assert found.mean() == pytest.approx(0.5, abs=4 * 0.02 / len(found) ** 0.5)
     assert found.std() == pytest.approx(0.02, rel=0.05)
 
 
-def test_noise_in_percent_is_a_share_of_the_value(small: Small) -> None:
+def test_noise_in_percent_is_a_share_of_the_value(small: Make) -> None:
     assert noisy(small, "2 %").std() == pytest.approx(0.01, rel=0.05)
 
 
-def test_noise_may_be_drawn_for_an_episode(small: Small) -> None:
+def test_noise_may_be_drawn_for_an_episode(small: Make) -> None:
     deviations = [noisy(small, "uniform(0.01 .. 0.05 m)", count=800, seed=seed).std() for seed in (1, 2, 3)]
     assert all(0.009 < deviation < 0.055 for deviation in deviations)
     assert np.ptp(deviations) > 0.002
 
 
-def test_noise_is_the_same_for_the_same_seed(small: Small) -> None:
+def test_noise_is_the_same_for_the_same_seed(small: Make) -> None:
     np.testing.assert_array_equal(noisy(small, "1 cm", count=20), noisy(small, "1 cm", count=20))
 
 
-def test_noise_on_one_value_changes_no_other_draw(small: Small) -> None:
+def test_noise_on_one_value_changes_no_other_draw(small: Make) -> None:
     sections = "reward: {pay: drive}\nreset: {joints: {cart.slider: uniform(-0.1 .. 0.1 m)}}\n"
     plain = observe(
         small, "{cart.place: -1 .. 1 m, cart.lean: {range: -1 .. 1 rad, noise: 0.01 rad}}", sections=sections
@@ -171,7 +169,7 @@ def test_noise_on_one_value_changes_no_other_draw(small: Small) -> None:
     assert [row[:2] for row in more] == plain
 
 
-def measured(small: Small, noise: str, count: int = 1000, seed: int = 1) -> Any:
+def measured(small: Make, noise: str, count: int = 1000, seed: int = 1) -> Any:
     """Half a meter that the supervisor measures with noise, twice that, and the exact value by its function;
     once per step."""
     sections = (
@@ -188,7 +186,7 @@ def measured(small: Small, noise: str, count: int = 1000, seed: int = 1) -> Any:
     return np.array(rows)
 
 
-def test_whatever_uses_the_name_of_a_noisy_measurement_sees_one_draw(small: Small) -> None:
+def test_whatever_uses_the_name_of_a_noisy_measurement_sees_one_draw(small: Make) -> None:
     at, twice, paid = measured(small, "2 cm").T
     np.testing.assert_allclose(twice, 2 * at, rtol=1e-6)
     np.testing.assert_allclose(paid[1:], at[1:], rtol=1e-6)
@@ -198,17 +196,17 @@ def test_whatever_uses_the_name_of_a_noisy_measurement_sees_one_draw(small: Smal
 
 @pytest.mark.parametrize("noise", ["4 %", "uniform(0.02 .. 0.02001 m)"])
 def test_noise_of_a_measurement_is_a_share_or_drawn_as_that_of_an_observation(
-    small: Small, noise: str
+    small: Make, noise: str
 ) -> None:
     assert measured(small, noise)[:, 0].std() == pytest.approx(0.02, rel=0.1)
 
 
-def test_noise_of_a_measurement_is_the_same_for_the_same_seed(small: Small) -> None:
+def test_noise_of_a_measurement_is_the_same_for_the_same_seed(small: Make) -> None:
     np.testing.assert_array_equal(measured(small, "1 cm", count=20), measured(small, "1 cm", count=20))
     assert not np.array_equal(measured(small, "1 cm", count=20), measured(small, "1 cm", count=20, seed=2))
 
 
-def test_what_uses_the_function_instead_of_the_noisy_name_stays_exact(small: Small) -> None:
+def test_what_uses_the_function_instead_of_the_noisy_name_stays_exact(small: Make) -> None:
     sections = (
         "augment:\n  at: {value: position(cart.cart).x, noise: 5 cm}\n  exact:"
         " position(cart.cart).x\nreward: {pay: drive}\n"
@@ -217,7 +215,7 @@ def test_what_uses_the_function_instead_of_the_noisy_name_stays_exact(small: Sma
     assert all(place == exact != at for place, exact, at in seen)
 
 
-def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: Small) -> None:
+def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: Make) -> None:
     environment = small(
         "reward: {pay: drive}\n", "observation={step: {range: 0 .. 1, clip: false}, time: 0 .. 1 s}"
     )
@@ -228,7 +226,7 @@ def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: 
     assert observation[0] == 5.0
 
 
-def test_an_unbounded_value_that_is_not_finite_is_an_error_and_no_observation(small: Small) -> None:
+def test_an_unbounded_value_that_is_not_finite_is_an_error_and_no_observation(small: Make) -> None:
     environment = small(
         "signals: {wild: exp(400 * step)}\naugment: [wild]\nreward: {pay: drive}\n",
         "observation={wild: {range: 0 .. 1, clip: false}}",

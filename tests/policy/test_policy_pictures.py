@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from deepbots_cli import api
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
-Small = Callable[..., Supervisor]
 SECTIONS = """\
 reward: {pay: drive}
 objects: {ball: {shape: sphere, radius: 10 cm, color: red, fixed: true, pose: {x: 1 m, z: 0.6 m}}}
@@ -23,11 +25,11 @@ SEND = "robots.cart.emit=[place, eye]"
 PUSH = "robots.cart.apply={motor: drive * 2 m/s}"
 
 
-def look(small: Small, observation: str, *overrides: str) -> Supervisor:
+def look(small: Make, observation: str, *overrides: str) -> Supervisor:
     return small(SECTIONS, EYE, SEND, PUSH, f"observation={observation}", *overrides, engine="pybullet")
 
 
-def test_a_picture_stands_under_its_name_beside_the_numbers(small: Small) -> None:
+def test_a_picture_stands_under_its_name_beside_the_numbers(small: Make) -> None:
     environment = look(small, "{cart.place: -2 .. 2 m, cart.eye: auto}")
     observation, _ = environment.reset(seed=0)
     assert environment.observation_space.contains(observation)
@@ -37,11 +39,11 @@ def test_a_picture_stands_under_its_name_beside_the_numbers(small: Small) -> Non
     assert observation["observation"].shape == (1,)
 
 
-def test_a_policy_may_see_pictures_alone(small: Small) -> None:
+def test_a_policy_may_see_pictures_alone(small: Make) -> None:
     assert set(look(small, "{cart.eye: auto}").observation_space) == {"cart_eye"}
 
 
-def test_a_history_of_pictures_stands_side_by_side_the_newest_last(small: Small) -> None:
+def test_a_history_of_pictures_stands_side_by_side_the_newest_last(small: Make) -> None:
     single = look(small, "{cart.eye: auto}")
     pictures = [single.reset(seed=0)[0]["cart_eye"]]
     pictures += [single.step(np.ones(1, np.float32))[0]["cart_eye"] for _ in range(5)]
@@ -55,7 +57,7 @@ def test_a_history_of_pictures_stands_side_by_side_the_newest_last(small: Small)
             np.testing.assert_array_equal(picture, np.concatenate(expected, axis=2))
 
 
-def test_a_stack_holds_for_pictures_too(small: Small) -> None:
+def test_a_stack_holds_for_pictures_too(small: Make) -> None:
     environment = look(
         small, "{cart.eye: auto, cart.place: -2 .. 2 m}", "agent={frame_stack: 2, action_repeat: 2}"
     )
@@ -66,7 +68,7 @@ def test_a_stack_holds_for_pictures_too(small: Small) -> None:
     np.testing.assert_array_equal(first[..., 3:], second[..., :3])
 
 
-def test_pictures_that_were_given_out_do_not_change(small: Small) -> None:
+def test_pictures_that_were_given_out_do_not_change(small: Make) -> None:
     environment = look(small, "{cart.eye: {range: auto, history: 2}}")
     kept = environment.reset(seed=0)[0]["cart_eye"]
     copy = kept.copy()
@@ -75,7 +77,7 @@ def test_pictures_that_were_given_out_do_not_change(small: Small) -> None:
 
 
 @pytest.mark.parametrize("entry", ["0 .. 255", "{range: auto, noise: 0.1}", "{range: auto, history: 1000}"])
-def test_what_is_no_use_for_a_picture_is_a_finding(small: Small, entry: str) -> None:
+def test_what_is_no_use_for_a_picture_is_a_finding(small: Make, entry: str) -> None:
     with pytest.raises(ScenarioError):
         look(small, f"{{cart.place: -2 .. 2 m, cart.eye: {entry}}}", "agent={frame_stack: 20}")
 
@@ -85,7 +87,7 @@ def test_what_is_no_use_for_a_picture_is_a_finding(small: Small, entry: str) -> 
     [("0.5 m .. 2.5 m", 64), ("0 m .. 4 m", 64), ("1.2 m .. 2 m", 0), ("0.1 m .. 0.8 m", 255)],
 )
 def test_a_picture_of_depth_grows_evenly_from_the_near_end_of_its_range_to_the_far_end(
-    small: Small, seen: str, shade: int
+    small: Make, seen: str, shade: int
 ) -> None:
     box = "objects.box={shape: box, size: 20 40 400 cm, fixed: true, pose: {x: 1.4 m, z: 2 m}}"
     overrides = (box, "robots.cart.sensors.eye.channels=depth", f"robots.cart.sensors.eye.range={seen}")
@@ -94,3 +96,18 @@ def test_a_picture_of_depth_grows_evenly_from_the_near_end_of_its_range_to_the_f
     assert picture.shape == (16, 24, 1)
     assert abs(int(picture[8, 12, 0]) - shade) <= 1  # the face of the box is 1 m ahead
     assert picture[0, 0, 0] == 255  # the sky
+
+
+# A camera that nothing but the goal looks through
+
+
+TURNING = Path(__file__).parent / "turning.yaml"
+
+
+def test_a_goal_sees_the_ball_until_the_robot_has_turned_away() -> None:
+    with closing(api.make(TURNING)) as environment:
+        environment.reset(seed=0)
+        seen = [environment.step(np.ones(1, np.float32))[1] for _ in range(10)]
+    assert seen[0] == 1.0
+    assert seen[-1] == 0.0
+    assert seen == sorted(seen, reverse=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import SCENARIOS, Make
 
-Small = Callable[..., Supervisor]
-DATA = Path(__file__).parents[1] / "data" / "scenarios"
 TEAM = Path(__file__).parents[1] / "channel" / "team.yaml"
 REWARD = "reward: {pay: drive}\n"
 CHOICE = "action.drive={choices: {ahead: 1, back: -1, stay: 0}}"
@@ -33,20 +31,20 @@ def followed(environment: Supervisor, name: str, steps: int) -> list[Any]:
 # What a script gives
 
 
-def test_an_option_that_is_named_is_taken_always(small: Small) -> None:
+def test_an_option_that_is_named_is_taken_always(small: Make) -> None:
     environment = small(REWARD + "scripts: {rest: {drive: stay}}\n", CHOICE)
     environment.reset(seed=0)
     assert followed(environment, "rest", 3) == [2, 2, 2]
 
 
-def test_the_first_option_whose_condition_holds_is_taken(small: Small) -> None:
+def test_the_first_option_whose_condition_holds_is_taken(small: Make) -> None:
     rules = "scripts: {turns: {drive: {back: step >= 2 and step < 4, ahead: step >= 3, stay: true}}}\n"
     environment = small(REWARD + rules, CHOICE)
     environment.reset(seed=0)
     assert followed(environment, "turns", 6) == [2, 2, 1, 1, 0, 0]
 
 
-def test_a_value_is_in_the_unit_of_the_range_and_clamped_to_it(small: Small) -> None:
+def test_a_value_is_in_the_unit_of_the_range_and_clamped_to_it(small: Make) -> None:
     script = "scripts: {late: {drive: 10 mm + step * 20 mm}}\n"
     overrides = ("action.drive=20 .. 60 mm", "robots.cart.apply.motor=drive / s")
     environment = small("reward: {pay: drive / mm}\n" + script, *overrides)
@@ -57,7 +55,7 @@ def test_a_value_is_in_the_unit_of_the_range_and_clamped_to_it(small: Small) -> 
     assert environment.action_space.contains(environment.script("late"))
 
 
-def test_a_constant_beyond_the_range_is_clamped_too(small: Small) -> None:
+def test_a_constant_beyond_the_range_is_clamped_too(small: Make) -> None:
     environment = small(REWARD + "scripts: {much: {drive: 7}, little: {drive: -7}}\n", "action.drive=-2 .. 6")
     environment.reset(seed=0)
     assert environment.script("much").tolist() == [1.0]
@@ -67,7 +65,7 @@ def test_a_constant_beyond_the_range_is_clamped_too(small: Small) -> None:
 def test_components_of_a_vector_have_one_value_or_one_each() -> None:
     each = "{prop_fl: -30 mN, prop_fr: 15 mN, prop_rl: 0 N, prop_rr: 60 mN}"
     overrides = [f"scripts={{same: {{push: 15 mN}}, each: {{push: {each}}}, before: {{push: push + 3 mN}}}}"]
-    with closing(api.make(DATA / "drone.yaml", overrides=overrides)) as environment:
+    with closing(api.make(SCENARIOS / "drone.yaml", overrides=overrides)) as environment:
         environment.reset(seed=0)
         assert environment.script("same").tolist() == pytest.approx([0.5] * 4)
         assert environment.script("each").tolist() == pytest.approx([-1, 0.5, 0, 1])
@@ -78,13 +76,13 @@ def test_components_of_a_vector_have_one_value_or_one_each() -> None:
 
 def test_several_choices_are_an_array_and_stand_in_the_order_of_the_action() -> None:
     overrides = ["scripts={go: {hurry: {fast: time > 20 ms, slow: true}, both: apart}}"]
-    with closing(api.make(DATA / "pair.yaml", overrides=overrides, engine="exact")) as environment:
+    with closing(api.make(SCENARIOS / "pair.yaml", overrides=overrides, engine="exact")) as environment:
         environment.reset(seed=0)
         assert [said.tolist() for said in followed(environment, "go", 2)] == [[1, 0], [1, 1]]
         assert environment.action_space.contains(environment.script("go"))
 
 
-def test_choices_beside_ranges_are_a_dictionary(small: Small) -> None:
+def test_choices_beside_ranges_are_a_dictionary(small: Make) -> None:
     action = "action={drive: -1 .. 1, gear: {choices: {low: 1, high: 3}}}"
     environment = small("reward: {pay: drive * gear}\nscripts: {go: {gear: high, drive: 0.5}}\n", action)
     environment.reset(seed=0)
@@ -106,7 +104,7 @@ def test_every_copy_of_a_robot_follows_the_script_by_what_it_sees_itself() -> No
 # What a script sees
 
 
-def test_a_script_sees_what_arrived_and_what_is_true(small: Small) -> None:
+def test_a_script_sees_what_arrived_and_what_is_true(small: Make) -> None:
     sections = (
         REWARD + "scripts: {told: {drive: cart.place / m}, truth: {drive: joint_position(cart.slider) / m}}\n"
     )
@@ -119,7 +117,7 @@ def test_a_script_sees_what_arrived_and_what_is_true(small: Small) -> None:
     assert truth > told + 1e-5  # what the robot sends is one tick old
 
 
-def test_a_script_sees_signals_with_a_memory_and_its_own_last_action(small: Small) -> None:
+def test_a_script_sees_signals_with_a_memory_and_its_own_last_action(small: Make) -> None:
     sections = 'signals: {trail: "accumulate(0.1, 0 .. 1, 0)"}\n' + REWARD
     sections += "scripts: {by_signal: {drive: trail}, by_action: {drive: previous_action.drive + 0.25}, "
     sections += "by_variable: {drive: drive + 0.25}}\n"
@@ -134,7 +132,7 @@ def test_a_script_sees_signals_with_a_memory_and_its_own_last_action(small: Smal
 
 
 @pytest.mark.parametrize("repeat", [1, 3])
-def test_a_script_knows_the_reward_of_the_step_that_has_just_been(small: Small, repeat: int) -> None:
+def test_a_script_knows_the_reward_of_the_step_that_has_just_been(small: Make, repeat: int) -> None:
     sections = (
         "reward: {pay: 0.01 * (step + 1)}\nscripts: {last: {drive: previous_reward}, sum: {drive:"
         " episode_return}}\n"
@@ -148,7 +146,7 @@ def test_a_script_knows_the_reward_of_the_step_that_has_just_been(small: Small, 
         rewards.append(environment.step(np.zeros(1, np.float32))[1])
 
 
-def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers(small: Small) -> None:
+def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers(small: Make) -> None:
     """Contacts of the whole tick, and the way along a line."""
     world = "world.lines={stripe: {points: [-1 0 m, 1 0 m], width: 20 mm}}"
     ball = "objects={ball: {shape: sphere, radius: 5 cm, pose: {x: 0.4 m}}}"
@@ -170,14 +168,14 @@ def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers(small: Smal
         assert 1 in touched  # the ball
 
 
-def test_the_age_of_a_reading_is_known_to_a_script(small: Small) -> None:
+def test_the_age_of_a_reading_is_known_to_a_script(small: Make) -> None:
     sensor = "robots.cart.sensors.rate={type: joint_velocity, joint: slider, latency: 60 ms}"
     environment = small(REWARD + "scripts: {old: {drive: age(cart.rate) / s}}\n", sensor)
     environment.reset(seed=0)
     assert np.concatenate(followed(environment, "old", 6)).tolist()[-1] == pytest.approx(0.06)
 
 
-def test_a_case_may_have_a_script_of_its_own(small: Small) -> None:
+def test_a_case_may_have_a_script_of_its_own(small: Make) -> None:
     sections = (
         REWARD + "scripts: {go: {drive: 1}}\nevaluation: {cases: {back: {set: {scripts.go.drive: -1}}}}\n"
     )
@@ -198,7 +196,7 @@ def test_asking_changes_nothing() -> None:
     ]
 
     def episode(*, asking: bool) -> list[bytes]:
-        with closing(api.make(DATA / "pair.yaml", overrides=overrides)) as environment:
+        with closing(api.make(SCENARIOS / "pair.yaml", overrides=overrides)) as environment:
             environment.reset(seed=3)
             steps = []
             for _ in range(30):
@@ -218,7 +216,7 @@ def test_a_scenario_with_a_script_does_in_a_step_what_it_does_without_but_for_wh
     assert {line.strip() for line in added} == {"self.last_cart_pole_angle = cart_pole_angle"}
 
 
-def test_a_script_is_asked_while_an_episode_runs(small: Small) -> None:
+def test_a_script_is_asked_while_an_episode_runs(small: Make) -> None:
     environment = small(REWARD + "scripts: {go: {drive: 1}}\n")
     with pytest.raises(UsageError, match=r"reset\(\)"):
         environment.script("go")
@@ -230,14 +228,14 @@ def test_a_script_is_asked_while_an_episode_runs(small: Small) -> None:
         environment.script("go")
 
 
-def test_a_scenario_without_scripts_says_so(small: Small) -> None:
+def test_a_scenario_without_scripts_says_so(small: Make) -> None:
     environment = small(REWARD)
     environment.reset(seed=0)
     with pytest.raises(UsageError, match="has no scripts"):
         environment.script("__init__")
 
 
-def test_a_script_without_a_value_is_an_error_that_shows_where(small: Small) -> None:
+def test_a_script_without_a_value_is_an_error_that_shows_where(small: Make) -> None:
     environment = small(REWARD + "scripts: {go: {drive: 1 / (step - 1)}}\n")
     environment.reset(seed=0)
     environment.step(environment.script("go"))

@@ -10,15 +10,15 @@ from typing import Any
 import pytest
 
 from deepbots_cli.learning.statistics import wilson
-from tests.results import benchmark, measure
-from tests.results.__main__ import main, measured
-from tests.results.benchmark import SEEDS, TASKS, Cell, Task
-from tests.results.benchmark_page import first, own_algorithm, page, return_interval, rows, success_interval
-from tests.results.experiment import FIRST_SEED, Evaluation, Training, experiments
-from tests.results.measure import ROOT, Places
+from tools.results import benchmark, measure
+from tools.results.__main__ import main, measured
+from tools.results.benchmark import SEEDS, TASKS, Cell, Task
+from tools.results.benchmark_page import first, own_algorithm, page, return_interval, rows, success_interval
+from tools.results.experiment import FIRST_SEED, Evaluation, Training, experiments
+from tools.results.measure import ROOT, Places
 
 PLACES = Places()
-CURRENT = "run: python -m tests.results --render"
+CURRENT = "run: python -m tools.results --render"
 EACH_TASK = pytest.mark.parametrize("task", TASKS, ids=lambda task: task.scenario)
 
 
@@ -119,7 +119,7 @@ def test_the_command_on_the_page_measures_what_is_missing(tmp_path: Path, capsys
     assert {name: int(number) for name, number in counted} == {
         name: 1 + 2 * len(SEEDS) * number for name, number in cells.items()
     }
-    assert f"python -m tests.results {benchmark.GROUP}/cartpole" in (
+    assert f"python -m tools.results {benchmark.GROUP}/cartpole" in (
         ROOT / "docs" / "benchmark.md"
     ).read_text(encoding="utf-8")
 

@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deepbots_cli.cli import main as deepbots
 from deepbots_cli.document import shipped
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.statistics import mean_interval
-from tests.results import measure, page, picture
-from tests.results.__main__ import main
-from tests.results.experiment import (
+from tools.results import measure, page, picture
+from tools.results.__main__ import main
+from tools.results.experiment import (
     FIRST_SEED,
     RANDOM,
     Ahead,
@@ -39,12 +40,12 @@ from tests.results.experiment import (
     Tried,
     experiments,
 )
-from tests.results.experiments.not_measured import REASONS
-from tests.results.measure import ROOT, Places
-from tests.results.standing import Standing, judge, quartiles, together
+from tools.results.experiments.not_measured import REASONS
+from tools.results.measure import ROOT, Places
+from tools.results.standing import Standing, judge, quartiles, together
 
 PLACES = Places()
-CURRENT = "run: python -m tests.results --render"
+CURRENT = "run: python -m tools.results --render"
 EXPERIMENTS = list(experiments().values())
 
 
@@ -361,3 +362,15 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(tmp_path: Pa
     ).read_text(encoding="utf-8")
     measure.put(places.record("rail"), entry | {"evaluations": {}}, "trainings", "main", "0")
     assert [piece.missing() for piece in measure.pieces(TINY, places)] == [False, True, False]
+
+
+# The tasks in docs/measured.md that a script teaches: they lint clean, and the scripts do them
+
+
+TASKS = sorted((Path(__file__).parent / "teacher").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("task", TASKS, ids=lambda path: path.stem)
+def test_a_script_does_the_task(task: Path) -> None:
+    assert deepbots(["lint", str(task)]) == 0
+    assert deepbots(["test", str(task)]) == 0

@@ -36,7 +36,7 @@ from deepbots_robot.about import About
 from deepbots_robot.bundle import BUNDLE_NAME
 from deepbots_robot.messages import longest_message
 from deepbots_robot.serving import Transport, field_of
-from tests.benchmarks.report import Row, show
+from tools.benchmarks.report import Row, show
 
 ROOT = Path(__file__).parents[2]
 MAX_RISE = 50.0  # MB

@@ -10,6 +10,7 @@ import pytest
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.robots.model import Box, Cylinder, Friction, Limit, Mimic, Pose
 from deepbots_cli.robots.reader import read
+from tests.golden.cases import mistakes
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 ARM = f"""<?xml version="1.0"?>
@@ -97,126 +98,17 @@ def test_an_attribute_is_found_even_if_another_value_looks_like_it(read_text):
     assert finding.span.text == "1 2 bad"
 
 
-def broken(old: str, new: str) -> str:
-    assert old in ARM
-    return ARM.replace(old, new, 1)
+def broken(old: str, new: str, text: str = ARM) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
 
 
-ERRORS = {
-    "a number that is none": (
-        broken('damping="0.1"', 'damping="lots"'),
-        "'lots' is not a finite number",
-        "lots",
-    ),
-    "not a number": (broken('damping="0.1"', 'damping="nan"'), "'nan' is not a finite number", "nan"),
-    "infinite": (broken('damping="0.1"', 'damping="1e999"'), "'damping' is larger than 1e+18", "1e999"),
-    "a number with an underscore": (
-        broken('effort="5"', 'effort="1_0"'),
-        "'1_0' is not a finite number",
-        "1_0",
-    ),
-    "negative damping": (
-        broken('damping="0.1"', 'damping="-1"'),
-        "'damping' of <dynamics> is negative",
-        "-1",
-    ),
-    "negative mass": (broken('mass value="1"', 'mass value="-1"'), "'value' of <mass> is negative", "-1"),
-    "negative inertia": (broken('ixx="1"', 'ixx="-1"'), "'ixx' of <inertia> is negative", "-1"),
-    "inertial without mass": (broken('<mass value="1"/>', ""), "<inertial> without <mass>", "<inertial>"),
-    "mass without value": (
-        broken('<mass value="1"/>', "<mass/>"),
-        "<mass> without the attribute 'value'",
-        "<mass/>",
-    ),
-    "short vector": (broken('xyz="1 0 0"', 'xyz="1 0"'), "'xyz' needs 3 numbers, not 2", "1 0"),
-    "long vector": (broken('xyz="1 0 0"', 'xyz="1 0 0 0 0"'), "'xyz' needs 3 numbers, not 5", "1 0 0 0 0"),
-    "commas without blanks": (
-        broken('size="1 2 3"', 'size="1,2,3"'),
-        "'1,2,3' is not a finite number",
-        "1,2,3",
-    ),
-    "name of a hinge": (
-        broken('"revolute"', '"spherical"').replace('"hand"', '"elbow_y"'),
-        "ball joint 'elbow' needs the name 'elbow_y' for one of its three hinges, but the name is already"
-        " used",
-        "elbow",
-    ),
-    "flat box": (broken('size="1 2 3"', 'size="1 -2 3"'), "'size' must be above 0", "1 -2 3"),
-    "thin cylinder": (broken('radius="0.1"', 'radius="0"'), "'radius' must be above 0", "0"),
-    "no shape": (broken('<box size="1 2 3"/>', ""), "<geometry> contains no known shape", "<geometry>"),
-    "no geometry": (
-        broken('<geometry><box size="1 2 3"/></geometry>', ""),
-        "<visual> without <geometry>",
-        "<visual>",
-    ),
-    "zero axis": (broken('xyz="0 3 4"', 'xyz="0 0 0"'), "the axis has no length", "0 0 0"),
-    "joint type": (broken('"revolute"', '"revolut"'), "unknown joint type 'revolut'", "revolut"),
-    "no joint type": (
-        broken(' type="revolute"', ""),
-        "<joint> without the attribute 'type'",
-        '<joint name="elbow">',
-    ),
-    "no parent": (
-        broken('<parent link="base"/>', ""),
-        "<joint> without <parent>",
-        '<joint name="elbow" type="revolute">',
-    ),
-    "parent without link": (
-        broken('<parent link="base"/>', "<parent/>"),
-        "<parent> without the attribute 'link'",
-        "<parent/>",
-    ),
-    "unknown child": (
-        broken('child link="hand"', 'child link="hnd"'),
-        "joint 'elbow' has the unknown link 'hnd' as its child",
-        "hnd",
-    ),
-    "self joint": (
-        broken('"hand"/>', '"base"/>'),
-        "these links form a closed loop: 'base'",
-        '<joint name="elbow" ',
-    ),
-    "second root": (
-        broken("</robot>", f'<link name="free">{INERTIAL}</link></robot>'),
-        "link 'free' is a second root",
-        "free",
-    ),
-    "second link": (broken("</robot>", '<link name="hand"/></robot>'), "a second link called 'hand'", "hand"),
-    "nameless link": (
-        broken("</robot>", "<link/></robot>"),
-        "<link> without the attribute 'name'",
-        "<link/>",
-    ),
-    "empty name": (broken("</robot>", '<link name=" "/></robot>'), "the attribute 'name' is empty", " "),
-    "line break in a name": (
-        broken('"arm"', '"a"').replace("hand", "ha&#10;nd"),
-        "contains characters that cannot be printed",
-        "ha&#10;nd",
-    ),
-    "mimic": (
-        broken("<dynamics", '<mimic joint="elbo"/><dynamics'),
-        "joint 'elbow' follows the unknown joint 'elbo'",
-        "elbo",
-    ),
-    "self mimic": (
-        broken("<dynamics", '<mimic joint="elbow"/><dynamics'),
-        "these joints follow each other in a circle: 'elbow'",
-        "elbow",
-    ),
-    "macro": (
-        broken("</robot>", "<xacro:wheel/></robot>"),
-        "a xacro macro that has not been expanded",
-        "<xacro:wheel/>",
-    ),
-    "another root": ("<sdf><model/></sdf>", "the outermost element is <sdf>, not <robot>", "<sdf>"),
-    "no links": ("<robot name='x'/>", "the robot has no links", "<robot name='x'/>"),
-    "no file": (broken("<robot", "<robt"), "this is not XML: mismatched tag", None),
-}
-
-
-@pytest.mark.parametrize("case", ERRORS)
-def test_an_error_is_said_once_and_at_its_place(read_text, case):
-    text, headline, place = ERRORS[case]
+@pytest.mark.parametrize("mistake", mistakes("robot"), ids=lambda row: row[0])
+def test_an_error_is_said_once_and_at_its_place(read_text, mistake):
+    case, changes, headline, place = mistake
+    text = changes if isinstance(changes, str) else ARM
+    for old, new in () if isinstance(changes, str) else changes:
+        text = broken(old, new, text)
     robot, findings = read_text(text)
     assert robot is None
     first = findings[0]
@@ -228,54 +120,13 @@ def test_an_error_is_said_once_and_at_its_place(read_text, case):
         single(findings)
 
 
-ODDITIES = {
-    "blank lines first": (
-        "\n \n" + ARM,
-        "the XML declaration is not at the start of the file",
-        "<?xml",
-        (3, 1),
-    ),
-    "zero byte": (ARM + "\0", "a zero byte after the end of the document", "\0", (22, 1)),
-    "zero bytes and blanks": (
-        ARM + "\r\n\0\0 \n",
-        "a zero byte after the end of the document",
-        "\0",
-        (23, 1),
-    ),
-    "rotation of four": (
-        broken('rpy="0.1 0 0"', 'rpy="0.1 0 0 9"'),
-        "'rpy' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does",
-        "0.1 0 0 9",
-        (10, 43),
-    ),
-    "place of four": (
-        broken('xyz="1 0 0"', 'xyz="1 0 0 9"'),
-        "'xyz' needs 3 numbers, not 4; deepbots reads the first 3, as PyBullet does",
-        "1 0 0 9",
-        (16, 18),
-    ),
-    "commas": (
-        broken('size="1 2 3"', 'size="1, 2, 3"'),
-        "'1,' is not a number; deepbots reads 1, as PyBullet does",
-        "1, 2, 3",
-        (6, 34),
-    ),
-    "a point too many": (
-        broken('lower="-1"', 'lower="-1.0."'),
-        "'-1.0.' is not a number; deepbots reads -1.0, as PyBullet does",
-        "-1.0.",
-        (18, 19),
-    ),
-}
-
-
-@pytest.mark.parametrize("case", ODDITIES)
-def test_what_pybullet_reads_with_certainty_is_read_with_a_warning_at_its_place(read_text, case):
-    text, headline, place, position = ODDITIES[case]
-    robot, findings = read_text(text)
+@pytest.mark.parametrize("oddity", mistakes("odd_robot"), ids=lambda row: row[0])
+def test_what_pybullet_reads_with_certainty_is_read_with_a_warning_at_its_place(read_text, oddity):
+    _, ((old, new),), headline, place, position = oddity
+    robot, findings = read_text(broken(old, new))
     finding = single(findings)
     assert (finding.code, finding.headline) == ("DB311", headline)
-    assert (finding.span.text, finding.span.start_position) == (place, position)
+    assert (finding.span.text, finding.span.start_position) == (place, tuple(position))
     assert robot.model == read_text(ARM)[0].model
 
 

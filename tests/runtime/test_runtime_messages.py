@@ -6,14 +6,25 @@ import math
 import struct
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli import message_formats
 from deepbots_cli.errors import MessageError
+from deepbots_cli.insight.inspection import message_size
 from deepbots_cli.program.robots import MessageField, MessageLayout
-from deepbots_cli.runtime.messages import DECODING_ERRORS, Codec, codec, layout_error
+from deepbots_cli.runtime.messages import (
+    DECODING_ERRORS,
+    Channel,
+    Codec,
+    FieldCodec,
+    codec,
+    layout_error,
+    zero_values,
+)
+from deepbots_cli.runtime.streams import Streams
 
 FORMATS = tuple(name for name in message_formats.FORMATS if name != "none")
 LAYOUT = MessageLayout(
@@ -200,3 +211,95 @@ def test_what_is_not_finite_arrives_as_it_was_or_is_refused(format: str, value: 
         assert "field 'angle'" in str(layout_error(FLOATS_ONLY, format, message, 1))
     else:
         assert values[0] == value or math.isnan(value)
+
+
+# The channel delivers at once, one value per field, and forgets at a reset
+
+
+CHANNEL_FIELDS = (
+    MessageField("angle", "rad"),
+    MessageField("gyro", "rad/s", ("x", "y", "z")),
+    MessageField("touch", "", (), "bool"),
+)
+CHANNEL = MessageLayout.from_fields("cart", "from_robot", CHANNEL_FIELDS)
+MESSAGE = (0.1, [1.0, 2.0, 3.0], True)
+
+
+def refused(layout: MessageLayout, message: object) -> MessageError:
+    return MessageError(f"{layout.robot} refuses {message!r}")
+
+
+def channel(format: str = "struct") -> Channel:
+    return Channel(FieldCodec(CHANNEL, format, refused))
+
+
+@pytest.mark.parametrize("format", message_formats.FORMATS)
+def test_what_is_sent_is_received_by_fields(format: str) -> None:
+    path = channel(format)
+    path.send(MESSAGE)
+    angle, gyro, touch = path.receive()
+    assert (angle, list(gyro), touch) == MESSAGE
+    assert len(path) == 0
+
+
+def test_messages_arrive_in_order_and_a_new_episode_forgets_them() -> None:
+    path = channel("none")
+    path.send("old")
+    path.send("new")
+    assert (len(path), path.receive()) == (2, "old")
+    path.begin(Streams(0))
+    assert len(path) == 0
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_message_of_another_layout_is_refused(format: str) -> None:
+    path = channel(format)
+    path.transmit(
+        FieldCodec(MessageLayout.from_fields("cart", "to_robot", CHANNEL_FIELDS), format, refused).encode(
+            MESSAGE
+        )
+    )
+    with pytest.raises(MessageError, match="cart refuses"):
+        path.receive()
+
+
+# Messages that hold pictures
+
+
+PICTURE_FIELDS = (
+    MessageField("speed", "m/s"),
+    MessageField("camera", "", (), "uint8", (4, 6, 3)),
+    MessageField("touch", "", dtype="bool"),
+)
+PICTURES = MessageLayout("rover", "from_robot", PICTURE_FIELDS, 99)
+PICTURE = np.arange(72, dtype=np.uint8).reshape(4, 6, 3) * 3
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_every_format_carries_every_byte(format: str) -> None:
+    made = codec(PICTURES, format)
+    message = made.encode(0.5, PICTURE, True)
+    stamp, speed, picture, touch = made.decode(message)
+    assert (stamp, speed, touch) == (99, 0.5, True)
+    assert picture.dtype == np.uint8
+    assert np.array_equal(picture, PICTURE)
+    size = message_size(PICTURES, format)
+    assert size is None or size == len(message)
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_picture_of_another_size_is_refused(format: str) -> None:
+    fields = (PICTURE_FIELDS[0], MessageField("camera", "", (), "uint8", (4, 5, 3)), PICTURE_FIELDS[2])
+    made, other = codec(PICTURES, format), codec(MessageLayout("rover", "from_robot", fields, 99), format)
+    message = other.encode(0.5, PICTURE[:, :5], True)
+    with pytest.raises(DECODING_ERRORS):
+        made.decode(message)
+    assert "rover" in str(layout_error(PICTURES, format, message, 3))
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_silence_is_a_black_picture(format: str) -> None:
+    made = codec(PICTURES, format)
+    picture = made.decode(made.encode(*zero_values(PICTURES)))[2]
+    assert picture.shape == (4, 6, 3)
+    assert not picture.any()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,7 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_cli.view.frames import FrameReader
 from tests.contract.rollout import as_bytes
 from tests.few import LIGHT, few
-
-DATA = Path(__file__).parents[1] / "data" / "scenarios"
+from tests.worlds import SCENARIOS, Make
 
 SECTIONS = """\
 parameters:
@@ -49,7 +47,7 @@ reward:
 
 
 @pytest.fixture
-def env(small: Callable[..., Supervisor]) -> Supervisor:
+def env(small: Make) -> Supervisor:
     return small(SECTIONS)
 
 
@@ -153,7 +151,7 @@ def test_the_episode_goes_on_after_options_that_were_refused(env: Supervisor) ->
     assert env.step(env.action_space.sample())[4]["reward_terms"]["side"] == 1.0
 
 
-def test_all_copies_of_a_vector_environment_take_the_options(small: Callable[..., Supervisor]) -> None:
+def test_all_copies_of_a_vector_environment_take_the_options(small: Make) -> None:
     spec = small(SECTIONS).spec
     assert spec is not None
     vector = gymnasium.make_vec(spec, 3, vectorization_mode="sync")
@@ -183,7 +181,7 @@ reset: {place: {bar: {x: 1.2 m, y: uniform(-0.2 .. 0.2 m)}, crate: {region: {x: 
 
 
 @pytest.fixture
-def team(make: Callable[..., Supervisor], tmp_path: Path) -> Supervisor:
+def team(make: Make, tmp_path: Path) -> Supervisor:
     """Two carts of one policy, a bar and a crate."""
     text = Source.open("cartpole").path.read_text(encoding="utf-8")
     (tmp_path / "cartpole.yaml").write_text(text.replace("../robots/urdf/cartpole.urdf", "cartpole"))
@@ -241,7 +239,7 @@ def test_a_wrong_option_for_one_copy_is_refused(team: Supervisor, options: dict[
 
 
 def test_a_value_of_one_copy_that_is_given_twice_is_refused(
-    team: Supervisor, make: Callable[..., Supervisor], tmp_path: Path
+    team: Supervisor, make: Make, tmp_path: Path
 ) -> None:
     pushed = make(
         tmp_path / "team.yaml",
@@ -330,10 +328,10 @@ def test_without_noise_what_was_drawn_gives_the_same_episode_for_every_seed(name
 
 
 @pytest.mark.parametrize(
-    "name", few([path.name for path in sorted(DATA.glob("*.yaml"))], ("placed.yaml", "pushed.yaml"))
+    "name", few([path.name for path in sorted(SCENARIOS.glob("*.yaml"))], ("placed.yaml", "pushed.yaml"))
 )
 def test_every_kind_of_draw_is_taken_back(name: str) -> None:
-    with closing(api.make(DATA / name)) as env:
+    with closing(api.make(SCENARIOS / name)) as env:
         for seed in range(5):
             world, drawn = start(env, seed=seed)
             assert start(env, seed=99, options=drawn) == (world, drawn)

@@ -3,14 +3,14 @@ hand."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
-Small = Callable[..., Supervisor]
 DRIVES = (0.5, -0.25, 1.0, 1.0, -0.5)
 NEARLY = 1e-8  # m/s; a motor of limited force leaves the speed so near to its target
 
@@ -47,13 +47,13 @@ def terms(environment: Supervisor, drives: Sequence[float] = DRIVES) -> dict[str
     ],
 )
 def test_a_stateful_function_gives_the_sequence_of_its_definition(
-    small: Small, expression: str, expected: list[float]
+    small: Make, expression: str, expected: list[float]
 ) -> None:
     found = terms(small(f'reward: {{a: "{expression}"}}'))["a"]
     assert found == pytest.approx(expected, abs=1e-15)
 
 
-def test_memory_advances_also_while_its_branch_is_not_taken(small: Small) -> None:
+def test_memory_advances_also_while_its_branch_is_not_taken(small: Make) -> None:
     found = terms(
         small(
             'reward: {late: "delta(drive) if step >= 4 else 0", held: "running_max(drive) if step == 5 else'
@@ -64,19 +64,19 @@ def test_memory_advances_also_while_its_branch_is_not_taken(small: Small) -> Non
     assert found["held"] == [0.0, 0.0, 0.0, 0.0, 1.0]
 
 
-def test_each_occurrence_in_the_text_has_a_memory_of_its_own(small: Small) -> None:
+def test_each_occurrence_in_the_text_has_a_memory_of_its_own(small: Make) -> None:
     found = terms(small('reward: {both: "delta(drive) + delta(drive)", twice: "2 * delta(drive)"}'))
     assert found["both"] == found["twice"]
 
 
-def test_a_new_episode_starts_all_memory_anew(small: Small) -> None:
+def test_a_new_episode_starts_all_memory_anew(small: Make) -> None:
     environment = small(
         'reward: {a: delta(drive), b: running_max(drive), c: "accumulate(drive, -1 .. 1, 0.5)"}'
     )
     assert terms(environment) == terms(environment)
 
 
-def test_rewards_may_remember_the_end_of_an_episode(small: Small) -> None:
+def test_rewards_may_remember_the_end_of_an_episode(small: Make) -> None:
     endings = "termination: {failure: {fast: drive > 0.9}}"
     sections = (
         f"{endings}\nreward: {{end: 1 when rising_edge(terminated), either: 1 when rising_edge(ended)}}"
@@ -84,7 +84,7 @@ def test_rewards_may_remember_the_end_of_an_episode(small: Small) -> None:
     assert terms(small(sections))["end"] == [0.0, 0.0, 1.0, 0.0, 0.0]
 
 
-def test_memory_in_signals_and_endings_advances_once_per_step(small: Small) -> None:
+def test_memory_in_signals_and_endings_advances_once_per_step(small: Make) -> None:
     ending = "termination: {success: {done: duration(drive > 0.75) > 30 ms}}"
     environment = small(
         f"signals: {{total: integral(drive)}}\nreward: {{a: total / s, b: total / s}}\n{ending}"
@@ -94,7 +94,7 @@ def test_memory_in_signals_and_endings_advances_once_per_step(small: Small) -> N
     assert [environment.step(np.array([drive]))[2] for drive in DRIVES] == [False, False, False, True, True]
 
 
-def test_components_of_a_vector_are_remembered_apart(small: Small) -> None:
+def test_components_of_a_vector_are_remembered_apart(small: Make) -> None:
     environment = small(
         'signals: {both: "vector(drive, -2 * drive)"}\nreward: {most: "max(delta(both))", least:'
         ' "min(delta(both))"}'
@@ -104,7 +104,7 @@ def test_components_of_a_vector_are_remembered_apart(small: Small) -> None:
     assert found["least"] == pytest.approx([min(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
 
 
-def test_two_signals_whose_slots_read_alike_do_not_share_a_memory(small: Small) -> None:
+def test_two_signals_whose_slots_read_alike_do_not_share_a_memory(small: Make) -> None:
     """Component 1 of `v` and the second integral of `v_0` would both be called `memory_signals_v_0_1`."""
     signals = 'signals: {a: 1 * drive, v: "sum(integral(1 a a a))", v_0: "integral(a) + 10 * integral(a)"}\n'
     found = terms(small(signals + "reward: {v: v / s, v_0: v_0 / s}"))
@@ -133,7 +133,7 @@ SEEN = (
 
 
 @pytest.mark.parametrize("format", ["struct", "none"])
-def test_what_a_robot_computes_on_board_advances_once_per_tick(small: Small, format: str) -> None:
+def test_what_a_robot_computes_on_board_advances_once_per_tick(small: Make, format: str) -> None:
     found = terms(
         small(SEEN, f"messages.format={format}", robot=ON_BOARD.replace("APPLY", "drive * 0.02 m/s"))
     )
@@ -146,7 +146,7 @@ def test_what_a_robot_computes_on_board_advances_once_per_tick(small: Small, for
 
 
 @pytest.mark.parametrize("format", ["struct", "none"])
-def test_what_a_robot_applies_may_remember_earlier_messages(small: Small, format: str) -> None:
+def test_what_a_robot_applies_may_remember_earlier_messages(small: Make, format: str) -> None:
     environment = small(
         SEEN,
         f"messages.format={format}",
@@ -157,7 +157,7 @@ def test_what_a_robot_applies_may_remember_earlier_messages(small: Small, format
     )
 
 
-def test_a_robot_may_apply_a_sensor_that_it_does_not_send(small: Small) -> None:
+def test_a_robot_may_apply_a_sensor_that_it_does_not_send(small: Make) -> None:
     """The sensors that it sends and those that it applies are read apart, and must not be taken for each
     other."""
     robot = ON_BOARD.replace(
@@ -180,7 +180,7 @@ TOLD = ON_BOARD.replace("    apply:", "    receive: {RECEIVE}\n    apply:")
 
 @pytest.mark.parametrize("format", ["struct", "none"])
 @pytest.mark.parametrize("told", ["position(cart.cart).x", "x", "cart.place", "previous(x) + delta(x)"])
-def test_a_robot_is_told_what_held_before_the_step(small: Small, format: str, told: str) -> None:
+def test_a_robot_is_told_what_held_before_the_step(small: Make, format: str, told: str) -> None:
     robot = TOLD.replace("{RECEIVE}", f'{{push: drive, where: "{told}"}}').replace(
         "APPLY", "push * 0.02 m/s + where / s"
     )
@@ -209,7 +209,7 @@ def test_a_robot_is_told_what_held_before_the_step(small: Small, format: str, to
         ("running_max(drive)", [0.5, 0.5, 1.0, 1.0, 1.0]),
     ],
 )
-def test_a_received_start_is_kept(small: Small, expression: str, expected: list[float]) -> None:
+def test_a_received_start_is_kept(small: Make, expression: str, expected: list[float]) -> None:
     """A memory of `apply` that begins with a received value begins with that of the first message; actions
     are 0 at a reset."""
     robot = TOLD.replace("{RECEIVE}", '{level: "0.4 + 5 * time / s"}').replace(
@@ -220,7 +220,7 @@ def test_a_received_start_is_kept(small: Small, expression: str, expected: list[
         assert terms(environment)["rate"] == pytest.approx([0.02 * value for value in expected], abs=NEARLY)
 
 
-def test_a_received_start_waits_for_a_late_message(small: Small) -> None:
+def test_a_received_start_waits_for_a_late_message(small: Make) -> None:
     robot = TOLD.replace("{RECEIVE}", '{level: "0.4 + 5 * time / s"}').replace(
         "APPLY", "accumulate(0.1 * drive, -2 .. 2, level) * 0.02 m/s"
     )

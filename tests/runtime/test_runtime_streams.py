@@ -42,12 +42,6 @@ def test_a_stream_does_not_feel_what_is_drawn_from_others() -> None:
     assert found == expected
 
 
-def test_zero_is_a_seed_like_any_other() -> None:
-    assert Streams(0).root == 0
-    assert Streams(0).uniform("a", 0.0, 1.0) == Streams(0).uniform("a", 0.0, 1.0)
-    assert Streams(0).uniform("a", 0.0, 1.0) != Streams(1).uniform("a", 0.0, 1.0)
-
-
 def test_without_a_seed_two_environments_differ() -> None:
     assert Streams(None).root != Streams(None).root
 

@@ -7,8 +7,6 @@ import inspect
 import linecache
 import math
 import traceback
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, MessageError, UsageError
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import RAIL, Make
 
-Make = Callable[..., Supervisor]
 NEARLY = 1e-6  # a motor of limited force leaves the speed so near to its target
 DRIVES = (1.0, -1.0, -1.0, 0.5, 1.0)
 
@@ -139,10 +137,8 @@ def test_the_traceback_of_such_an_error_shows_generated_lines(small: Make) -> No
 
 @pytest.mark.parametrize("format", ["struct", "json", "csv", "msgpack", "none"])
 @pytest.mark.parametrize("engine", ["exact", "pybullet"])
-def test_a_world_that_blew_up_is_the_engines_failure(
-    rail: Path, make: Make, format: str, engine: str
-) -> None:
-    environment = make(rail, f"messages.format={format}", engine=engine)
+def test_a_world_that_blew_up_is_the_engines_failure(make: Make, format: str, engine: str) -> None:
+    environment = make(RAIL, f"messages.format={format}", engine=engine)
     environment.reset(seed=0)
     environment.step(0)
     environment.engine.set_joint("cart", "hinge", math.nan, 0.0)
@@ -154,8 +150,8 @@ def test_a_world_that_blew_up_is_the_engines_failure(
 
 
 @pytest.mark.parametrize("message", [b"", b"garbage", "text", None, b"\0" * 12, b"\0" * 500])
-def test_a_foreign_message_on_the_way_is_refused_by_the_robot(rail: Path, make: Make, message: Any) -> None:
-    environment = make(rail)
+def test_a_foreign_message_on_the_way_is_refused_by_the_robot(make: Make, message: Any) -> None:
+    environment = make(RAIL, engine="exact")
     environment.reset(seed=0)
     environment.step(0)
     environment.to_cart.transmit(message)
@@ -163,8 +159,8 @@ def test_a_foreign_message_on_the_way_is_refused_by_the_robot(rail: Path, make: 
         environment.step(0)
 
 
-def test_a_foreign_message_from_a_robot_is_refused_by_the_supervisor(rail: Path, make: Make) -> None:
-    environment = make(rail)
+def test_a_foreign_message_from_a_robot_is_refused_by_the_supervisor(make: Make) -> None:
+    environment = make(RAIL, engine="exact")
     environment.reset(seed=0)
     environment.from_cart.transmit(environment.to_cart.wire.encode((1.0,)))
     with pytest.raises(
@@ -173,8 +169,8 @@ def test_a_foreign_message_from_a_robot_is_refused_by_the_supervisor(rail: Path,
         environment.step(0)
 
 
-def test_every_failure_of_a_step_is_one_line_and_within_our_tree(rail: Path, make: Make) -> None:
-    environment = make(rail)
+def test_every_failure_of_a_step_is_one_line_and_within_our_tree(make: Make) -> None:
+    environment = make(RAIL, engine="exact")
     for use in (
         lambda: environment.step(0),
         lambda: environment.step("x"),
@@ -189,9 +185,9 @@ def test_every_failure_of_a_step_is_one_line_and_within_our_tree(rail: Path, mak
 # The code
 
 
-def test_what_the_compiler_prints_is_what_runs(rail: Path, make: Make) -> None:
-    environment = make(rail)
-    code = api.compile(rail).code
+def test_what_the_compiler_prints_is_what_runs(make: Make) -> None:
+    environment = make(RAIL, engine="exact")
+    code = api.compile(RAIL).code
     filename = inspect.getfile(type(environment)._advance)
     assert "".join(linecache.getlines(filename)) == code
     assert inspect.getsource(type(environment)._advance) in code
@@ -216,7 +212,7 @@ def test_the_printed_module_has_the_papers_classes_and_imports_nothing_odd() -> 
 # Physics, end to end
 
 
-def test_two_engines_agree_on_the_rail(rail: Path, make: Make) -> None:
+def test_two_engines_agree_on_the_rail(make: Make) -> None:
     """0.8 s of a falling pole on a cart that is pushed back and forth: PyBullet at 1.25 ms steps is within
     3e-3 of the exact motion.
 
@@ -225,7 +221,7 @@ def test_two_engines_agree_on_the_rail(rail: Path, make: Make) -> None:
     worst = {}
     for substeps in (4, 16):
         exact, pybullet = (
-            make(rail, f"world.substeps={substeps}", engine=engine) for engine in ("exact", "pybullet")
+            make(RAIL, f"world.substeps={substeps}", engine=engine) for engine in ("exact", "pybullet")
         )
         exact.reset(seed=2)
         pybullet.reset(seed=2)

@@ -20,6 +20,7 @@ from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_sch
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.training import ALGORITHMS, AUTO
 from deepbots_cli.scenario.world import OBJECTS, TERRAINS
+from tests.golden.cases import mistakes
 
 ROOT = Path(__file__).parents[2]
 COMMITTED = ROOT / "schemas" / FILE_NAME
@@ -204,59 +205,17 @@ def test_numbers_in_groups_of_three_which_editors_take_for_text_are_no_mistake(
     assert [error.message for error in validator.iter_errors(scenario)] == []
 
 
-FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
-    "an unknown key": ("timestep: 32 ms", "timestep: 32 ms\n  timestop: 32 ms", ("world",)),
-    "a section that there is not": ("messages:", "mesages:", ()),
-    "a key of another kind": (
-        "joint: pole_hinge}",
-        "joint: pole_hinge, fov: 60 deg}",
-        ("robots", "cart", "sensors", "pole_angle"),
-    ),
-    "an unknown kind of sensor": (
-        "joint_position",
-        "joint_angle",
-        ("robots", "cart", "sensors", "pole_angle", "type"),
-    ),
-    "an unknown kind of actuator": (
-        "velocity_motor",
-        "velocty_motor",
-        ("robots", "cart", "actuators", "wheels", "type"),
-    ),
-    "an unknown algorithm": ("algorithm: PPO", "algorithm: PPOO", ("train", "algorithm")),
-    "a hyperparameter of another algorithm": ("gamma: 0.98", "tau: 0.98", ("train",)),
-    "a text for a whole number": ("substeps: 4", "substeps: four", ("world", "substeps")),
-    "a list for a quantity": ("timestep: 32 ms", "timestep: [32 ms]", ("world", "timestep")),
-    "a single value for a mapping": (
-        "  failure:\n    fallen:",
-        "  failure: yes please\nsignals:\n    fallen:",
-        ("termination", "failure"),
-    ),
-    "an unknown word": ("format: csv", "format: cvs", ("messages", "format")),
-    "a number out of bounds": ("gamma: 0.98", "gamma: 1.98", ("train", "gamma")),
-    "a range without dots": ("-20 .. 20 deg", "20 deg", ("observation", "cart.pole_angle")),
-    "a name that is none": ("alive: 1", "Alive: 1", ("reward",)),
-    "keys that exclude each other": (
-        "joint: pole_hinge}",
-        "joint: pole_hinge, joints: pole_hinge}",
-        ("robots", "cart", "sensors", "pole_angle"),
-    ),
-    "an unknown color": (
-        "arena: {size: 1 1 m",
-        "arena: {size: 1 1 m, color: rde",
-        ("world", "arena", "color"),
-    ),
-}
-
-
-@pytest.mark.parametrize(("old", "new", "place"), FAULTS.values(), ids=FAULTS)
+@pytest.mark.parametrize(
+    ("old", "new", "place"), [pytest.param(*row[1:], id=row[0]) for row in mistakes("schema")]
+)
 def test_a_fault_is_reported_once_and_in_its_place(
-    validator: jsonschema.Draft202012Validator, old: str, new: str, place: tuple[Step, ...]
+    validator: jsonschema.Draft202012Validator, old: str, new: str, place: list[Step]
 ) -> None:
     assert old in CARTPOLE
     found = [
         tuple(error.absolute_path) for error in validator.iter_errors(data(CARTPOLE.replace(old, new, 1)))
     ]
-    assert found == [place]
+    assert found == [tuple(place)]
 
 
 def test_a_file_that_extends_another_may_leave_out_anything(

@@ -17,6 +17,7 @@ from deepbots_cli.scenario.json_schema import json_schema, schema_text
 from tests.few import every
 from tests.fuzz.mutations import case
 from tests.fuzz.workbench import Workbench
+from tests.golden.cases import mistakes
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
@@ -147,59 +148,12 @@ def test_names_that_are_added_later_are_no_mistake(own: Own) -> None:
     assert faults(own(CARTPOLE), data(later)) == []
 
 
-FAULTS: dict[str, tuple[str, str, tuple[Step, ...]]] = {
-    "an unknown joint": (
-        "joint: pole_hinge",
-        "joint: pole_hing",
-        ("robots", "cart", "sensors", "pole_angle", "joint"),
-    ),
-    "an unknown joint in a list": (
-        "[wheel_*]",
-        "[wheel_*, pole]",
-        ("robots", "cart", "actuators", "wheels", "joints", 1),
-    ),
-    "a link for a joint": (
-        "joints: [wheel_*]",
-        "joints: pole",
-        ("robots", "cart", "actuators", "wheels", "joints"),
-    ),
-    "an unknown link": (
-        "{type: joint_position, joint: pole_hinge}",
-        "{type: gyro, link: pol}",
-        ("robots", "cart", "sensors", "pole_angle", "link"),
-    ),
-    "an unknown joint of a start": (
-        "cart.pole_hinge: uniform",
-        "cart.pole_hing: uniform",
-        ("reset", "joints"),
-    ),
-    "an unknown joint to be changed": (
-        "    apply:",
-        "    joints: {pole_hing: {damping: 0 N*m*s/rad}}\n    apply:",
-        ("robots", "cart", "joints"),
-    ),
-    "an unknown link to be changed": (
-        "    apply:",
-        "    links: {pol: {mass: 1 kg}}\n    apply:",
-        ("robots", "cart", "links"),
-    ),
-    "an unknown member of a group": (
-        "    apply:",
-        "    groups: {all: [pol]}\n    apply:",
-        ("robots", "cart", "groups", "all", 0),
-    ),
-    "an unknown key": ("max_torque: 10 N*m", "torque: 10 N*m", ("robots", "cart", "actuators", "wheels")),
-    "an unknown kind": ("joint_position", "joint_angle", ("robots", "cart", "sensors", "pole_angle", "type")),
-    "a wrong type": ("joint: pole_hinge", "joint: 3", ("robots", "cart", "sensors", "pole_angle", "joint")),
-}
-
-
-@pytest.mark.parametrize(("old", "new", "place"), FAULTS.values(), ids=FAULTS)
-def test_a_fault_is_reported_once_and_in_its_place(
-    own: Own, old: str, new: str, place: tuple[Step, ...]
-) -> None:
+@pytest.mark.parametrize(
+    ("old", "new", "place"), [pytest.param(*row[1:], id=row[0]) for row in mistakes("own_schema")]
+)
+def test_a_fault_is_reported_once_and_in_its_place(own: Own, old: str, new: str, place: list[Step]) -> None:
     assert old in CARTPOLE
-    assert faults(own(CARTPOLE), data(CARTPOLE.replace(old, new, 1))) == [place]
+    assert faults(own(CARTPOLE), data(CARTPOLE.replace(old, new, 1))) == [tuple(place)]
 
 
 @pytest.mark.parametrize(

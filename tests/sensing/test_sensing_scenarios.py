@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.document import loads
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
 TEXT = """\
 deepbots: 1
@@ -36,20 +34,13 @@ reward: {a: 1}
 truncation: {max_steps: 1000}
 reset: {joints: {cart.slider: uniform(-0.2 .. 0.2 m)}}
 """
-Make = Callable[[str, str], Supervisor]
 METER = "-1 .. 1 m"
 
 
 @pytest.fixture
-def make() -> Iterator[Make]:
-    with ExitStack() as opened:
-
-        def build(sensor: str, range: str = METER) -> Supervisor:
-            checked = check(loads(TEXT % (sensor, range), base=Path.cwd()))
-            assert checked.program is not None, [finding.headline for finding in checked.findings]
-            return opened.enter_context(closing(api.build(checked.program, engine="exact")))
-
-        yield build
+def sensed(make: Make) -> Make:
+    """The cart with a sensor, as in `sensed("{type: joint_position, joint: slider}")`, observed in a range."""
+    return lambda sensor, range=METER: make(TEXT % (sensor, range), engine="exact")
 
 
 def seen(world: Supervisor, steps: int, seed: int = 1) -> np.ndarray:
@@ -59,18 +50,18 @@ def seen(world: Supervisor, steps: int, seed: int = 1) -> np.ndarray:
     return np.array(rows, np.float64)
 
 
-def test_a_perfect_sensor_costs_no_device_and_one_with_faults_is_one(make: Make) -> None:
-    assert make("{type: joint_position, joint: slider}").robot_cart.devices == {}
-    assert list(make("{type: joint_position, joint: slider, noise: 1 cm}").robot_cart.devices) == ["eye"]
+def test_a_perfect_sensor_costs_no_device_and_one_with_faults_is_one(sensed: Make) -> None:
+    assert sensed("{type: joint_position, joint: slider}").robot_cart.devices == {}
+    assert list(sensed("{type: joint_position, joint: slider, noise: 1 cm}").robot_cart.devices) == ["eye"]
 
 
-def test_latency_and_period_hold_the_truth_back(make: Make) -> None:
-    rows = seen(make("{type: joint_position, joint: slider, latency: 40 ms, period: 60 ms}"), 12)
+def test_latency_and_period_hold_the_truth_back(sensed: Make) -> None:
+    rows = seen(sensed("{type: joint_position, joint: slider, latency: 40 ms, period: 60 ms}"), 12)
     assert rows[:, 1] == pytest.approx(rows[[0, 0, 0, 0, 0, 3, 3, 3, 6, 6, 6, 9, 9], 0])
 
 
-def test_a_bias_is_drawn_once_per_episode_and_is_constant_in_it(make: Make) -> None:
-    world = make("{type: joint_position, joint: slider, bias: uniform(-10 .. 10 cm)}")
+def test_a_bias_is_drawn_once_per_episode_and_is_constant_in_it(sensed: Make) -> None:
+    world = sensed("{type: joint_position, joint: slider, bias: uniform(-10 .. 10 cm)}")
     found = []
     for seed in range(40):
         rows = seen(world, 5, seed)
@@ -81,14 +72,14 @@ def test_a_bias_is_drawn_once_per_episode_and_is_constant_in_it(make: Make) -> N
     assert np.ptp(found) > 0.15
 
 
-def test_a_parameter_is_one_draw_for_all_that_use_it(make: Make) -> None:
-    world = make("{type: joint_position, joints: [slider], bias: off}")
+def test_a_parameter_is_one_draw_for_all_that_use_it(sensed: Make) -> None:
+    world = sensed("{type: joint_position, joints: [slider], bias: off}")
     rows = seen(world, 1, 3)
     assert rows[0, 1] - rows[0, 0] == pytest.approx(world.parameter_off, abs=1e-6)
 
 
-def test_each_component_has_a_bias_of_its_own(make: Make) -> None:
-    world = make("{type: position, link: pole, bias: uniform(-10 .. 10 cm)}", "-2 .. 2 m")
+def test_each_component_has_a_bias_of_its_own(sensed: Make) -> None:
+    world = sensed("{type: position, link: pole, bias: uniform(-10 .. 10 cm)}", "-2 .. 2 m")
     biases = set()
     for seed in range(5):
         world.reset(seed=seed)
@@ -96,21 +87,21 @@ def test_each_component_has_a_bias_of_its_own(make: Make) -> None:
     assert len(biases) == 15
 
 
-def test_drift_grows_with_the_time_since_the_reset(make: Make) -> None:
-    rows = seen(make("{type: joint_position, joint: slider, drift: 0.5 m/s}"), 50)
+def test_drift_grows_with_the_time_since_the_reset(sensed: Make) -> None:
+    rows = seen(sensed("{type: joint_position, joint: slider, drift: 0.5 m/s}"), 50)
     assert rows[:, 1] - rows[:, 0] == pytest.approx(0.5 * 0.02 * np.arange(51), abs=1e-6)
 
 
-def test_quantize_and_range_shape_what_the_policy_sees(make: Make) -> None:
-    rows = seen(make("{type: joint_position, joint: slider, resolution: 5 cm, range: -10 .. 10 cm}"), 40)
+def test_quantize_and_range_shape_what_the_policy_sees(sensed: Make) -> None:
+    rows = seen(sensed("{type: joint_position, joint: slider, resolution: 5 cm, range: -10 .. 10 cm}"), 40)
     assert rows[:, 1] == pytest.approx(
         np.clip(np.round(np.clip(rows[:, 0], -0.1, 0.1) / 0.05) * 0.05, -0.1, 0.1), abs=1e-6
     )
     assert np.ptp(rows[:, 0]) > 0.3
 
 
-def test_the_known_range_of_a_sensor_is_its_automatic_one(make: Make) -> None:
-    world = make("{type: joint_position, joint: slider, noise: 1 cm, range: -50 .. 50 cm}", "auto")
+def test_the_known_range_of_a_sensor_is_its_automatic_one(sensed: Make) -> None:
+    world = sensed("{type: joint_position, joint: slider, noise: 1 cm, range: -50 .. 50 cm}", "auto")
     rows = seen(world, 20)
     assert rows[:, 1] == pytest.approx(2 * rows[:, 0], abs=0.1)
 
@@ -152,8 +143,8 @@ def test_one_joint_of_a_sensor_of_several_is_not_observed_in_the_range_of_the_ot
     assert ends == [pytest.approx(pair) for pair in ranges]
 
 
-def test_the_same_seed_gives_the_same_readings(make: Make) -> None:
-    world = make(
+def test_the_same_seed_gives_the_same_readings(sensed: Make) -> None:
+    world = sensed(
         "{type: joint_position, joint: slider, noise: uniform(1 .. 5 cm), latency: uniform(0 .. 60 ms)}"
     )
     first = seen(world, 30)

@@ -9,6 +9,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.program.world import Line
 from deepbots_cli.runtime.paths import Follower, PaintedGround
+from tests.worlds import Maker
 
 SQUARE = Line(
     "square", ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), closed=True, width=0.02, reflectance=0.1
@@ -130,15 +131,8 @@ reset: {place: {rover: {x: 0.1 m, y: -0.05 m, z: 0 m}}}
 """
 
 
-@pytest.fixture
-def scenario(tmp_path):
-    path = tmp_path / "lines.yaml"
-    path.write_text(SCENARIO, encoding="utf-8")
-    return path
-
-
-def test_a_scenario_tells_the_place_beside_and_along_a_line_from_the_true_pose(scenario) -> None:
-    compiled = api.compile(scenario)
+def test_a_scenario_tells_the_place_beside_and_along_a_line_from_the_true_pose(make: Maker) -> None:
+    compiled = api.compile(make.written(SCENARIO))
     assert [(entry.name, entry.low, entry.high) for entry in compiled.program.agent.numbers] == [
         ("offset", -1.0, 1.0),
         ("driven", 0.0, 4.0),

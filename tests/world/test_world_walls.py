@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -11,6 +10,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.compiler.inventory import definition, names_at
 from deepbots_cli.runtime import Supervisor
+from tests.worlds import Make
 
 # The puck is 4 cm high and 2 cm in radius; the faces of `bay` are at x = 0.39 and 0.41 m, those of the arena
 # at 1 m.
@@ -47,21 +47,6 @@ reset: {place: {puck: {x: 0.2 m, y: 0.25 m}}}
 """
 
 
-@pytest.fixture
-def make(tmp_path: Path) -> Iterator[Callable[..., Supervisor]]:
-    opened: list[Supervisor] = []
-
-    def make_one(*overrides: str) -> Supervisor:
-        file = tmp_path / "yard.yaml"
-        file.write_text(YARD, encoding="utf-8")
-        opened.append(api.make(file, overrides=overrides))
-        return opened[-1]
-
-    yield make_one
-    for environment in opened:
-        environment.close()
-
-
 def seen(environment: Supervisor) -> dict[str, float]:
     """What the observation shows, in m and as truth values."""
     entries = environment.scenario.agent.numbers
@@ -74,9 +59,9 @@ def seen(environment: Supervisor) -> dict[str, float]:
 
 
 def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(
-    make: Callable[..., Supervisor],
+    make: Make,
 ) -> None:
-    environment = make()
+    environment = make(YARD)
     environment.reset(seed=0)
     told = seen(environment)
     assert told["to_bay"] == pytest.approx(0.39 - 0.22, abs=2e-3)
@@ -86,15 +71,15 @@ def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(
     assert told["to_arena"] == pytest.approx(1 - 0.27, abs=2e-3)  # the left wall
 
 
-def test_a_wall_of_one_piece_has_a_position(make: Callable[..., Supervisor]) -> None:
-    environment = make()
+def test_a_wall_of_one_piece_has_a_position(make: Make) -> None:
+    environment = make(YARD)
     environment.reset(seed=0)
     told = seen(environment)
     assert [told[f"middle.{axis}"] for axis in "xyz"] == pytest.approx([0.4, 0.0, 0.1], abs=1e-6)
 
 
-def test_contact_and_collided_know_which_wall_is_touched(make: Callable[..., Supervisor]) -> None:
-    environment = make("reset.place.puck.velocity=2 0 0 m/s")
+def test_contact_and_collided_know_which_wall_is_touched(make: Make) -> None:
+    environment = make(YARD, "reset.place.puck.velocity=2 0 0 m/s")
     environment.reset(seed=0)
     touched = set()
     for _ in range(10):
@@ -105,8 +90,8 @@ def test_contact_and_collided_know_which_wall_is_touched(make: Callable[..., Sup
     assert touched == {"touched"}
 
 
-def test_contact_with_the_arena_is_contact_with_any_of_its_walls(make: Callable[..., Supervisor]) -> None:
-    environment = make("reset.place.puck.velocity=0 4 0 m/s")
+def test_contact_with_the_arena_is_contact_with_any_of_its_walls(make: Make) -> None:
+    environment = make(YARD, "reset.place.puck.velocity=0 4 0 m/s")
     environment.reset(seed=0)
     touched = set()
     for _ in range(15):

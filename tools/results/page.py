@@ -1,0 +1,256 @@
+"""The pages of results: docs/results.md, docs/reference/measurements.md and a card for each scenario, from
+the records alone.
+
+What is compiled anew is only compared by its digest.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from deepbots_cli.learning.directories import write_text
+from tools.results import measure, picture
+from tools.results.card import (
+    NOTE,
+    card,
+    card_title,
+    count,
+    measured_on,
+    number,
+    outcome,
+    slug,
+    table,
+    wrapped,
+)
+from tools.results.experiment import Experiment, Held
+from tools.results.experiments.not_measured import REASONS
+from tools.results.measure import ROOT, Places
+from tools.results.parts import PARTS, Holding, Part
+from tools.results.standing import Entry, Headline, Standing, quartiles
+
+Experiments = Mapping[str, Experiment]
+BY_HAND = ROOT / "docs" / "measured.md"
+"""Bars that no command measures."""
+
+HEAD = """\
+# Results
+
+Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-49186-4_6). Names link to curves, seeds, bars and commands.
+
+## Beside the paper
+"""
+BESIDE = """\
+Over the trainings of all seeds. Solved: [new starts confirm it](judging.md); in the paper, training episodes met it. The
+page of each task lists its differences from the paper."""
+OTHERS = """\
+## Other scenarios
+
+The result is the success in held-out episodes, or their mean return (without %). CPU is the median of the trainings.
+"""
+METHOD = """\
+## Method
+
+- **Seeds** from 101 on are reported; none was used to choose a setting.
+- **Held-out episodes** start from seeds that no training uses.
+- [**Intervals**](statistics.md) have a confidence of 95 %, over the episodes of all seeds. They leave out how trainings differ.
+- **Simulated hours** count the steps of all copies of the environment.
+- **CPU** covers a training and its evaluation, on two cores of x86_64. It varies by a tenth or two.\
+"""
+
+
+# All pages
+
+
+def write(places: Places, experiments: Experiments) -> str:
+    """Write the pages, and the pictures whose data have changed; returns how many bars are met, in a
+    sentence."""
+    for path, text in pages(places, experiments).items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, text)
+    standings, tables = _measured(places, experiments)
+    for standing in standings:
+        picture.write(standing.experiment, standing.record, places.picture(standing.experiment.name))
+    return _bars(standings, tables)
+
+
+def pages(places: Places, experiments: Experiments) -> dict[Path, str]:
+    """The text of each page by its path."""
+    standings, tables = _measured(places, experiments)
+    cards = {places.card(standing.experiment.name): card(standing) for standing in standings}
+    return {places.page: _results(standings, tables), places.measurements: _measurements(tables), **cards}
+
+
+def _measured(places: Places, experiments: Experiments) -> tuple[list[Standing], dict[str, Entry]]:
+    standings = [
+        Standing.of(experiment, measure.read(places.record(name))) for name, experiment in experiments.items()
+    ]
+    return standings, {part.name: measure.read(places.record(part.name)).get("tables", {}) for part in PARTS}
+
+
+# The page of results
+
+
+def _results(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
+    lines = [
+        HEAD,
+        *table(("task", "figure", "paper", "median", "quartiles", "worst", "seeds"), _beside(standings)),
+        "",
+        BESIDE,
+        "",
+        OTHERS,
+    ]
+    lines += [
+        *table(("scenario", "result", "random", "seeds", "CPU, s"), _others(standings)),
+        "",
+        *_unmeasured(standings),
+        METHOD,
+    ]
+    return (
+        "\n".join([*lines, *wrapped(f"- **Bars**: {_bars(standings, tables, linked=True)}", indent="  ")])
+        + "\n"
+    )
+
+
+def _beside(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
+    for standing in standings:
+        link = _link(standing.experiment)
+        for row in standing.experiment.beside if standing.record["trainings"] else ():
+            values = row.figure.values(standing.record)
+            if not values:
+                continue
+            low, middle, high = quartiles(values)
+            worst = min(values) if isinstance(row.figure, Held) else max(values)
+            told = [_figure(value, row.figure.what) for value in (middle, low, high, worst)]
+            yield link, row.words, row.paper, told[0], f"{told[1]} .. {told[2]}", told[3], str(len(values))
+            link = ""
+
+
+def _figure(value: float, what: str) -> str:
+    if math.isinf(value):
+        return "never"
+    return f"{100 * value:.1f}".removesuffix(".0") + " %" if what == "success_rate" else number(value, 3)
+
+
+def _others(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
+    for standing in standings:
+        experiment = standing.experiment
+        link = _link(experiment) + (f", `{experiment.case}`" if experiment.case else "")
+        found = Headline.of(standing)
+        if found and not experiment.beside:
+            random = outcome(found.random).partition(" (")[0] if found.random else ""
+            yield link, outcome(found.held), random, str(found.seeds), number(found.cpu_seconds, 3)
+
+
+def _unmeasured(standings: Sequence[Standing]) -> Iterator[str]:
+    names = [_link(standing.experiment) for standing in standings if Headline.of(standing) is None]
+    if names := [*names, *(f"`{name}`" for name in REASONS)]:
+        yield from (*wrapped(f"Not measured: {', '.join(names)}."), "")
+
+
+def _link(experiment: Experiment) -> str:
+    return f"[{experiment.title}](results/{experiment.name}.md#{slug(card_title(experiment))})"
+
+
+def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry], *, linked: bool = False) -> str:
+    """How many bars are met; with links to those that are missed."""
+    words: Counter[str] = Counter()
+    missed = []
+    for standing in standings:
+        found = [verdict.word for verdict in standing.verdicts()]
+        words.update(found)
+        missed += [_link(standing.experiment)] * ("**missed**" in found)
+    for part in PARTS:
+        met = _met(tables[part.name])
+        words.update("met" if one else "**missed**" for one in met)
+        missed += [f"[{part.title}](reference/measurements.md#{slug(part.title)})"] * (not all(met))
+    where = f" ({', '.join(missed)})" if linked and missed else ""
+    text = f"{words['met']} met, {words['**missed**']} missed{where}, {words['not measured']} not measured; "
+    text += (
+        f"of {words['reached'] + words['not reached']} further goals (stretch), {words['reached']} reached; "
+    )
+    hand = _by_hand()
+    text += f"measured {'[by hand](measured.md)' if linked else 'by hand'}: "
+    text += f"{', '.join(f'{hand[word]} {word}' for word in ('met', 'missed', 'not shown') if hand[word])}."
+    old = sum(
+        verdict.status != "not measured"
+        for standing in standings
+        if standing.outdated
+        for verdict in standing.verdicts()
+    )
+    return (
+        f"{text} {old} of these verdicts {'is' if old == 1 else 'are'} of an earlier version of a scenario."
+        if old
+        else text
+    )
+
+
+def _met(tables: Entry) -> list[bool]:
+    """Of the rows of a part that have bars."""
+    return [row["met"] for entry in tables.values() for row in entry["rows"] if row["met"] is not None]
+
+
+def verdicts_by_hand(text: str) -> list[tuple[str, str]]:
+    """What is measured by hand, and its verdict, which begins with a word."""
+    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in text.splitlines() if line.startswith("| ")]
+    return [(cells[0].strip(), cells[3].strip()) for cells in rows if cells[1].strip() not in ("", "bar")]
+
+
+def _by_hand() -> Counter[str]:
+    verdicts = [verdict for _, verdict in verdicts_by_hand(BY_HAND.read_text("utf-8"))]
+    return Counter(
+        "missed" if "missed" in verdict else re.split(r"[,;:]", verdict)[0] for verdict in verdicts
+    )
+
+
+# The page of measurements
+
+
+def _measurements(tables: Mapping[str, Entry]) -> str:
+    intro = (
+        "Costs, errors and findings of deepbots, measured by the commands below each table."
+        " [Results](../results.md) has the trainings."
+    )
+    lines = [NOTE, "", "# Measurements", "", *wrapped(intro), ""]
+    for part in PARTS:
+        lines += _lines_of_part(part, tables[part.name])
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _lines_of_part(part: Part, measured: Entry) -> list[str]:
+    lines = [f"## {part.title}", "", part.prose, ""]
+    known = [
+        (entry, row) for name in part.tables if (entry := measured.get(name.name)) for row in entry["rows"]
+    ]
+    if all(isinstance(table, Holding) for table in part.tables):
+        rows = [(row["what"], _passed(row), f"`{entry['command']}`") for entry, row in known]
+        lines += table(("what", part.figure, "command"), rows)
+    else:
+        words = {None: "", True: "yes", False: "**no**"}
+        rows_of_bars = [
+            (
+                row["what"],
+                row["bar_words"].rstrip(),
+                f"{_value(row['measured'])} {row['unit']}".rstrip(),
+                words[row["met"]],
+            )
+            for _, row in known
+        ]
+        lines += table(("what", "bar", part.figure, "met"), rows_of_bars)
+        lines += ["", *wrapped(", ".join(f"`{entry['command']}`" for entry in measured.values()))]
+    if missing := [entry.command for entry in part.tables if entry.name not in measured]:
+        lines += ["", *wrapped(f"Not measured: {', '.join(f'`{command}`' for command in missing)}.")]
+    return [*lines, "", f"`make results PART={part.name}`", "", *measured_on(measured.values()), ""]
+
+
+def _value(value: float) -> str:
+    """Counts are exact, other figures have three digits."""
+    return count(int(value)) if value == int(value) else number(value, 3)
+
+
+def _passed(row: Entry) -> str:
+    failed = row["failed"] + row.get("error", 0)
+    return f"{row['passed']} passed" + (f", **{failed} failed**" if failed else "")

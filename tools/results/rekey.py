@@ -1,0 +1,90 @@
+"""Keys the records of docs/results anew after names in digests have changed.
+
+    (cd OLD; PYTHONPATH=. python -P NEW/tools/results/rekey.py centred=centered) > known.json
+    python -m tools.results.rekey centred=centered known.json
+
+OLD is a checkout from before the change. The entries of an experiment that counted there count here, if every
+program behind the experiment has the same generated code in both, apart from comments and from the names, and
+the same random episodes to the bit; else they stay as they are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from deepbots_cli import api
+from deepbots_cli.codegen import generate_module
+from tests.contract import rollout
+from tools.results import benchmark
+from tools.results.experiment import Experiment, experiments
+from tools.results.measure import Places, compiled, pieces, put, read
+
+
+def behavior(experiment: Experiment, names: Mapping[str, str] = MappingProxyType({})) -> str:
+    """SHA-256 of what is trained and evaluated, with all cases and stages: the code with new names for old
+    ones, and random episodes."""
+    asked = [
+        (experiment.scenario, ()),
+        *((experiment.scenario, training.sets) for training in experiment.trainings),
+    ]
+    asked += [
+        (wanted.scenario, ())
+        for training in experiment.trainings
+        for wanted in training.evaluations
+        if wanted.scenario
+    ]
+    whole = [compiled(scenario, sets) for scenario, sets in dict.fromkeys(asked)]
+    found = hashlib.sha256()
+    for program in [
+        part
+        for each in whole
+        for part in (each, *(entry.program for entry in (*each.cases, *each.curriculum)))
+    ]:
+        environment = api.build(program)
+        code = re.sub(
+            r"scenario [0-9a-f]{12}\.|  # .*|^ *# .*\n", "", generate_module(program), flags=re.MULTILINE
+        )
+        for old, new in names.items():
+            code = code.replace(old, new)
+        found.update(code.encode())
+        found.update(rollout.digest(environment, 0).encode())
+        environment.close()
+    return found.hexdigest()
+
+
+def rewrite(name: str, old: Any, new: Any) -> None:
+    path = Places().record(name)
+    if old["behavior"] != new["behavior"]:
+        print(f"{name}: its code or its motion differs")
+        return
+    for place, asked in new["pieces"].items():
+        entry: Any = read(path)
+        for key in place.split("/"):
+            entry = entry.get(key, {})
+        if [entry.get("digest"), entry.get("command")] == old["pieces"].get(place) and asked[1] == entry[
+            "command"
+        ]:
+            put(path, {**entry, "digest": asked[0]}, *place.split("/"))
+
+
+if __name__ == "__main__":
+    names = dict(word.split("=") for word in sys.argv[1:] if "=" in word)
+    known = {
+        name: {
+            "behavior": behavior(each, names),
+            "pieces": {"/".join(piece.keys): list(piece.asked()) for piece in pieces(each, Places())},
+        }
+        for name, each in {**experiments(), **benchmark.experiments()}.items()
+    }
+    if files := [word for word in sys.argv[1:] if "=" not in word]:
+        for name, old in json.loads(Path(files[0]).read_text(encoding="utf-8")).items():
+            rewrite(name, old, known[name])
+    else:
+        json.dump(known, sys.stdout)
