@@ -367,7 +367,7 @@ def test_a_measurement_that_is_stopped_goes_on_and_ends_on_the_page(tmp_path: Pa
 # The tasks in docs/measured.md that a script teaches: they lint clean, and the scripts do them
 
 
-TASKS = sorted((Path(__file__).parent / "teacher").glob("*.yaml"))
+TASKS = sorted((ROOT / "tools" / "results" / "teacher").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda path: path.stem)

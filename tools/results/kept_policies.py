@@ -1,6 +1,6 @@
 """Whether the policy that a training keeps is as good as the best of all models that the run has.
 
-`python -m tests.learning.kept_policies 11 14` trains the A1 of `stair.yaml` from these seeds, with each of
+`python -m tools.results.kept_policies 11 14` trains the A1 of `stair.yaml` from these seeds, with each of
 three rewards, and saves models at equal intervals. Every model of a run then plays the same 200 new starts.
 The kept policy passes if its success rate is within Wilson's 95 % interval of the best one.
 """

@@ -2,7 +2,7 @@
 episodes.
 
 Trainings of CartPole end after 5,000 steps, a fifth of what a solved one took, so the best of their
-evaluations is chosen among policies of very different quality. `python -m tests.learning.best_model_bias 7001
+evaluations is chosen among policies of very different quality. `python -m tools.results.best_model_bias 7001
 7100` trains one for each of these seeds. Every best model then plays 2,000 fresh episodes.
 """
 
