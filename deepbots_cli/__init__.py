@@ -11,6 +11,7 @@ port.py       the interface of engines  engines/      the engines behind it
 engine_kinds.py  the names of engines, and what they need
 frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
 geometry.py   terrain and meshes at simulation time
+tiles.py      heights of a terrain of tiles
 arrays.py     expressions over arrays
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium

@@ -23,11 +23,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deepbots_cli import tiles
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem
-from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape
+from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape, Tiles
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, to_urdf, with_link
 
@@ -122,6 +123,8 @@ def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
             grid = _picture(terrain_shape)
         case Formula():
             grid = _formula(terrain_shape)
+        case Tiles():
+            grid = HeightGrid(tiles.heights(terrain_shape), terrain_shape.size)
         case _:
             return None
     if not np.all(np.abs(grid.heights) < _HIGHEST):  # which NaN is not

@@ -30,6 +30,7 @@ from deepbots_cli.scenario.sensors import (
     BASES,
     Camera,
     ContactSensor,
+    GridScan,
     HeightScan,
     JointSensor,
     LinkSensor,
@@ -246,7 +247,8 @@ def _scan(namespace: Namespace, spec: RayScan) -> tuple[RayConfig, Components, D
     """The rays, with components, dimension and interval of what they tell; None after a finding. Without a
     lookup, their reach is 0."""
     rays = _rays(namespace, spec)
-    align = spec.align or ("yaw" if isinstance(spec, HeightScan) else "link")
+    align = spec.align if isinstance(spec, GridScan) else "link"
+    align = align or ("yaw" if isinstance(spec, HeightScan) else "link")
     if not isinstance(spec, RaySensor):
         if rays is None:
             return None
@@ -272,7 +274,7 @@ def _components(rays: dict[str, Pose]) -> Components:
 def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     """The frames of rays by their names, "" for a single ray without a name; None after a finding."""
     values = namespace.values
-    if spec.grid is not None:
+    if isinstance(spec, GridScan) and spec.grid is not None:
         return _grid(namespace, spec)
     if isinstance(spec.rays, dict):
         if spec.angle_range is not None:
@@ -300,7 +302,7 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     return {f"r{index}": Pose(rpy=(0.0, 0.0, turn)) for index, turn in enumerate(turns)}
 
 
-def _grid(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
+def _grid(namespace: Namespace, spec: GridScan) -> dict[str, Pose] | None:
     """The frames of parallel rays by their names; None after a finding."""
     values = namespace.values
     for key in ("rays", "angle_range"):

@@ -27,6 +27,7 @@ from deepbots_cli.program.world import (
     GROUND,
     MAX_BODIES,
     MAX_POINTS,
+    TILE_MARGIN_M,
     WALL_COLOR,
     Arena,
     Color,
@@ -41,6 +42,8 @@ from deepbots_cli.program.world import (
     RobotBody,
     Terrain,
     TerrainShape,
+    Tile,
+    Tiles,
     Variant,
     WorldModel,
     WorldParameter,
@@ -294,7 +297,98 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
         case world_spec.Formula():
             size = namespace.fields.pair(spec, "size")
             return None if size is None else _formula(spec, size, namespace)
+        case world_spec.TileTerrain():
+            return _tiles(spec, namespace)
     return None
+
+
+_TILE_LENGTHS = ("side", "platform", "border", "cell")
+_MAX_HEIGHTS = 2_000_000
+_TOLERANCE = 1e-6  # of a multiple, as a share of a cell
+
+
+def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
+    values, findings_before = namespace.values, len(namespace.values.findings)
+    lengths = {key: namespace.fields.fixed(spec, key) for key in _TILE_LENGTHS}
+    tiles = {name: _tile(tile, namespace) for name, tile in spec.tiles.items()}
+    side, platform, border, cell = (lengths[key] for key in _TILE_LENGTHS)
+    if side is None or platform is None or border is None or cell is None or None in tiles.values():
+        return None
+    for key, length in (("side", side), ("border", border)):
+        cells = length / cell
+        if abs(cells - round(cells)) > _TOLERANCE:
+            headline = f"`{key}` is {length:g} m, which is not a multiple of `cell`, {cell:g} m"
+            place = (*spec.path, key if key in spec.model_fields_set else "cell")
+            values.add("DB308", values.span(place), headline, "write a multiple, or another `cell`")
+    largest = side - 2 * TILE_MARGIN_M
+    for name, tile in spec.tiles.items():
+        made = tiles[name]
+        widths = [] if made is None else _widths(made)
+        for key, width in widths:
+            if 0.0 < width < cell:
+                headline = f"`{key}` is {width:g} m, but heights are {cell:g} m apart"
+                values.add(
+                    "DB105",
+                    values.span((*tile.path, key)) if key in tile.model_fields_set else (*spec.path, "cell"),
+                    headline,
+                    "write a larger one, or a smaller `cell`",
+                )
+        for key, width in [("platform", platform), *widths]:
+            if width > largest:
+                place = (*spec.path, "tiles", name, key) if key != "platform" else (*spec.path, key)
+                if key not in (spec if key == "platform" else tile).model_fields_set:
+                    place = (*spec.path, "side")
+                headline = f"`{key}` is {width:g} m, but a tile has room for {largest:g} m within its edge"
+                values.add("DB105", values.span(place), headline, "write a smaller one, or a larger `side`")
+    terrain = Tiles(
+        tuple(tile for tile in tiles.values() if tile is not None),
+        spec.levels,
+        side,
+        border,
+        platform,
+        cell,
+        spec.seed,
+    )
+    rows, columns = (round(extent / cell) + 1 for extent in terrain.size)
+    if rows * columns > _MAX_HEIGHTS:
+        headline = f"the terrain has {rows * columns:,} heights; the limit is {_MAX_HEIGHTS:,}"
+        values.add_at_key(
+            "DB005", spec.path, headline, "write fewer levels, smaller tiles or a larger `cell`"
+        )
+    return terrain if len(values.findings) == findings_before else None
+
+
+def _tile(spec: world_spec.Tile, namespace: Namespace) -> Tile | None:
+    """The measures of a tile at the lowest and at the highest level; None after a finding."""
+    measures: list[tuple[str, float, float]] = []
+    for key in type(spec).model_fields:
+        value = getattr(spec, key)
+        if key == "type":
+            continue
+        if isinstance(value, bool):
+            measures.append((key, float(value), float(value)))
+        elif isinstance(value, str) and ".." in value:
+            ends = namespace.fields.ends(spec, key, falling=True)
+            if ends is None:
+                return None
+            (low,), (high,) = ends.low, ends.high
+            if min(low, high) < 0.0:
+                span = namespace.values.span((*spec.path, key))
+                namespace.values.add("DB105", span, f"`{key}` is below 0", "write values from 0")
+                return None
+            measures.append((key, low, high))
+        else:
+            number = namespace.fields.fixed(spec, key)
+            if number is None:
+                return None
+            measures.append((key, number, number))
+    return Tile(spec.type, tuple(measures))
+
+
+def _widths(tile: Tile) -> list[tuple[str, float]]:
+    """Measures along the ground, which must fit into a tile, by key."""
+    along = ("tread", "length", "grain", "side", "gap", "width", "spacing")
+    return [(name, end) for name, *ends in tile.measures if name in along for end in {*ends}]
 
 
 def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:

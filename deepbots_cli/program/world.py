@@ -74,7 +74,42 @@ class Formula:
     size: tuple[float, float]
 
 
-TerrainShape = Pit | Picture | Formula | Mesh
+TILE_MARGIN_M = 0.5
+"""The width of the edge (m) of a tile over which waves and random heights fade to the height 0."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """The kind of a tile, and its measures by name: at the lowest and at the highest level, in SI units."""
+
+    kind: str
+    measures: tuple[tuple[str, float, float], ...]
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """Square tiles around the origin: kinds along x, levels along y, with a flat `border`; lengths in m.
+
+    `side` and `border` are multiples of `cell`, the distance between heights. `deepbots_cli.tiles` has the
+    shapes.
+    """
+
+    tiles: tuple[Tile, ...]
+    levels: int
+    side: float
+    border: float
+    platform: float
+    cell: float
+    seed: int
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Along x and y, m."""
+        along_x, along_y = len(self.tiles) * self.side, self.levels * self.side
+        return along_x + 2 * self.border, along_y + 2 * self.border
+
+
+TerrainShape = Pit | Picture | Formula | Tiles | Mesh
 
 
 @dataclass(frozen=True)

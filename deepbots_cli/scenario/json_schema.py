@@ -171,7 +171,7 @@ def _required(section: type[Section]) -> list[str]:
 
 def schema_text(known: ScenarioNames | None = None) -> str:
     """The text of the schema; the keywords of a key are on one line."""
-    return re.sub(r"\n {5,}", "", json.dumps(json_schema(known), indent=1)) + "\n"
+    return re.sub(r"\n {5,}", "", json.dumps(json_schema(known), indent=1, separators=(",", ":"))) + "\n"
 
 
 _ACROSS_FILES: Json = {

@@ -313,23 +313,27 @@ class RayScan(LinkSensor):
     and named `r0`, `r1`, ... By default there is one ray."""
     angle_range: Annotated[str, Range("angle")] | None = None
     """Yaw of the first and of the last ray, such as `90 .. -90 deg`."""
+
+
+class GridScan(RayScan):
+    """Measures along rays with names, a fan of rays, or parallel rays."""
+
     grid: (
         Annotated[
             Scalar, Quantity("number", components=2, minimum=1, maximum=64, whole=True, example_text="9 5")
         ]
         | None
     ) = None
-    """Parallel rays in place of a fan: their numbers in both directions, such as `9 5`. Those of a
-    `height_scan` are spread along x and y; others look along x, and are spread along y and z. They are named
-    `r0_0`, `r0_1`, ..."""
+    """Numbers of parallel rays, such as `9 5`: along x and y for a `height_scan`, else along y and z. They are
+    named `r0_0`, `r0_1`, ..."""
     spacing: Annotated[Scalar, Quantity("length", minimum=0, exclusive=True)] = "10 cm"
     """Distance between the rays of a `grid`."""
     align: Literal["link", "yaw"] | None = None
-    """Whether the rays turn with the `link`, or only with its `yaw`, and stay level when it tilts. By
-    default, those of a `height_scan` follow the yaw, and others the link."""
+    """Whether the rays turn with the `link`, or only with its `yaw`; by default `link`, for a `height_scan`
+    `yaw`."""
 
 
-class RaySensor(RayScan):
+class RaySensor(GridScan):
     """Measures the free distance along rays, which point along the x axes of their frames."""
 
     dimension = LENGTH
@@ -367,9 +371,9 @@ class Lidar(RaySensor):
     type: Literal["lidar"]
 
 
-class HeightScan(RayScan):
-    """Height of the sensor above what lies below each of its rays, which point down: the ground, and bodies on
-    it. The height is negative where the ground is higher than the sensor; `range` must then begin below 0."""
+class HeightScan(GridScan):
+    """Height of the sensor above the ground, or a body on it, below each ray. Where the ground may be higher
+    than the sensor, `range` begins below 0."""
 
     dimension = LENGTH
     reader = f"{_READERS}:ranging"
@@ -406,7 +410,7 @@ class Camera(LinkSensor):
     """Content of a pixel."""
 
 
-BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, RaySensor, Camera)
+BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, GridScan, RaySensor, Camera)
 """Classes whose parameters the compiler reads; it passes the parameters of other classes to the reader."""
 
 
