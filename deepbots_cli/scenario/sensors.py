@@ -94,8 +94,7 @@ class Sensor(Section):
     """Standard deviation of the noise on each reading: in the unit of the sensor, or as `2 %` of the
     value."""
     bias: Annotated[Scalar, Quantity("reading", known="episode", relative=True)] = 0
-    """Error that stays the same for an episode: an offset in the unit of the sensor, or a share of the value,
-    such as `2 %`."""
+    """Error that stays the same for an episode, in the unit of the sensor, or as `2 %` of the value."""
     drift: Annotated[Scalar, Quantity("any", known="episode")] = 0
     """Growth of the bias, in the unit of the sensor per second."""
     resolution: Annotated[Scalar, Quantity("reading", minimum=0)] = 0
