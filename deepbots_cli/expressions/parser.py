@@ -68,7 +68,7 @@ _PRECEDENCE = {
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
 _NEVER_CLOSED = "a parenthesis that is not closed"
 _TOO_DEEP_HELP = "define parts of the expression as signals or parameters"
-_CONDITIONAL_WORDS = frozenset({"if", "else"})
+_CONDITIONAL_WORDS = frozenset({"if", "else", "when"})
 _CONDITIONAL_SIGNS = _CONDITIONAL_WORDS | {"?", ":", "{"}
 _SLOT_ENDS = {
     "",
@@ -613,10 +613,15 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
     ),
     "#": _Hint("write a space before the `#` of a comment"),
     "->": _Hint("use a schedule only under `train`"),
+    "when": _Hint("`when` applies to the whole text; here, write `value if condition else 0`"),
 }
 
 
-_WITHOUT_OPENING = {")": "a closing parenthesis without an opening one", "else": "`else` without `if`"}
+_OUT_OF_PLACE = {
+    ")": "a closing parenthesis without an opening one",
+    "else": "`else` without `if`",
+    "when": "`when` within an expression",
+}
 
 
 def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None, Replacement | None]:
@@ -640,8 +645,8 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
         )
     if missing:
         return f"a value is missing before `{shown}`", help, None
-    if token.text in _WITHOUT_OPENING:
-        return _WITHOUT_OPENING[token.text], help, None
+    if token.text in _OUT_OF_PLACE:
+        return _OUT_OF_PLACE[token.text], help, None
     if token.text == ",":
         return _about_comma(tokens, at)
     if token.kind == "SIGN" and token.text != "(":
