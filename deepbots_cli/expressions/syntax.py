@@ -27,12 +27,13 @@ class Token(NamedTuple):
 
 
 # YAML removes its comments; a text of several lines (`|`) still holds them. As in YAML, a blank precedes the
-# sign of a comment.
+# sign of a comment. What follows the blanks always matches, so they are never given back. A possessive group
+# would say so, but Python before 3.11.5 matches such a group of alternatives wrongly: it never ends here.
 _TOKEN = re.compile(
-    r"(?:\s++|(?<!\S)#[^\n]*+)*+(?:"
+    r"(?:\s+|(?<!\S)#[^\n]*)*(?:"
     rf"(?P<NUMBER>{NUMBER})"
     r"|(?P<NAME>[A-Za-z_][A-Za-z0-9_]*)"
-    r"|(?P<STRANGE>\.{3,}+|\*\*|&&|\|\||->|=>|//|<>|[^-+*/^().,<>|%=!]|[=!](?!=))"
+    r"|(?P<STRANGE>\.{3,}|\*\*|&&|\|\||->|=>|//|<>|[^-+*/^().,<>|%=!]|[=!](?!=))"
     r"|(?P<SIGN>\.\.|\+-|<=|>=|==|!=|.)"
     r"|$)",
     re.DOTALL | re.ASCII,

@@ -150,7 +150,7 @@ def _list(value: object, key: str, name: str) -> tuple[str, ...]:
 # Scenarios in folders
 
 _VERSION = re.compile(
-    rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*+\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE
+    rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE
 )
 _MAX_SEARCHED_BYTES = 65_536
 """Bytes at the beginning of a file in which the key `deepbots` is searched."""

@@ -83,7 +83,6 @@ class Lines:
         return max(0, start + column - self._mark)
 
 
-_BLANK = re.compile(r"\ufeff?(?:[ \t\r]*(?:#[^\n]*)?\n)*+[a-z]*\s*")
 _NAMELESS = "<untitled {:08x}>"
 
 
@@ -114,7 +113,9 @@ class Document:
     @property
     def is_blank(self) -> bool:
         """Whether the document holds only comments and at most the beginning of one word."""
-        return _BLANK.fullmatch(self.text) is not None
+        *lines, last = self.text.removeprefix("\ufeff").rstrip().split("\n")
+        begun = "" if re.fullmatch("[a-z]+", last) else last
+        return all(line.lstrip()[:1] in ("", "#") for line in (*lines, begun))
 
     @cached_property
     def bytes(self) -> bytes:

@@ -26,8 +26,9 @@ MAX_CORRECTED_LENGTH = 40  # words, and characters of one, of a vector that is s
 
 _BLANKS = " \t\r\n"
 
-# Possessive, so that a tag without an end costs linear time.
-_START_TAG = re.compile(r"""<[^\s/>"']++(?:[^"'>]++|"[^"]*+"|'[^']*+')*+>""")
+# Possessive where a group has no alternatives, so that a tag without an end costs linear time; Python before
+# 3.11.5 matches possessive groups of alternatives wrongly.
+_START_TAG = re.compile(r"""<[^\s/>"']++(?:[^"'>]++|"[^"]*+"|'[^']*+')*>""")
 _ATTRIBUTE = re.compile(r"""([^\s=/<>"']+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
 _OPTENV = re.compile(r"\$\(optenv [A-Za-z0-9_]{1,80} ([-+.0-9eE ]{1,120})\)")

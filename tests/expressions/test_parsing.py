@@ -1,5 +1,9 @@
 """Texts to trees: what is read, and what is refused with what advice."""
 
+import ast
+import re
+from pathlib import Path
+
 import pytest
 
 from deepbots_cli.expressions import syntax
@@ -7,6 +11,7 @@ from deepbots_cli.expressions.parser import MAX_NESTING
 from deepbots_cli.expressions.syntax import MAX_LENGTH
 from deepbots_cli.expressions.types import Context
 
+ROOT = Path(__file__).parents[2]
 # One of each form that the shipped kinds of scenario use.
 SCENARIO_TEXTS = """\
 0.6 -0.4 m
@@ -166,3 +171,19 @@ def test_if_binds_least_groups_to_the_right_and_takes_literals(bench):
     assert bench.values("0.6 -0.4 m if flag else 1 1 m", flag=True) == [0.6, -0.4]
     assert isinstance(bench.read("(1 if flag else 2) + 1"), syntax.Binary)
     assert isinstance(bench.read("5 when (flag if flag else true)"), syntax.Binary)
+
+
+def test_no_regular_expression_repeats_a_group_possessively():
+    """Python before 3.11.5, such as that of Debian 12, matches such groups wrongly: reading any expression
+    never ended."""
+    possessive = re.compile(r"\)(?:[*+?]|\{[0-9,]+\})\+|\(\?>")
+    sources = [
+        path for folder in ("deepbots_cli", "deepbots_robot") for path in (ROOT / folder).rglob("*.py")
+    ]
+    patterns = [
+        (path.name, node.value)
+        for path in sources
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    assert [name for name, text in patterns if "(?" in text and possessive.search(text)] == []

@@ -60,7 +60,9 @@ def build(sources: Path, folder: Path) -> Path:
     _run([*build, "sdist"], sources)
     (sdist,) = folder.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
-        archive.extractall(folder / "sources", filter="data")
+        # Python before 3.11.4 has no filters; the archive is our own.
+        filters = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
+        archive.extractall(folder / "sources", **filters)  # type: ignore[arg-type]
     (unpacked,) = (folder / "sources").iterdir()
     _run([*build, "wheel"], unpacked)
     (wheel,) = folder.glob("*.whl")
