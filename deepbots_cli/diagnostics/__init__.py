@@ -1,4 +1,4 @@
-"""Findings as data, and how they are shown.
+"""Findings as data, and their presentation.
 
 registry.py  the catalog of rules: code, name, severity
 findings.py  Source, Span, Finding: what is wrong and where; Fix, Edit: what to write instead; `--select` and
