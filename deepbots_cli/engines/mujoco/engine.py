@@ -222,8 +222,8 @@ class MuJoCoEngine:
         return read
 
     def _pose(self, body: Body, link: int) -> PoseReader:
-        """Of a root link from the state, of another from positions that are computed when they are asked
-        for."""
+        """Return a reader of the pose of a root link from the state, of another link from positions that are
+        computed on demand."""
         world, data = self._world, self._world.data
         if link == body.root_id and body.position_index >= 0:
             numbers = data.qpos[body.position_index : body.position_index + 7]
@@ -361,7 +361,7 @@ class MuJoCoEngine:
         return motors.Motor(self._motors, self._joints(robot, joints), max_torque)
 
     def _geoms(self, part: Part) -> list[int]:
-        """Of a body in all its forms, or of one link."""
+        """Return the geoms of a body in all its forms, or of one link."""
         pool = self._pool(part[0])
         if part[1] is not None:
             _link(pool.current, part[1])

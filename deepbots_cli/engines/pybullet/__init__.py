@@ -5,10 +5,10 @@ loading.py     ground, walls, objects and robots, built from the world model
 state.py       bodies with links and joints by name; joints, poses and velocities; masses, friction, colors
                that an episode varies
 motors.py      motors and springs on joints, and forces on links
-surfaces.py    what touches what and how hard, distances between surfaces and along rays
+surfaces.py    contacts and their forces, distances between surfaces and along rays
 cameras.py     pictures: bodies, floor and sky
 
-What PyBullet leaves to its callers, and is settled here:
+Differences between PyBullet and the port, which this package resolves:
 
 - a joint starts with a braking motor: ours start free, but for the friction that their file states
 - a fresh world and a reset one differ by what contacts and motors left behind, unless every body was far
@@ -36,7 +36,7 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def capture_native_output() -> Iterator[Callable[[], str]]:
-    """Catch what is written to the process's own stdout and stderr, below Python's; yields a way to read
+    """Catch the output to the process's own stdout and stderr, below Python's; yields a function that reads
     it."""
     _flush()
     with tempfile.TemporaryFile() as caught:
@@ -62,7 +62,7 @@ def capture_native_output() -> Iterator[Callable[[], str]]:
 
 
 def _flush() -> None:
-    """Empty Python's buffers and the C library's, which would otherwise print after the terminal is back."""
+    """Flush Python's buffers and the C library's, which would otherwise print after the terminal is back."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()
