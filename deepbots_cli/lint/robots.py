@@ -736,7 +736,8 @@ class Heights:
 
 
 def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
-    """Yield all joints at 0, then at positions that differ from joint to joint, spread evenly."""
+    """Yield all joints at 0, then at positions that differ from joint to joint, spread evenly over their
+    ranges (golden ratio)."""
     yield {}
     free = [joint for joint in model.moving_joints if joint.name not in model.followers]
     for number in range(1, _MAX_JOINT_POSITIONS):

@@ -831,7 +831,7 @@ def _top_of_robot(engine: Engine, name: str, box: footprint.Bounds) -> Callable[
 
 def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tuple[float, float]]:
     """Return a reader of the lowest point of any ray within its range, and the highest at which one begins,
-    in m."""
+    in m; (-inf, inf) while a ray meets something."""
     assert sensor.beams is not None  # it casts rays
     mount, reach, part = frames.frame(sensor.mount), sensor.beams.reach, (robot, sensor.subjects[0])
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]

@@ -74,7 +74,7 @@ class ContactMonitor:
 
 
 def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
-    """Return a reader of the sum of normal forces on geoms."""
+    """Return the sum of normal forces on geoms."""
     own = frozenset(geoms)
     return lambda: float(sum(force for one, other, force in world.forces if one in own or other in own))
 
