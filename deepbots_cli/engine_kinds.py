@@ -172,7 +172,7 @@ def _default() -> str:
         return DEFAULT_ENGINE
     other = next((name for name, kind in ENGINES.own.items() if kind.is_installed), None)
     if other is None:
-        return DEFAULT_ENGINE  # which says how to install it
+        return DEFAULT_ENGINE  # its error explains how to install it
     logging.getLogger("deepbots").warning(
         "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or"
         " world.engine)",

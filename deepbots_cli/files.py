@@ -202,7 +202,7 @@ def picture_problem(data: bytes) -> str | None:
         return "the picture is interlaced"
     size = height * (width * bits // 8 + 1)  # each row has a byte that names its filter
     try:
-        unpacked = zlib.decompressobj().decompress(_packed(data), size + 1)  # one byte more tells a bomb
+        unpacked = zlib.decompressobj().decompress(_packed(data), size + 1)  # one byte more reveals a bomb
     except zlib.error:
         unpacked = b""
     if len(unpacked) != size:

@@ -42,8 +42,8 @@ Height = Callable[[float, float], float]
 
 RIM_RADIUS_PER_SIGMA = sqrt(2.0 * log(2.0))  # the radius of a pit's rim over the width of its bell
 _PIT_CELLS = 200  # along either side
-_PIT_WIDTH = 0.135  # of the bell, as a share of the side
-_LUMPS = 20  # of the noise, along either side
+_PIT_WIDTH = 0.135  # the width of the bell, as a share of the side
+_LUMPS = 20  # the number of lumps of the noise along either side
 _HIGHEST = 1e4  # m; higher ground is a mistake, and engines lose their digits
 
 
@@ -125,7 +125,7 @@ def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
             grid = _formula(terrain_shape)
         case _:
             return None
-    if not np.all(np.abs(grid.heights) < _HIGHEST):  # which NaN is not
+    if not np.all(np.abs(grid.heights) < _HIGHEST):  # false for NaN
         raise EngineError("somewhere in the terrain, the height is undefined or outside -10 km .. 10 km")
     return grid
 
@@ -179,7 +179,7 @@ def _picture(picture: Picture) -> HeightGrid:
     wrong = picture_problem(data)
     if wrong is not None:
         raise EngineError(f"picture {picture.path} cannot be read: {wrong}")
-    bits = data[24]  # of a pixel, by the header
+    bits = data[24]  # bits of a pixel, by the header
     return HeightGrid(picture_pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
 
 

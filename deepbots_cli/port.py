@@ -235,7 +235,7 @@ class Engine(Bindable, Protocol):
             EngineError: The engine cannot set it, or the world has no such body, link or joint.
         """
 
-    # What acts in every engine step; bound at build, called in the order of binding
+    # Functions that act in every engine step; bound at build, called in the order of binding
 
     def before_substep(self, act: Callable[[], object]) -> None:
         """Call `act` before each engine step of `step`."""

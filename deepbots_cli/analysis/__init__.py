@@ -68,10 +68,8 @@ class _CachedLowering(Lowering):
         if cached is None:
             if isinstance(value, Reference):
                 self._leaves[value.symbol.name] = value.type
-            cached = self._lowered[id(value)] = (
-                value,
-                super().scalars(value),
-            )  # a tree that is kept keeps its id
+            # The tree is kept, so that no other tree gets its id.
+            cached = self._lowered[id(value)] = (value, super().scalars(value))
         return cached[1]
 
 

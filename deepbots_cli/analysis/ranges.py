@@ -61,7 +61,8 @@ class Ranges:
         """Return the range of a value. Trees are looked up by their id: hashing a tree walks it."""
         cached = self._known.get(id(node))
         if cached is None:
-            cached = self._known[id(node)] = (node, self._of(node))  # a tree that is kept keeps its id
+            # The tree is kept, so that no other tree gets its id.
+            cached = self._known[id(node)] = (node, self._of(node))
         return cached[1]
 
     def _of(self, node: Scalar) -> Interval:

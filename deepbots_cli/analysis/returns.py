@@ -101,9 +101,8 @@ def return_range(analysis: Analysis) -> Interval:
     if not reward.is_complete:
         return Interval(-INF, INF)
     step = total_range(reward.terms, reward.ranges_while_running())
-    end = total_range(
-        reward.terms, analysis.ranges_in(1.0, float(analysis.last_step))
-    )  # whichever endings hold, also several at once
+    # These are the ranges for any endings, also several at once.
+    end = total_range(reward.terms, analysis.ranges_in(1.0, float(analysis.last_step)))
     ticks = analysis.last_step * analysis.program.action_repeat - 1
     fewest = 0 if analysis.program.endings else ticks
     high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF

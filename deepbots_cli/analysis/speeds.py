@@ -99,9 +99,8 @@ def _speed_on_wheels(analysis: Analysis, robot: str, model: RobotModel) -> float
     (left, right), (back, front) = (
         (min(at[axis] for at in places), max(at[axis] for at in places)) for axis in (1, 0)
     )
-    off = hypot(
-        max(0.0, back, -front), max(0.0, left, -right)
-    )  # how far the origin is from between the wheels
+    # The distance of the origin from the rectangle of the driven wheels.
+    off = hypot(max(0.0, back, -front), max(0.0, left, -right))
     if off > 1e-6 and right - left < 1e-6:
         return INF
     turning = 2.0 * off / (right - left) if off > 1e-6 else 0.0

@@ -241,7 +241,7 @@ class LocalCalls:
             self._begun.add(item)
         elif kind == "report":
             self._reports[item] = value
-        elif item not in self._stopped:  # after that, the caller says how to go on
+        elif item not in self._stopped:  # after that, the caller prints how to continue
             self._notes.append((item, value))
 
 

@@ -276,7 +276,7 @@ class _BoardLine:
         self._newest = value
 
     def note(self, text: str) -> None:
-        if not self._is_stopping:  # the caller says how to go on
+        if not self._is_stopping:  # the caller prints how to continue
             self._notes.append(text)
 
     def _run(self) -> None:

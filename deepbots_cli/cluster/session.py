@@ -16,7 +16,7 @@ from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.calls import Attempt
 from deepbots_cli.learning.executor import CallOptions, Item, Result
 
-if TYPE_CHECKING:  # what evaluates and trains imports torch; tests of scenarios do without
+if TYPE_CHECKING:  # these modules import torch, which tests of scenarios do not need
     from deepbots_cli.learning.environments import WorldFactory
     from deepbots_cli.learning.run import Run
     from deepbots_cli.program.task import Training

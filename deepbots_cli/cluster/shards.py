@@ -46,7 +46,7 @@ class ShardWorker:
     """Shards of one training, in a process of their own."""
 
     def __init__(self, run: Path, number: int) -> None:
-        self._settings = ExitStack()  # for the life of this process
+        self._settings = ExitStack()  # closed when the process ends
         self._settings.enter_context(output_in(run / WORKERS_FOLDER / f"{number}.log"))
         from deepbots_cli.learning.sb3.algorithms import torch_settings
 

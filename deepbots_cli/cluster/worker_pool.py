@@ -119,7 +119,7 @@ class Calls(Protocol):
         """End with calls."""
 
 
-# What a worker runs
+# Functions that a worker runs
 
 
 @dataclass(frozen=True)

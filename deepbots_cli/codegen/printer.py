@@ -454,7 +454,7 @@ def outer_states(tree: Scalar, without: Container[tuple[str, str]] = ()) -> list
             return []
 
 
-# Functions of poses, which stand in a program as what they are made of
+# Functions of poses, which a program contains as the operations that they are made of
 
 
 class _BodyFrameComponent(NamedTuple):
@@ -480,10 +480,11 @@ def _patterns() -> dict[str, list[tuple[str, Scalar]]]:
 
 
 _PATTERNS = _patterns()
+# The trees to which `lower` turns `to_body_frame`.
 _BODY_FRAME_PATTERNS = [
     Op("add", tuple(Op("mul", (rotation(_ONE, row, axis), Name(f"{row}"))) for row in range(3)))
     for axis in range(3)
-]  # what `lower` makes of `to_body_frame`
+]
 
 
 def _of_poses(tree: Op) -> tuple[str, list[str]] | None:

@@ -240,7 +240,7 @@ def _options(place: Placement, printer: Printer) -> str:
     return "".join(parts)
 
 
-# What varies
+# Variations
 
 
 def _is_vector(variation: RandomizedParameter) -> bool:

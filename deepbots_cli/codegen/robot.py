@@ -158,7 +158,7 @@ class ControllerPrinter(ClassPrinter):
     def _stored(self, name: str) -> str:
         return f"self.{generated.emitted(self.names(name))}"
 
-    # What names mean
+    # Meanings of names
 
     def _printer(self, renamed: dict[str, str] | None = None) -> Printer:
         self._read: dict[str, str] = {}

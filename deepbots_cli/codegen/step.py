@@ -374,7 +374,7 @@ def _print_noise(
     """Add noise to the local variable of a value; nothing where the scenario gives it none."""
     if noise is None:
         return
-    # one number or one per component: constants, or what the episode drew
+    # one number or one per component: constants, or draws of the episode
     fixed = all(isinstance(value, Const) for value in noise.std.scalars)
     std = (
         printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars)

@@ -104,7 +104,7 @@ def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]
 def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
     """Return the lines of the class."""
     supervisor = SupervisorPrinter(scenario, constants)
-    # What the other methods read says what a reset has to begin anew.
+    # Printed before `begin_method`, which initializes everything that these methods read.
     observing = observe_method(supervisor)
     acting = advance_methods(supervisor)
     pushing = push_methods(supervisor)
@@ -158,7 +158,7 @@ def _bind(supervisor: SupervisorPrinter) -> list[str]:
     return [*lines, *supervisor.bind_lines(), *bind_pushes(supervisor), *bind_foreign(supervisor)] or ["pass"]
 
 
-# The paper's methods, which read what `_observe` left and change nothing
+# The paper's methods, which read the results of `_observe` and change nothing
 
 
 def _observation_text(supervisor: SupervisorPrinter) -> str:

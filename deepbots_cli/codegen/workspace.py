@@ -84,7 +84,7 @@ class Readers:
         """The joints that are read together, by their reader."""
         self._bound: ReaderKeys = {}
 
-    # What printed code asks for
+    # Reads of printed code
 
     def code(self, leaf: EngineRead, needs: ReaderKeys) -> str:
         """Return the code of one number."""
@@ -148,7 +148,7 @@ class Readers:
         self._bound[key] = needs[key] = None
         return self._local(key)
 
-    # What it comes to
+    # The resulting code
 
     def bind_lines(self) -> list[str]:
         """Return statements that take the readers from `engine`."""
@@ -236,7 +236,7 @@ def _part(name: str) -> str:
     return f"({quoted(body)}, {quoted(link) if link else None})"
 
 
-# What the methods of a class share
+# Names shared by the methods of a class
 
 
 class ClassPrinter(ABC):
@@ -451,7 +451,7 @@ class SupervisorPrinter(ClassPrinter):
     def printer(self) -> Printer:
         return Printer(self, settable=self.settable)
 
-    # What the names in expressions mean
+    # Meanings of the names in expressions
 
     def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
         if isinstance(leaf, EngineRead):

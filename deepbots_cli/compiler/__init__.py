@@ -207,7 +207,7 @@ def _program(namespace: Namespace) -> Program:
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.robot.name: builder.poses for builder in builders}
     agent = _agent(namespace, goals, limits, timestep, action, rewards, each)
-    ordered = signals.ordered()  # as the observation, the reward and the goal have asked for them
+    ordered = signals.ordered()  # in the order in which observation, reward and goal use them
     program = Program(
         name=spec.name,
         summary=spec.summary,

@@ -296,7 +296,7 @@ class Actuators(NamespaceReader):
         robot file."""
         own = tuple(joint.limit.velocity for joint in joints)
         if getattr(spec, "max_velocity", None) is None:
-            # A spring pulls as it is said to, and its torque is what bounds it.
+            # A spring has the given stiffness, and only its torque is limited.
             return (
                 (None,) * len(joints)
                 if isinstance(spec, specs.PositionMotor) and spec.stiffness is not None
@@ -393,7 +393,7 @@ class RobotBuilder:
         self._check_names()
         self._define_fields()
 
-    # What it knows
+    # Names on board
 
     def _check_names(self) -> None:
         """Check that no name on board means two things, also not one here and another in the scenario."""
@@ -412,7 +412,7 @@ class RobotBuilder:
             if name in spec.poses or name in spec.sensors:
                 self.values.report_duplicate((*self.path, "receive", name), name, *taken[name])
 
-    # What it sends
+    # Sent values
 
     def _define_fields(self) -> None:
         emit, entries = self.robot.spec.emit, list[tuple[str, NodePath]]()
@@ -466,7 +466,7 @@ class RobotBuilder:
         self.fields[name] = Expression(name, text.span, text.text, typed, f"{self.robot.name}.emit.{name}")
         return Symbol(full, typed.type._replace(known=Known.STEP))
 
-    # What it receives and does
+    # Received values and commands
 
     def _receive(self) -> dict[str, Symbol]:
         """Return the action variables, and the fields of `receive`."""

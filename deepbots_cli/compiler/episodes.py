@@ -112,7 +112,7 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
     if name not in spec.model_fields_set or getattr(spec, name) is None:
         return None
     values, text, what = namespace.values, namespace.values.field(spec, name), f"`{name}`"
-    assert isinstance(text.kind, Quantity)  # as in the model
+    assert isinstance(text.kind, Quantity)  # the fields of the model
     if text.kind.known == "step" and text.kind.si is not None:
         typed, redraw = values.redrawn(text, what, namespace.scope(Context.FIELD), text.kind.si)
     else:

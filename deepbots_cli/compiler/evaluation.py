@@ -360,7 +360,7 @@ class _VariantCompiler:
             return None
         findings = Findings(self._document.findings.limit)
         root = without_paths(self._values.root, (*_VARIANT_SECTIONS, *self._tests(word, name)))
-        assert isinstance(root, MappingNode)  # as it was
+        assert isinstance(root, MappingNode)  # the root stays a mapping
         for entry in entries:
             root = apply_setting(root, entry, findings)
         checked = self._check(replace(self._document, root=root, findings=findings))
@@ -578,7 +578,7 @@ class _Reader(NamespaceReader):
             )
         return steps
 
-    # What is expected
+    # Expected results
 
     def _expected(self, spec: Expectation) -> Iterator[ExpectedResult]:
         ends = self._spec.termination

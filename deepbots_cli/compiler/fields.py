@@ -168,7 +168,7 @@ class FieldReader:
         if typed is None or not self._is_bounded(typed, text):
             return None
         count = len(components or ("",))
-        # A value that is given again, as for a link that two patterns mean, replaces what was to be drawn.
+        # A value that is given again, as for a link that two patterns match, replaces the earlier draw.
         self.variations[:] = [each for each in self.variations if (each.what, each.of) != (what, of)]
         if typed.type.known is Known.FIXED:
             return self._si_values(typed, text, count)
@@ -292,9 +292,8 @@ class FieldReader:
             return None
         text, options = self._values.field(section, "color"), [_rgba(word) for word in color_options(color)]
         if of is not None:
-            self.colors[:] = [
-                each for each in self.colors if each.of != of
-            ]  # as for a link that two patterns mean
+            # A link that two patterns match has the color of the later one.
+            self.colors[:] = [each for each in self.colors if each.of != of]
         if len(options) > 1 and of is None:
             help = "write one color for all episodes"
             self._values.add("DB407", text.span, "this color must be fixed, but the value is random", help)
@@ -314,7 +313,7 @@ class FieldReader:
         self, text: SourceText, context: FieldContext
     ) -> tuple[Scope, Dimension | None, Components | None, Known]:
         kind = text.kind
-        assert isinstance(kind, (Quantity, Column))  # of nothing else numbers are asked for
+        assert isinstance(kind, (Quantity, Column))  # other fields have no numbers
         axes, own = (kind.axes, kind.known) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
         known = context.get("known", Known[own.upper()])
         scope = context.get("scope") or self._scope(Context.FIELD if known else Context.FIXED)

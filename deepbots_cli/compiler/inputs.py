@@ -42,9 +42,8 @@ class Inputs:
     def names(self) -> dict[Path, str]:
         """A relative path for the copy of each file, the scenario first."""
         meshes = [Path(mesh) for robot in self._all_robots for mesh in robot.file.meshes]
-        packages = [
-            robot.path.parent for robot in self._all_robots
-        ]  # one from a package has its meshes below it
+        # A robot from an installed package keeps its meshes below its own folder.
+        packages = [robot.path.parent for robot in self._all_robots]
         files = [file for each in (self, *self.variants) for file in each.files.values()]
         return copy_names(
             [*self._texts, *meshes, *files], (shipped.data_dir(), *self.document.roots, *packages)

@@ -75,7 +75,7 @@ def _of_robots(namespace: Namespace, kind: str, path: NodePath) -> Iterator[Name
     if kind.startswith(("body", "bodies")):
         yield from _bodies(namespace)
         robot = None
-    if kind == "bodies or links":  # what a touch sensor feels
+    if kind == "bodies or links":  # the parts that a touch sensor feels
         yield NameEntry("ground", "the ground")
         yield from _defined(namespace, namespace.walls)
     yield from _parts(namespace, robot, _OF_ROBOTS[kind])
@@ -243,7 +243,7 @@ def _parts_of(namespace: Namespace, robot: ResolvedRobot, sections: tuple[str, .
         yield NameEntry(link, "a link", robot.file.link_spans.get(link))
 
 
-# What is listed stands in the schema once for each key that takes it, and for each robot.
+# The schema has a list once for each key that takes it, and for each robot.
 _MAX_NAMES = 500
 _MAX_ROBOTS = 12
 

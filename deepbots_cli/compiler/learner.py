@@ -128,7 +128,7 @@ def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[st
     written = root.entries.get(
         _TRAIN, Entry(ScalarNode(section.span, _TRAIN, _TRAIN), replace(section, entries={}))
     )
-    assert isinstance(written.value, MappingNode)  # as it was validated
+    assert isinstance(written.value, MappingNode)  # the validation has checked it
     hyperparameters = {key: entry for key, entry in written.value.entries.items() if key != _ALGORITHM}
     section = merge(section, replace(written.value, entries=hyperparameters), _TRAIN)
     root = replace(root, entries=root.entries | {_TRAIN: Entry(written.key, section)})

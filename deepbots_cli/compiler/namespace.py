@@ -96,7 +96,7 @@ class Namespace:
         self.definitions.clear()
         self.built_in.clear()
         self.values.readings.clear()
-        del self.fields  # which refers to this namespace
+        del self.fields  # `fields` refers to this namespace
 
     def scope(self, context: Context, own: Mapping[str, Symbol] | None = None) -> ParameterScope:
         return ParameterScope(self, context, own or {})
@@ -351,7 +351,7 @@ class SupervisorScope(_Scope):
 
     def _instead(self, text: str) -> str:
         """Return where to write the text of a definition that has no value here."""
-        named = self.context in (Context.OBSERVATION, Context.FORBID)  # which use values of `augment` by name
+        named = self.context in (Context.OBSERVATION, Context.FORBID)  # these use values of `augment` by name
         return (
             f"write the {text} under `augment`, and use its name here" if named else f"write the {text} here"
         )

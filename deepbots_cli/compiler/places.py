@@ -594,7 +594,7 @@ class Layouts(NamespaceReader):
 
     def _shares(self) -> dict[str, float]:
         spec = self._spec.reset.layout
-        assert isinstance(spec, dict)  # as the caller found
+        assert isinstance(spec, dict)  # the caller has checked it
         read = {name: self._fields.fixed(self._spec.reset, "layout", name) for name in spec}
         shares = {name: share for name, share in read.items() if share is not None}
         if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:

@@ -206,7 +206,7 @@ class Actions(NamespaceReader):
             )
         parts = self.parts()
         if not parts:
-            written = self._values.root.get("action")  # of which findings may have left nothing
+            written = self._values.root.get("action")  # findings may have left nothing of it
             has_some = (isinstance(written, MappingNode) and written.entries) or self._values.is_invalid(
                 "action"
             )

@@ -92,7 +92,7 @@ def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:
     frame in its frame."""
     above = {joint.child: joint for joint in model.joints if not joint.moves}
     frame = IDENTITY_FRAME
-    for _ in model.joints:  # no more than there are, whatever circle a forged model may hold
+    for _ in model.joints:  # ends for a forged model with a cycle, too
         joint = above.get(link)
         if joint is None:
             break
@@ -262,7 +262,7 @@ def _rounded(limit: float, inwards: Callable[[float], int]) -> float:
 
 # Overrides
 
-# Keys of an override: what `with_friction` and the table of variations call them.
+# Keys of an override, by their names in `with_friction` and in the table of variations.
 _CONTACT: Mapping[str, tuple[str, LinkParameter]] = {
     "friction": ("lateral", "lateral_friction"),
     "spinning_friction": ("spinning", "spinning_friction"),

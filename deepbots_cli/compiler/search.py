@@ -67,7 +67,7 @@ class _Prober:
         check: Callable[[Document], CheckedScenario],
     ) -> None:
         root = without_paths(document.root, ((TUNE,), (TESTS,))) if document.root else None
-        assert isinstance(root, MappingNode)  # as it was
+        assert isinstance(root, MappingNode)  # the root stays a mapping
         self._root = root
         self._document = document
         self._base = program
@@ -97,7 +97,7 @@ class _Prober:
         self._searched[path] = entry
         try:
             space = _read(entry)
-        except PydanticCustomError:  # which the validation has reported
+        except PydanticCustomError:  # the validation has reported it
             return None
         if space.choices:
             return space if all(self._is_sound(name, choice, entry) for choice in space.choices) else None

@@ -310,7 +310,7 @@ class ValueReader:
             if code == "DB502" and any(
                 finding.code == "DB106" and finding.span == span for finding in self.findings
             ):
-                return  # what to write instead of too few numbers shows the unit
+                return  # the help for too few numbers shows the unit
             if code == "DB503" and any(
                 word in UNITS and word in self._invalid for word in _BARE_WORD.findall(text.text)
             ):

@@ -97,12 +97,8 @@ def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> Obj
 
 
 MAX_TRIANGLES = 200_000
-_MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = (
-    1e-5,
-    1e-4,
-    1e3,
-    1e6,
-)  # m; beyond the inner two a mesh is probably in another unit
+# Sizes in m; beyond the inner two a mesh is probably in another unit.
+_MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = (1e-5, 1e-4, 1e3, 1e6)
 
 
 def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
@@ -480,7 +476,8 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
     if gravity is not None and gravity[2] > 0:
         span = values.field(spec, "gravity").span
         downwards = f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
-        fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)  # a draw says more
+        # A fix would replace a draw by a number.
+        fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)
         values.add("DB505", span, "gravity that pulls upwards", f"z points up: write `{downwards}`", fix=fix)
     objects = [
         body for name, thing in namespace.scenario.objects.items() for body in bodies(name, thing, namespace)

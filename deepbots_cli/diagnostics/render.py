@@ -157,9 +157,8 @@ class _Painter:
         lines = [f"{head}: {self.paint('bold', shortened(finding.headline))}"]
         for source in dict.fromkeys(label.span.source for label in labels):
             first = next(label.span for label in labels if label.span.source is source)
-            is_option = source.name.startswith(
-                "--set "
-            )  # its text is a single value, in which a line says nothing
+            # The text of an option is a single value, in which a line number is useless.
+            is_option = source.name.startswith("--set ")
             where = f"--set {shortened(source.text)}" if is_option else first.location
             lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {escaped(where)}")
             lines.extend(

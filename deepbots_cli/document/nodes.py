@@ -159,9 +159,8 @@ def enclosing_entry(node: Node, name: str, start: int, end: int) -> Span | None:
         inner = enclosing_entry(value, name, start, end)
         if inner:
             return inner
-        last = (
-            value.span if value.span.source is first.source else first
-        )  # an included value lies in another file
+        # An included value is in another file, so the entry ends with its key.
+        last = value.span if value.span.source is first.source else first
         if first.source.name == name and first.start <= start and end <= max(first.end, last.end):
             return Span(first.source, first.start, max(first.end, last.end))
     return None
@@ -216,6 +215,7 @@ def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
             if isinstance(node, MappingNode) and piece in node.entries:
                 steps, node, rest = (*steps, piece), node.entries[piece].value, rest[end + 1 :]
                 break
+            # int() of a long text takes quadratic time; no list has 100 000 items.
             if (
                 isinstance(node, SequenceNode)
                 and piece.isascii()

@@ -34,8 +34,8 @@ from deepbots_cli.document.nodes import (
 )
 
 MAX_DEPTH = 64
-# The largest shipped scenario has 500.
 MAX_NODES = 8_000
+"""The maximum number of nodes of a document; the largest shipped scenario has 500."""
 MAX_EXPANDED = 8_000
 _TOO_DEEP = f"values are nested more than {MAX_DEPTH} deep"
 _TOO_DEEP_PROBLEM = "exceeded maximum nesting depth"
@@ -123,16 +123,16 @@ class _Builder:
         self.budget = budget
         self.events: Iterator[Event] = yaml.parse(text, Loader=LOADER)
         self.anchors: dict[str, Node | None] = {}
-        self.end = 0  # of the last token
+        self.end = 0  # the end of the last token
 
     def document(self) -> Node | None:
-        next(self.events)  # the stream
+        next(self.events)  # skips the start of the stream
         if isinstance(next(self.events), StreamEndEvent):
             help = "start from a shipped scenario: deepbots new mine --from cartpole"
             self.findings.add("DB107", Span(self.source, 0, 0), "the file is empty", help)
             return None
         root = self.node(next(self.events), 0)
-        next(self.events)  # the end of the document
+        next(self.events)  # skips the end of the document
         after = next(self.events)
         if not isinstance(after, StreamEndEvent):
             self.findings.add(
@@ -334,7 +334,7 @@ _WORDS: dict[str, Value] = {
 INTEGER_PATTERN = re.compile(r"[-+]?(?:[0-9]+|[0-9]{1,3}(?:_[0-9]{3})+)")
 """An integer; digits may be grouped in threes: `100_000`."""
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
-# Doubles tell integers apart up to 2**53; seeds may use all of 64 bits.
+# A double represents every integer up to 2**53; seeds may use all of 64 bits.
 _MAX_INTEGER = 2**64
 
 

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-METERS_PER_RAD = 0.3  # m; what an error of 1 rad counts
+METERS_PER_RAD = 0.3  # m; the weight of an error of 1 rad
 TOLERANCE_M = 1e-7  # m; an error to stop at
 MAX_ITERATIONS = 100
-STALL_RATIO = 0.99  # of the square of the error; a round that leaves more than this share has not helped
+STALL_RATIO = 0.99  # a round that leaves more than this share of the square of the error has not helped
 MAX_STALLED_ITERATIONS = 12  # in a row, after which the search gives up
 MAX_STEP = 0.5  # rad or m; of a joint in one round
 

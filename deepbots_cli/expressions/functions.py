@@ -317,9 +317,6 @@ def _bearing(body: str, other: str) -> Scalar:
     return _op("atan2", across, along)
 
 
-# The table.
-
-
 def _always(dimension: Dimension) -> Callable[[Dimension], Dimension]:
     return lambda _shared: dimension
 

@@ -154,7 +154,7 @@ class Lowering:
                 return tuple(
                     Draw(function.name, args, name) for args, name in zip(columns, names, strict=True)
                 )
-        if function.name == "length":  # of a line, known before anything runs
+        if function.name == "length":  # the length of a line is known before anything runs
             return (Const(value.type.interval.low),)
         if function.reduction is not None and len(value.args) == 1:
             return self._reduced(value.args[0], function.reduction)
@@ -358,5 +358,5 @@ def _power(base: Code, exponent: int, scalar: Scalar) -> Code:
         text = base.within(Precedence.SIGN)
         return Code(f"{text} * {text}", Precedence.PRODUCT)
     text = base.within(Precedence.ATOM)
-    sign = "**" if re.fullmatch(r"[\w.]+", text) and exponent > 0 else " ** "  # as a formatter has it
+    sign = "**" if re.fullmatch(r"[\w.]+", text) and exponent > 0 else " ** "  # like a formatter
     return Code(f"{text}{sign}{exponent}", Precedence.POWER)

@@ -364,7 +364,7 @@ class _Parser:
                 opening = _unclosed(self._tokens)
                 if (
                     opening is not None and opening.start < right.start
-                ):  # what was left out belongs before the second one
+                ):  # the missing sign belongs before the second one
                     raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
                 raise _SyntaxError(
                     left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`"

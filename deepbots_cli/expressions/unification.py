@@ -46,8 +46,8 @@ Place = syntax.Node | Typed | TypedRange
 """A node, for its place in the text."""
 
 ANY_SHAPE: Components = ("*",)
-_PLAUSIBLE_LIMIT_FACTOR = 10  # times what is plausible: an engine's sums lose their digits
-_MAX_VALUE = 1e30  # of a dimension without a plausible limit
+_PLAUSIBLE_LIMIT_FACTOR = 10  # times the plausible limit: beyond it, an engine's sums lose their digits
+_MAX_VALUE = 1e30  # the limit of a dimension without a plausible one
 WHEEL_RADIUS = "2 cm"
 """The radius of the wheel in examples."""
 

@@ -133,7 +133,7 @@ def all_findings(
 def _limited(findings: list[Finding]) -> list[Finding]:
     """Return the findings in their order; of too many, errors before warnings and limits before both, with a
     note on the number of the rest."""
-    limit = MAX_FINDINGS + 1  # the last may be that there are too many
+    limit = MAX_FINDINGS + 1  # the last finding may report that there are too many
     if len(findings) > limit:
         by_weight = sorted(
             findings,
@@ -157,13 +157,13 @@ class SimulationFindings:
 
 def simulate(
     checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()
-) -> SimulationFindings:  # immutable
+) -> SimulationFindings:
     """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
     If these find errors, warnings are dropped except `_CAUSES`: the behavior would follow from the errors. A
     rule that raises an exception is reported as DB903, and so is a fault of deepbots in the simulation.
     """
-    assert checked.program is not None  # it has no errors
+    assert checked.program is not None  # a scenario without errors has a program
     assert checked.namespace is not None
     source = checked.document.source
     report = measure(checked.inputs, limits, permissions=checked.document.permissions)
@@ -201,7 +201,7 @@ class FoundExploits:
 
 def find_exploits(checked: CheckedScenario, *, limits: Limits = EXPLOIT_LIMITS) -> FoundExploits:
     """Search for exploits of the reward of a scenario without errors, in a process of its own."""
-    assert checked.program is not None  # it has no errors
+    assert checked.program is not None  # a scenario without errors has a program
     assert checked.namespace is not None
     report = measure(checked.inputs, limits, permissions=checked.document.permissions, search=True)
     if report.fault is not None:
@@ -263,7 +263,7 @@ class _Texts:
 def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
     """Return the texts of the doubtful values, and all texts that refer to names that these define, however
     indirectly."""
-    assert checked.namespace is not None  # the scenario has no errors
+    assert checked.namespace is not None  # a scenario without errors has a namespace
     values = checked.namespace.values
     users: dict[str, set[Span]] = defaultdict(set)
     for reading in values.readings:

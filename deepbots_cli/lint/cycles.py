@@ -300,7 +300,7 @@ class _Search:
                 return None
             early = turn
         course.skip(before, self._counted / cycle.ticks, cycle.ticks)
-        passing = self._turn(course, cycle)  # pays what is paid once, in the time that is skipped
+        passing = self._turn(course, cycle)  # has the payments that occur once, in the time that is skipped
         late = None if passing is None else self._turn(course, cycle)
         if late is None:
             return None

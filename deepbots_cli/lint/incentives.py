@@ -204,7 +204,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     ):
         return
     if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
-        return  # the static rule knows the costs
+        return  # the static rule has computed the costs
     if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
         return  # later steps cost something else
     cost, ending = failure

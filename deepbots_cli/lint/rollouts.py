@@ -230,9 +230,8 @@ class Simulator:
         taken = self._steps(environment, rollout)
         next(taken)
         speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
-        check_wheels = (
-            self._wheels.watch(environment.engine) if report else lambda: None
-        )  # a case may have another robot file
+        # A case may have another robot file, whose wheels are not those of `_wheels`.
+        check_wheels = self._wheels.watch(environment.engine) if report else lambda: None
         if report:
             self._tilts.begin(environment.engine, is_idle=rollout.policy == IDLE)
         rewards: list[float] = []
@@ -267,7 +266,7 @@ class Simulator:
 
         return islice(steps(environment, Driver(act), Start(rollout.seed)), rollout.steps + 1)
 
-    # What has been constant so far
+    # Observation numbers and terms that are constant
 
     def _constant_numbers(self) -> list[int]:
         """Return the places of the numbers of the observation that were the same in every step of every
@@ -406,7 +405,7 @@ def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
         return (environment.script(rollout.script) for _ in count())
     if rollout.policy == IDLE:
         wanted = idle_action(environment.scenario.agent.action)
-        assert wanted is not None  # or it would not be in the plan
+        assert wanted is not None  # the plan has only episodes with an action
         return repeat(environment.make_action(*wanted))
     return _random(environment, HOLD_STEPS if rollout.policy == HELD_RANDOM else 1)
 
@@ -450,8 +449,6 @@ def _lines(error: BaseException) -> list[str]:
     frames = [frame for each in raised for frame in reversed(traceback.extract_tb(each.__traceback__))]
     return [frame.line or "" for frame in frames if frame.filename.startswith("<deepbots")]
 
-
-# Speeds
 
 _MAX_SPEED = 300.0
 """The largest plausible speed, in m/s; near the speed of sound. A falling body may become faster."""
@@ -528,9 +525,6 @@ class SpeedWatch:
             for watched in self._watched
             if not math.isfinite(sum(map(sum, (*watched.motion()[0], *watched.motion()[1]))))
         ]
-
-
-# Wheels
 
 
 class WheelWatch:
@@ -627,8 +621,6 @@ class TiltWatch:
                 self.tilts[name] = self._time, tilt
         self._watched, self._now, self._time = {}, {}, 0.0
 
-
-# Arms
 
 _DISTANCE = 0.005  # m
 _ANGLE = radians(1.0)
@@ -752,9 +744,6 @@ def _angle(q: frames.Quaternion) -> float:
     return 2.0 * atan2(hypot(q[0], q[1], q[2]), abs(q[3]))
 
 
-# Rays
-
-
 class RayWatch:
     """Finds sensors whose rays have met nothing so far, because they pass above all solid bodies or begin
     below the ground.
@@ -832,7 +821,7 @@ def _top_of_robot(engine: Engine, name: str, box: footprint.Bounds) -> Callable[
 def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tuple[float, float]]:
     """Return a reader of the lowest point of any ray within its range, and the highest at which one begins,
     in m; (-inf, inf) while a ray meets something."""
-    assert sensor.beams is not None  # it casts rays
+    assert sensor.beams is not None  # only sensors with rays are watched
     mount, reach, part = frames.frame(sensor.mount), sensor.beams.reach, (robot, sensor.subjects[0])
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
     begins = [ray[0] for ray in rays]

@@ -190,7 +190,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
         first, fact = analysis.start.of(number.node), analysis.resolve_aliases(number.node)
         is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
         drawn = analysis.start.initial(fact) if isinstance(fact, EngineRead) else None
-        if drawn is not None and drawn.is_finite:  # exactly what is drawn, not a wider range around it
+        if drawn is not None and drawn.is_finite:  # exactly the range that is drawn, not a wider one
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
             verb = "starts" if first.is_single else "can start"

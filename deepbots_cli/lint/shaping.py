@@ -51,7 +51,7 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
                 if other is None or (other.name in program.failures) != failed
             )
             if any(reward.ranges_at(other).of(node) != NEVER for other in others):
-                continue  # paid at ends of another kind as well: its sign says nothing about this one
+                continue  # paid at ends of another kind as well, so its sign has no meaning for this one
             if paid.low > 0.0 if failed else paid.high < 0.0:
                 verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"
                 kind = "a failure" if failed else "a success"

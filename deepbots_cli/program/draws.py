@@ -137,7 +137,7 @@ class EpisodeDraws:
         """Yield each draw with the body that it belongs to, if it belongs to one."""
         reset, agent = self.program.reset, self.program.agent
         robot = agent.copies.robot if agent.copies else None
-        # Parameters with new values within an episode: their own, or those of what they depend on.
+        # Parameters with new values within an episode: their own, or those that they depend on.
         changing: set[str] = set()
         for value in self.program.parameters:
             if value.redraw is not None or _reads(value, changing):

@@ -15,7 +15,7 @@ from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.program.world import EngineParameter
 from deepbots_cli.robots.model import RobotModel, Shape
 
-MAX_SPOTS = 1_000_000  # of a region with a grid
+MAX_SPOTS = 1_000_000  # the spots of a region with a grid
 
 Triple = tuple[Scalar, Scalar, Scalar]
 

@@ -17,7 +17,7 @@ from deepbots_cli.robots.model import Pose
 # Sensors
 
 MAX_RAYS = 4096
-MAX_SENSED_RAYS = 4 * MAX_RAYS  # of all sensors of a robot
+MAX_SENSED_RAYS = 4 * MAX_RAYS  # for all sensors of a robot together
 MIN_RESOLUTION = 1e-12
 """The smallest step between two readings, in the sensor's unit."""
 

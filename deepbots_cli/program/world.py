@@ -9,10 +9,10 @@ from typing import Literal
 from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.robots.model import Mesh, Pose, RobotModel, Shape, Vector
 
-# What one world and one reset may ask of an engine; beyond, building or resetting would take minutes.
+# Limits of one world and one reset; above them, building or resetting takes minutes.
 MAX_BODIES = 500
 MAX_SETTLING_STEPS = 100_000
-MAX_POINTS = 10_000  # of all painted lines together
+MAX_POINTS = 10_000  # for all painted lines together
 
 # Bodies of the world that are not objects; neither word may name one.
 GROUND = "ground"

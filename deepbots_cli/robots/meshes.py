@@ -411,9 +411,8 @@ def _obj(data: bytes) -> str | None:
     vertices = len(_VERTEX.findall(data))
     if not vertices:
         return "the OBJ file contains no vertex"
-    lower = (
-        data.lower()
-    )  # two plain searches take a third of the time of the pattern, which they nearly always spare
+    # Two plain searches take a third of the time of the pattern, and nearly always make it unnecessary.
+    lower = data.lower()
     if (b"nan" in lower or b"inf" in lower) and _NOT_FINITE.search(data):
         return "the OBJ file contains a vertex that is not finite"
     if len(_SOUND_VERTEX.findall(data)) != vertices:

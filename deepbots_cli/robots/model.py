@@ -588,9 +588,8 @@ def _stretched_inertial(old: Inertial, scale: Vector) -> Inertial:
     axes = rotation_matrix(old.origin.rpy)
     moments = rotate_tensor(second_moments(old.matrix), axes)
     stretched = scaled_matrix(product(product(diagonal(scale), moments), diagonal(scale)), growth)
-    tensor = _trace_minus(
-        rotate_tensor(stretched, transposed(axes)), 1.0
-    )  # I = tr(J) - J, the inverse of `second_moments`
+    # I = tr(J) - J, the inverse of `second_moments`.
+    tensor = _trace_minus(rotate_tensor(stretched, transposed(axes)), 1.0)
     return _with_matrix(
         replace(old, mass=old.mass * growth, origin=replace(old.origin, xyz=_along(old.origin.xyz, scale))),
         tensor,

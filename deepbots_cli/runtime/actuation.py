@@ -21,7 +21,7 @@ from deepbots_cli.port import ZERO_VECTOR, Engine, MotorWriter, Part, Pusher
 from deepbots_cli.program.robots import CustomActuator, MotorKind
 
 InitialValue = Callable[[], Sequence[float]]
-_TIME_TOLERANCE = 1e-9  # of a substep; what a sum of durations may be off
+_TIME_TOLERANCE = 1e-9  # the error of a sum of durations, as a share of a substep
 PerJoint = float | Sequence[float]
 """A value for all joints, or one for each."""
 

@@ -156,7 +156,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         self._holds: dict[str, Column] = {}
         self._limit = ""
 
-    # What `bind` makes
+    # Parts that `bind` makes
 
     @abstractmethod
     def _advance(self, action: Any) -> None:
@@ -351,7 +351,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
             single.close()
         self.engine.close()
 
-    # What generated code calls
+    # Methods for generated code
 
     def physics(self, substeps: int) -> None:
         """Simulate the worlds; those that are no longer finite are set aside until the end of the step."""

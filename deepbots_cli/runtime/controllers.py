@@ -68,9 +68,8 @@ class RobotController(WithMemories):
             drive.hold if hasattr(drive, "hold") else partial(_hold, engine, spec.name, actuator, drive)
             for actuator, drive in driven
         ]
-        self._releases = [
-            drive.reset for _, drive in driven if hasattr(drive, "hold")
-        ]  # actuators with a state of their own
+        # Actuators with `hold` have a state of their own.
+        self._releases = [drive.reset for _, drive in driven if hasattr(drive, "hold")]
 
     def bind(self, engine: Engine) -> None:
         """Take readers and writers from the engine; called once."""
@@ -86,7 +85,7 @@ class RobotController(WithMemories):
     def actuator(self, name: str) -> CustomMotor:
         """Return an actuator of a plug-in's kind."""
         actuator = next(actuator for actuator in self.spec.actuators if actuator.name == name)
-        assert isinstance(actuator, CustomActuator)  # generated code asks for no other
+        assert isinstance(actuator, CustomActuator)  # generated code uses no other
         return CustomMotor(
             Site(self._engine, self.spec.name, actuator, self._world.timestep / self._world.substeps)
         )
@@ -209,5 +208,5 @@ class SupervisedRobots(WithMemories):
             self.engine.set_parameter("lateral_friction", (body, ""), friction)
 
     def _rejected(self, layout: MessageLayout, message: Any) -> MessageError:
-        self.engine.require_finite()  # not every format can carry what a world that blew up gives
+        self.engine.require_finite()  # not every format can carry values that are not finite
         return layout_error(layout, self.scenario.format, message, self.step_count)

@@ -15,24 +15,17 @@ from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
 from deepbots_cli.runtime.placement import copy_offset
 
-_EYE_DIRECTION = (
-    0.25,
-    -0.94,
-    0.34,
-)  # the direction of the eye from the middle: the right, a little to the front, above
+# The direction of the eye from the middle: the right, a little to the front, above.
+_EYE_DIRECTION = (0.25, -0.94, 0.34)
 _MIN_FRONT_ASPECT = 2.0  # how many times as long as wide a scene is that is seen from the front
-_FLAT_EYE_RISE = 0.9  # how much higher the eye stands over what is flat
+_FLAT_EYE_RISE = 0.9  # how much higher the eye is over flat scenes
 _VIEW_MARGIN = 1.08
 _SCENE_SPACING = 1.1  # how far apart two scenes stand, as a factor
 _MIN_HALF_SIDE_M = 0.05  # m; half the side of the smallest scene
-_LARGE, _ROOM_IN_THE_LARGE = (
-    15.0,
-    3.0,
-)  # times the side of a robot: what dwarfs it, and what is shown of that on each side
-_LEG_ROOM, _ARM_ROOM = (
-    0.2,
-    0.12,
-)  # of its largest side, around a robot that the view follows, and one with a fixed base
+# Multiples of the side of a robot: the size that dwarfs it, and the part of it that is shown on each side.
+_LARGE, _ROOM_IN_THE_LARGE = (15.0, 3.0)
+# Shares of the largest side, as room around a robot that the view follows, and one with a fixed base.
+_LEG_ROOM, _ARM_ROOM = (0.2, 0.12)
 
 Parameters = Mapping[tuple[str, str | None], Scalar]
 """The tree of each component of a parameter."""
@@ -65,9 +58,8 @@ def extent(scenario: Program) -> list[Bounds]:
     boxes = [*robots, *around]
     if world.arena is None:
         return boxes
-    x, y = (
-        side / 2 + world.arena.wall_thickness for side in world.arena.size
-    )  # what looks for a place stays within the walls
+    # Bodies that look for a place stay within the walls.
+    x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
     return [((max(a[0], -x), max(a[1], -y), a[2]), (min(b[0], x), min(b[1], y), b[2])) for a, b in boxes]
 
 

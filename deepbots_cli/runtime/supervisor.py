@@ -230,7 +230,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         """Return an action of these options, by number, and these values from -1 to 1."""
         return compose_action(self.action_space, choices, ranges)
 
-    # What the compiler prints
+    # Methods that the compiler prints
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
         """Return which options of each choice may be chosen next; all of them unless the scenario forbids
@@ -270,7 +270,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         (`copies.py`).
         """
 
-    # What generated code calls
+    # Methods for generated code
 
     def ranges(self, action: Any) -> list[float]:
         """Return the numbers of an array from the action space, each within [-1, 1].

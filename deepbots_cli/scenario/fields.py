@@ -161,9 +161,8 @@ def count_replacement(value: object) -> str | None:
 def number_replacement(value: object) -> Replacement | None:
     """Return the number that a text in quotes, or with a decimal comma, was meant to be; a comma may also
     group thousands."""
-    text = (
-        value.strip() if isinstance(value, str) and len(value) <= _MAX_NUMBER_LENGTH else ""
-    )  # the pattern is quadratic in digits
+    # The pattern takes quadratic time in the number of digits.
+    text = value.strip() if isinstance(value, str) and len(value) <= _MAX_NUMBER_LENGTH else ""
     if re.fullmatch(_NUMBER, text):
         return Replacement(text, safe=True)
     if match := re.fullmatch(r"([-+]?[0-9]+),([0-9]+(?:[eE][-+]?[0-9]+)?)", text):
@@ -926,7 +925,7 @@ class ColorValue(FieldType):
         }
 
 
-# What a training takes
+# Values of the training
 
 _PERCENT = rf"\s*({_NUMBER}\s*%)\s*"
 _SCHEDULE = rf"\s*({_NUMBER})\s*->\s*({_NUMBER})\s*"

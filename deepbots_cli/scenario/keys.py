@@ -174,7 +174,7 @@ def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
     return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_LINE_CHARACTERS}}}", behind) else f"{key}:"
 
 
-_STEP = "  "  # of the indentation
+_STEP = "  "  # one level of indentation
 
 
 def _indentation(word: nodes.ScalarNode) -> str:

@@ -28,9 +28,8 @@ import os
 import sys
 
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    os.environ.setdefault(
-        "MUJOCO_GL", "egl"
-    )  # MuJoCo chooses its library for pictures when it is imported, and takes one that needs a display
+    # MuJoCo chooses its library for pictures on import, and by default takes one that needs a display.
+    os.environ.setdefault("MUJOCO_GL", "egl")
 
 import mujoco
 

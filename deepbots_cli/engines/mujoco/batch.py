@@ -407,7 +407,7 @@ class MuJoCoBatch:
         self.rows["dof_armature"][index] = now
         self._weighed[index] = armature
 
-    # What is read
+    # Readers
 
     def _column(self, key: Any, part: Callable[[], Column]) -> Column:
         """Return a part of an array of all worlds with a column per world, made anew after each step, so that

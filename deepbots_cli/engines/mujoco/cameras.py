@@ -65,7 +65,7 @@ def _opens_context() -> bool:
         with warnings.catch_warnings(action="ignore"):
             if (
                 glfw := sys.modules.get("glfw")
-            ) is not None:  # which warns, and returns no window, where it finds no display
+            ) is not None:  # without a display it warns, and returns no window
                 warnings.simplefilter("error", glfw.GLFWError)
             context = mj.GLContext(8, 8)
             context.make_current()

@@ -51,11 +51,8 @@ MjObject = Any
 
 PARKING_SPACING_M = 1000.0  # m between bodies that are absent
 GROUND_DEPTH_M = 1.0  # m of ground below the lowest place of a terrain
-SOLID_GROUP, HIDDEN_GROUP, VISUAL_GROUP = (
-    0,
-    5,
-    1,
-)  # groups of geoms: what rays meet, what they do not, what is only drawn
+# Groups of geoms: those that rays meet, those that rays do not meet, and those that are only drawn.
+SOLID_GROUP, HIDDEN_GROUP, VISUAL_GROUP = (0, 5, 1)
 CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS = 0.01, 3.0
 """The time constant (s) of contacts and joint limits, and its least value in engine steps.
 
@@ -81,7 +78,7 @@ AXLE_TOLERANCE = 1e-6
 MAX_HULL_VERTICES = 10_000
 """The maximum number of vertices of the hull of a mesh. On a ball with a radius of 20 cm, 10,000 are within
 0.03 mm. A hull of 1,900,000 vertices took 33 s."""
-NEAR_CLIP_M, FAR_CLIP_M = 0.01, 2000.0  # m; what is drawn
+NEAR_CLIP_M, FAR_CLIP_M = 0.01, 2000.0  # m; the range of distances that are drawn
 FACE_DISTANCE_M = 2e-5
 """The distance by which faces in one plane are separated in a picture, in m. 5 um are enough for a table in
 the floor that is 50 m away."""
@@ -273,7 +270,7 @@ class ModelBuilder:
         """Add daylight, a sky that is brighter at the horizon, and colors that do not depend on the direction
         of view."""
         spec = self._spec
-        spec.visual.quality.offsamples = 0  # a pixel is what its center sees
+        spec.visual.quality.offsamples = 0  # each pixel is sampled at its center
         gradient, sky = mj.mjtBuiltin.mjBUILTIN_GRADIENT, mj.mjtTexture.mjTEXTURE_SKYBOX
         spec.add_texture(
             name="sky",
@@ -652,7 +649,7 @@ def _frame_of(geom: MjObject) -> Frame:
 def _branches(model: MjObject) -> bool:
     """Return whether each link moves by no more than half of the degrees of freedom."""
     moved = [0] * model.nbody
-    for body in range(1, model.nbody):  # a parent stands before its children
+    for body in range(1, model.nbody):  # a parent comes before its children
         moved[body] = moved[model.body_parentid[body]] + int(model.body_dofnum[body])
     return bool(2 * max(moved) <= model.nv)
 

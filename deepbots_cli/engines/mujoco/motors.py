@@ -162,19 +162,18 @@ class Motor:
         inertias = model.dof_M0[self._dof_index].tolist()
         moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
         stiff = [MAX_GAIN * inertia / step for inertia in inertias]
+        # The third bound is the error at which the largest gain exerts the limit.
         bounds = [
             (stiffest, limit, limit / stiffest) for stiffest, limit in zip(stiff, self._limits, strict=True)
-        ]  # the last: an error
-        least = [
-            4.0 * inertia * rate if rate else inertia / step for inertia in inertias
-        ]  # gains below these are renewed
+        ]
+        # Gains below these are renewed in each engine step.
+        least = [4.0 * inertia * rate if rate else inertia / step for inertia in inertias]
         # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
         ctrl: Any = memoryview(data.ctrl)
         bias: Any = memoryview(model.actuator_biasprm.reshape(-1))
         armature: Any = memoryview(model.dof_armature)
-        inverses: Any = memoryview(
-            model.dof_invweight0
-        )  # by which MuJoCo scales the stiffness of joint limits
+        # MuJoCo scales the stiffness of joint limits by these.
+        inverses: Any = memoryview(model.dof_invweight0)
         width = model.actuator_biasprm.shape[1]
         acts = [self._motors.actuators[joint] for joint in self.joints]
         dofs = model.jnt_dofadr[list(self.joints)].tolist()

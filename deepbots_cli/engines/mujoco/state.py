@@ -135,7 +135,7 @@ class MujocoWorld:
         self.update_constants()
         self._initial_values = self._copy_values()
 
-    # What is derived
+    # Derived values
 
     def update_positions(self) -> None:
         """Compute the positions of links from the state."""
@@ -342,7 +342,8 @@ class MujocoWorld:
         data = self.require_open().data
         if np.isfinite(data.qpos.sum() + data.qvel.sum() + data.mocap_pos.sum()):
             return
-        robots_first = reversed(self.pools.values())  # to objects they spread what is not a number
+        # Robots are checked first: objects get values that are not finite from them.
+        robots_first = reversed(self.pools.values())
         for body in (pool.current for pool in robots_first):
             joints = list(body.joints.values())
             places, speeds = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-MAX_CLEARANCE_M = 1e6  # m; the distance between surfaces is asked for up to here
+MAX_CLEARANCE_M = 1e6  # m; larger distances between surfaces are not computed
 ELLIPSOID = int(mj.mjtGeom.mjGEOM_ELLIPSOID)  # the shape of tires, and of nothing else
 VERTICAL = 1e-9  # the horizontal length of a forward axis that points up or down
 MEETING_TOLERANCE_M = 1e-9  # m; by how much lines that meet in a point may miss it
@@ -34,10 +34,8 @@ class ContactMonitor:
     """Checks contacts after every engine step, for all contact readers of a world."""
 
     def __init__(self, world: MujocoWorld) -> None:
-        self._data, self._contacts = (
-            world.data,
-            world.data.contact,
-        )  # which stays that of the last engine step
+        # Both objects stay the same; MuJoCo updates their contents in each engine step.
+        self._data, self._contacts = (world.data, world.data.contact)
         self._readers_by_pair: dict[tuple[int, int], list[int]] = {}
         self._touched: list[bool] = []
         self._all_false: list[bool] = []

@@ -76,13 +76,8 @@ with capture_native_output():  # it prints the time of its build
 __all__ = ["BASE", "FAINT", "GAINS", "STRONGEST", "UNREACHABLE", "capture_native_output", "pybullet"]
 
 BASE_LINK = -1  # the number of a root link
-NEGLIGIBLE_FORCE = (
-    1e-200  # N m or N; stands for no force, at which a motor would go on reporting what it last exerted
-)
+NEGLIGIBLE_FORCE = 1e-200  # N m or N; stands for no force, at which a motor would still report its last force
 UNLIMITED_FORCE = 1e12  # N m or N; stands for an unlimited motor
 UNREACHABLE_SPEED = 1e9  # rad/s or m/s; a velocity motor that aims there exerts exactly its limit
-DEFAULT_GAINS = (
-    0.1,
-    1.0,
-    -1.0,
-)  # the library's own position and velocity gain, and no cap; positional arguments cost half of named ones
+# The library's own position and velocity gain, and no cap. Positional arguments cost half of named ones.
+DEFAULT_GAINS = (0.1, 1.0, -1.0)

@@ -28,11 +28,9 @@ if TYPE_CHECKING:
 
 TILE_SIZE_M = 0.25  # m
 _LIGHT_TILE, _DARK_TILE = np.array([222, 227, 232], np.float32), np.array([198, 206, 214], np.float32)
-_DARK_TILE_SHARE = 0.9  # of the darker tiles of a floor that has a color of its own
-_PAINT_CELL_M, _MAX_PAINT_CELLS = (
-    0.002,
-    2000,
-)  # m across a cell of paint, and how many there are along a side before they grow
+_DARK_TILE_SHARE = 0.9  # the brightness of the darker tiles of a floor with a color of its own
+# The side of a cell of paint in m, and the number of cells along a side from which on they grow.
+_PAINT_CELL_M, _MAX_PAINT_CELLS = (0.002, 2000)
 _MAX_PAINTS = 255
 _HORIZON_COLOR, _ZENITH_COLOR = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
 _HAZE_DISTANCE_M = 12.0  # m; the distance over which the floor fades into the horizon
@@ -220,10 +218,8 @@ class Camera:
         self._rays = np.ones((height, width, 3), np.float32)
         self._rays[..., 1] = across - self._pixel * (np.arange(width) + 0.5)[None, :]
         self._rays[..., 2] = upward - self._pixel * (np.arange(height) + 0.5)[:, None]
-        shift, near = (
-            self._pixel / 2,
-            NEAR_CLIP_M,
-        )  # the renderer looks through the upper left corner of a pixel, turned upside down
+        # The renderer samples a pixel at its upper left corner, turned upside down.
+        shift, near = (self._pixel / 2, NEAR_CLIP_M)
         frustum = (near * edge for edge in (shift - across, shift + across, shift - upward, shift + upward))
         self._projection = p.computeProjectionMatrix(*frustum, near, CAMERA_RANGE_M)
 

@@ -298,7 +298,7 @@ class PyBulletEngine:
         client = self._client
         for body in reversed(
             self._require_open()._moving
-        ):  # robots before objects, to which they spread what is not a number
+        ):  # robots before objects, which get values that are not finite from them
             joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
             for what, values in (
                 ("pose", p.getBasePositionAndOrientation(body.number, client)),
@@ -350,10 +350,8 @@ class PyBulletEngine:
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         camera, pose = cameras.Camera(self._client, width, height, fov, self._floor), self.pose(*part)
-        names, places = (
-            tuple(self._pools),
-            np.zeros(p.getNumBodies(self._client) + 1, np.int32),
-        )  # of PyBullet's numbers among the names
+        # `places` has the index among the names for each of PyBullet's numbers.
+        names, places = (tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32))
         for place, pool in enumerate(self._pools.values()):
             places[[body.number for body in pool]] = place
         ground = names.index(GROUND) if GROUND in names else -1

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import Ground, ObjectBody, Terrain, WorldModel
 
 PARKING_SPACING_M = 1000.0  # m between bodies that are parked
-DEFAULT_CONTACT_ERP = 0.08  # that PyBullet by itself takes away in a physics step
+DEFAULT_CONTACT_ERP = 0.08  # the share of a penetration that PyBullet removes in a physics step by default
 CONTACT_DISTANCE_M = 1e-4
 """The distance (m) beyond which surfaces are no contact for the solver.
 
@@ -59,9 +59,7 @@ took 1.25 and 1.65 times as many steps. The cause was not measured; a ball that 
 triangle may be further away than this for a step.
 """
 TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
-_MAX_VISUAL_CELLS = (
-    100  # cells of what is drawn along either side; a finer picture would take longer than it shows
-)
+_MAX_VISUAL_CELLS = 100  # drawn cells along either side; more of them take longer and are hardly seen
 _CYLINDER = "cylinder.obj"
 GEAR_ERP, GEAR_FORCE = 0.2, 1e5
 """The share of the error of a follower that is removed in a physics step, and the largest force (N or N m)

@@ -138,9 +138,8 @@ def _plain_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[
     if len(joints) == 1:
         index, set_one = joints[0], p.setJointMotorControl2
         return lambda torques: set_one(body, index, mode, 0.0, 0.0, torques[0], *DEFAULT_GAINS, client)
-    set_all = (
-        p.setJointMotorControlArray
-    )  # positional arguments, those that mean nothing here included, cost a quarter less
+    # Positional arguments cost a quarter less, even with those that have no meaning here.
+    set_all = p.setJointMotorControlArray
     return lambda torques: set_all(body, joints, mode, zeros, zeros, torques, zeros, zeros, client)
 
 

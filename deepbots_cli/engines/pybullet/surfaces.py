@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Contacts and gaps
 
 ANY_LINK = -2  # PyBullet's number for all links of a body
-MAX_CLEARANCE_M = 1e6  # m; the distance between surfaces is asked for up to here
+MAX_CLEARANCE_M = 1e6  # m; larger distances between surfaces are not computed
 MAX_LINK_QUERIES = 2  # links; from three on one query for all links costs less than one for each
 ContactQuery = Callable[[], Any]
 LinkKey = tuple[int, int]
@@ -140,7 +140,7 @@ def clearance(client: int, one: LinkKey, other: LinkKey) -> ClearanceReader:
 # Rays
 
 FIRST_GROUP, LAST_GROUP = 6, 30  # bits of a collision group that the library leaves free
-ALL_GROUPS, ALL_BUT_STATIC = -1, ~2  # masks of what moves, and of what does not
+ALL_GROUPS, ALL_BUT_STATIC = -1, ~2  # masks of moving bodies, and of static ones
 MAX_CORRECTION_M = 0.05  # m; farther from PyBullet's answer a closed form has met another surface
 RoundShape = Sphere | Cylinder | Capsule
 
