@@ -211,7 +211,7 @@ def describe_exception(error: BaseException) -> str:
 
 
 class TooManyFindings(Exception):  # noqa: N818  # reaching the limit that was asked for is no error
-    """A list of findings has reached its limit; `finding` did not fit."""
+    """The signal that a list of findings has reached its limit; `finding` did not fit."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__()

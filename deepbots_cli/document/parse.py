@@ -110,7 +110,7 @@ def has_same_values(source: Source, text: str) -> bool:
 
 
 class _OverLimitError(Exception):
-    """A limit is exceeded and reported, so the rest is not read."""
+    """The error after a limit is exceeded and reported; the rest is not read."""
 
 
 class _Builder:

@@ -53,7 +53,7 @@ WHEEL_RADIUS = "2 cm"
 
 
 class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
-    """A part has a finding; nothing above it is checked."""
+    """The signal that a part has a finding; nothing above it is checked."""
 
 
 def report_at(

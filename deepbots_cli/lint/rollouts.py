@@ -1,4 +1,4 @@
-"""Resets and episodes of `lint --deep`, and what is measured in them. Runs in a process of its own
+"""Resets and episodes of `lint --deep`, with their measurements. They run in a process of their own
 (`simulation_process`).
 
 Every result is written at once: if an engine crashes, the last line shows how far the simulation got.
@@ -66,7 +66,7 @@ _VARIANTS_LABEL = "cases and stages"
 
 
 class StoppedError(Exception):
-    """The rest of the plan is impossible; the reason has been written."""
+    """The error that ends the plan; its reason has been written."""
 
 
 def compiled(folder: Path) -> Program:
@@ -375,8 +375,7 @@ class Counter:
         )
 
     def rows_by_part(self) -> list[Any]:
-        """Steps, rows, and the statistics of numbers and terms, as `simulation.PolicyStatistics` takes
-        them."""
+        """Return steps, rows, and the statistics of numbers and terms for `simulation.PolicyStatistics`."""
         if not self.steps:
             return [0, 0, [], []]
         numbers = zip(

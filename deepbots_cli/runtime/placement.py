@@ -42,7 +42,7 @@ _LEVEL_RPY = (0.0, 0.0, 0.0)
 
 
 class NoPlaceError(Exception):
-    """A body found no place in this attempt; `args` has its name."""
+    """The error for a body without a place in this attempt; `args` has its name."""
 
 
 class Arrangement:

@@ -74,7 +74,7 @@ class Streams:
         return self.note(self.key(name), value)
 
     def note(self, key: str, value: T) -> T:
-        """`take` for a draw by its key."""
+        """Take a draw by its key; see `take`."""
         taken = self.drawn[key] = self.chosen.get(key, value)
         return cast("T", taken)
 

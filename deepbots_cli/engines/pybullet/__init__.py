@@ -1,4 +1,4 @@
-"""PyBullet behind the port; the only package that imports it, without what it prints.
+"""PyBullet behind the port; the only package that imports it, and suppresses its output.
 
 engine.py      the engine: one world in a client of its own
 loading.py     ground, walls, objects and robots, built from the world model
