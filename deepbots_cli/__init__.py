@@ -1,6 +1,6 @@
 """deepbots: one YAML scenario and a URDF robot become a trained, evaluated, explained robot policy.
 
-The way of the data, and the packages along it:
+The stages of the data, and the package of each:
 
     text ─▶ nodes ─▶ Scenario ─▶ typed trees ─▶ Program ─▶ generated Python ─▶ environment ─▶ run
     document    scenario    compiler, expressions   program   codegen             runtime         learning
@@ -8,7 +8,7 @@ The way of the data, and the packages along it:
 program/      the compiled scenario     lint/         rules about scenarios
 cli/, lsp/    the command and the language server
 port.py       the interface of engines  engines/      the engines behind it
-engine_kinds.py  the names of engines, and what they need
+engine_kinds.py  the names of engines and their requirements
 frames.py     rotations and frames        footprint.py  footprints, link frames, bounding boxes
 geometry.py   terrain and meshes at simulation time
 tiles.py      heights of a terrain of tiles
@@ -16,13 +16,13 @@ arrays.py     expressions over arrays
 api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree   files.py      files read up to a limit, or written whole
-display.py    what a command shows while it works
-plugins.py    what other packages add     message_formats.py  how messages may be written
+display.py    the progress that a command shows
+plugins.py    plug-ins of other packages     message_formats.py  the formats of messages
 processes.py  further processes of Python
 
 The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`, `train`,
-`resume`, `evaluate`, `compare` and `load_policy`; each is imported when it is first asked for, so that
-importing this package costs nothing.
+`resume`, `evaluate`, `compare` and `load_policy`; each is imported on first use, so that importing this
+package costs nothing.
 """
 
 from __future__ import annotations

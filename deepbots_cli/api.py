@@ -7,7 +7,7 @@
     result = deepbots_cli.train(compiled, seed=0)
 
 A scenario is named by the path of a file or by the name of a shipped one (`cartpole`), or is a `Scenario`
-built in Python, whose relative paths start from the working directory. Training and evaluation stand in
+built in Python, whose relative paths start from the working directory. Training and evaluation are in
 `deepbots_cli.learning`. Importing this module loads neither simulator nor learner, and not the back end of
 the compiler either, which linting does without (15 ms of CPU).
 """
@@ -130,8 +130,8 @@ def lint(
     permissions: Permissions = Permissions(),
     preview: bool = False,
 ) -> list[Finding]:
-    """All findings of a scenario, sorted, without suppressed findings; with those of rules in preview only if
-    `preview` is set.
+    """Return all findings of a scenario, sorted and without suppressed ones; findings of rules in preview
+    only if `preview` is set.
 
     Raises:
         UsageError: The file does not exist.
@@ -186,7 +186,8 @@ def compile(
 
 
 def with_learner(compiled: Compiled) -> Compiled:
-    """The scenario with the learner that deepbots chooses, if it has no `train` section; otherwise unchanged.
+    """Return the scenario with the learner that deepbots chooses, if it has no `train` section; otherwise
+    unchanged.
 
     Raises:
         ScenarioError: No algorithm can act in the scenario.
@@ -205,7 +206,7 @@ def make(
     engine: str | None = None,
     render_mode: str | None = None,
 ) -> Supervisor:
-    """The Gymnasium environment of a scenario.
+    """Return the Gymnasium environment of a scenario.
 
     Args:
         engine: `pybullet`, `mujoco`, or an engine of another package. By default the engine of the scenario;
@@ -236,7 +237,7 @@ def make_vec(
     permissions: Permissions = Permissions(),
     engine: str = "mujoco",
 ) -> BatchEnvironment:
-    """Many worlds of a scenario as one `gymnasium.vector.VectorEnv`, stepped together on all cores.
+    """Return many worlds of a scenario as one `gymnasium.vector.VectorEnv`, stepped together on all cores.
 
     World i runs the same episodes as an environment of `make` with the seed of world i. When an episode ends,
     the next one begins in the same step (`AutoresetMode.SAME_STEP`): `final_obs` and `final_info` contain its
@@ -267,7 +268,7 @@ def make_vec(
 def build_batch(
     program: Program, count: int, *, engine: str = "mujoco", fixed: tuple[str, ...] = ()
 ) -> BatchSupervisor:
-    """The supervisor of `count` worlds of a compiled scenario; see `make_vec`."""
+    """Return the supervisor of `count` worlds of a compiled scenario; see `make_vec`."""
     if not 1 <= count <= MAX_WORLDS:
         raise UsageError(f"a batch of {count} worlds cannot be made; from 1 to {MAX_WORLDS} are possible")
     try:
@@ -297,10 +298,10 @@ MAX_WORLDS = 4096
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Builder:
-    """Makes environments of a compiled scenario: in the `spec` of one, and where one is copied to another
-    process.
+    """A factory of environments of a compiled scenario: for the `spec` of an environment, and for copies in
+    another process.
 
-    Its `repr` is the scenario's name and digest; that of a compiled scenario has tens of thousands of
+    Its `repr` is the scenario's name and digest; the `repr` of a compiled scenario has tens of thousands of
     characters.
     """
 
@@ -309,7 +310,7 @@ class Builder:
     fixed: tuple[str, ...]
 
     def __call__(self, **options: Any) -> Supervisor:
-        """The environment; `options` are the engine and the render mode."""
+        """Return the environment; `options` are the engine and the render mode."""
         return build(self.program, permissions=self.permissions, fixed=self.fixed, **options)
 
     def __repr__(self) -> str:
@@ -327,7 +328,7 @@ def build(
     fixed: tuple[str, ...] = (),
     wrap: Callable[[Engine], Engine] | None = None,
 ) -> Supervisor:
-    """The environment of a compiled scenario; see `make`.
+    """Return the environment of a compiled scenario; see `make`.
 
     Args:
         fixed: The parameters that no episode draws.

@@ -1,7 +1,7 @@
 """Scalar trees over arrays: the same expression for many values at once.
 
-Generated code computes one value after the other. Where thousands are wanted together (rewards that hindsight
-replay asks for, the heights of a terrain), the tree is walked once and each operation is numpy's.
+Generated code computes one value after the other. For thousands of values at once (the rewards of hindsight
+replay, the heights of a terrain), this module walks the tree once and computes each operation with numpy.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Array = NDArray[Any]
 
 
 def evaluate(scalar: Scalar, values: Mapping[Name, Array]) -> Array:
-    """The value of a tree for arrays of one shape; float64, or truth values.
+    """Return the value of a tree for arrays of one shape; float64, or truth values.
 
-    `values` holds the array of each name that the tree reads. What has no value (a division by zero) is inf
-    or NaN, as numpy has it.
+    `values` has the array of each name that the tree reads. An operation without a value (a division by zero)
+    gives inf or NaN, as in numpy.
 
     Raises:
-        DeepbotsError: The tree holds what is not computed from names and numbers alone.
+        DeepbotsError: The tree is not computed from names and numbers alone.
     """
     with np.errstate(all="ignore"):
         return np.asarray(_evaluate(scalar, values))

@@ -1,6 +1,6 @@
-"""What a command shows on standard error while it works.
+"""The progress that a command shows on standard error.
 
-On a terminal, text below the printed lines is refreshed in place; elsewhere there are the lines alone. A
+On a terminal, text below the printed lines is refreshed in place; elsewhere only the lines are printed. A
 display has no thread of its own: `bench` measures the CPU time of the process.
 """
 
@@ -39,7 +39,7 @@ class Display:
         return self._stream.isatty()
 
     def print(self, text: str) -> None:
-        """A line that stays."""
+        """Print a line that stays."""
         if self._live is None:
             print(text, file=self._stream, flush=True)
         else:

@@ -1,5 +1,5 @@
-"""The physics engines by name: what each is, what it needs and lacks. Nothing is imported but what an engine
-is asked for.
+"""The physics engines by name, with their requirements and limitations. An engine is imported only when it is
+used.
 
 Other packages add an engine by an entry point of the group `deepbots.engines`, whose name is the word under
 `world.engine`.
@@ -20,19 +20,21 @@ ENTRY_POINT_GROUP = "deepbots.engines"
 
 
 class Limitation(NamedTuple):
-    """Something that an engine cannot hold, and what to use instead; linting knows it without the engine."""
+    """A feature that an engine does not support, and what to use instead. It is data, so that linting can
+    report it without importing the engine."""
 
     reason: str
     help: str
 
 
 class EngineKind(NamedTuple):
-    """`factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module that it imports,
-    `batch` the `module:attribute` of its batches: many worlds of one model at once.
+    """A physics engine: `factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module
+    that it imports, `batch` the `module:attribute` of its batches (many worlds of one model at once).
 
-    `last_python` is the last Python that the library is built for; `on_windows` says whether it is built for
-    Windows. `mesh_terrain` says why a mesh cannot be the ground, None if it can; `implausible_inertia` why a
-    link cannot have an inertia that no rigid body can have.
+    `last_python` is the last Python that the library is built for; `on_windows` is true if it is built for
+    Windows. `mesh_terrain` is the reason why a mesh cannot be the ground, None if it can.
+    `implausible_inertia` is the reason why a link cannot have an inertia that no rigid body has, None if it
+    can.
     """
 
     summary: str
@@ -67,7 +69,7 @@ class EngineKind(NamedTuple):
 
     @property
     def missing(self) -> str:
-        """Why its library is not there, as far as that is known."""
+        """The reason why its library is missing, as far as it is known."""
         here = sys.version_info[:2]
         if sys.platform == "win32" and not self.on_windows:
             return f"{self.title} has no build for Windows"
@@ -77,7 +79,7 @@ class EngineKind(NamedTuple):
 
     @property
     def remedy(self) -> str:
-        """How to get it, or what to use instead."""
+        """The way to install it, or the engine to use instead."""
         others = [name for name, kind in ENGINES.own.items() if kind is not self and kind.is_installed]
         instead = f", or the engine `{others[0]}`" if others else ""
         if others and sys.platform == "win32" and not self.on_windows:
@@ -88,7 +90,7 @@ class EngineKind(NamedTuple):
 
 
 class Engines(Mapping[str, EngineKind]):
-    """Our own engines first, then those of other packages, which a look-up does not import."""
+    """The physics engines: our own first, then those of other packages, which a look-up does not import."""
 
     def __init__(self, own: Mapping[str, EngineKind]) -> None:
         self.own = own
@@ -148,16 +150,17 @@ ENGINES = Engines(
 
 
 def with_engine(overrides: Iterable[str] | None, engine: str | None) -> list[str]:
-    """Assignments of `--set`, and after them that of `--engine`: the scenario is then checked for this
-    engine."""
+    """Return the assignments of `--set` followed by that of `--engine`, so that the scenario is checked for
+    this engine."""
     return [*(overrides or ()), *([] if engine is None else [f"world.engine={engine}"])]
 
 
 def chosen(name: str | None) -> str:
-    """The engine of this name, or the default one: PyBullet where it is installed, else the first engine that
-    is.
+    """Return the engine of this name, or the default one: PyBullet if it is installed, else the first
+    installed engine.
 
-    Numbers of two engines differ, so a warning says once per process that another engine stands in.
+    Results of two engines differ, so another default than PyBullet is reported by a warning, once per
+    process.
     """
     return name if name is not None else _default()
 
@@ -169,7 +172,7 @@ def _default() -> str:
         return DEFAULT_ENGINE
     other = next((name for name, kind in ENGINES.own.items() if kind.is_installed), None)
     if other is None:
-        return DEFAULT_ENGINE  # which says how to install it
+        return DEFAULT_ENGINE  # its error explains how to install it
     logging.getLogger("deepbots").warning(
         "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or"
         " world.engine)",

@@ -23,7 +23,7 @@ ANY_SCENARIO = "deepbots/Scenario-v1"
 
 
 def make_scenario(scenario: str | Path | None = None, **options: Any) -> Supervisor:
-    """The environment of `scenario`, a path or the name of a shipped scenario; `options` are the other
+    """Return the environment of `scenario`, a path or the name of a shipped scenario; `options` are the other
     arguments of `deepbots_cli.make`.
 
     Raises:

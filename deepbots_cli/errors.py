@@ -36,7 +36,7 @@ class DeepbotsError(Exception):
         return "\n".join([str(self), *getattr(self, "__notes__", ())])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For `pickle`, which else would pass the message to the constructor of each kind."""
+        """Support `pickle`, which would otherwise call the constructor of the subclass with the message."""
         return _restored, (type(self), *self.args), self.__dict__
 
 
@@ -72,8 +72,8 @@ class MissingExtraError(UsageError):
 
 
 def extra_with(module: str) -> str | None:
-    """The smallest extra that requires the package of a module, by the metadata of the installation; None if
-    there is none."""
+    """Return the smallest extra that requires the package of a module, by the metadata of the installation;
+    None if there is none."""
     packages = _packages_by_extra()
     fitting = [extra for extra, names in packages.items() if module.lower() in names]
     return min(fitting, key=lambda extra: len(packages[extra]), default=None)
@@ -92,7 +92,7 @@ def _packages_by_extra() -> dict[str, list[str]]:
 
 
 def install_hint(extra: str, origin: str | None = None) -> str:
-    """How to install an extra from `origin`, by default the place that deepbots was installed from.
+    """Return the command that installs an extra from `origin`, by default from where deepbots was installed.
 
     From a clone, deepbots-robot is installed in the same command if the extra needs it: no package index has
     it.
@@ -105,7 +105,7 @@ def install_hint(extra: str, origin: str | None = None) -> str:
 
 
 def install_source() -> str:
-    """The clone that deepbots was installed from if pip knows it and it still exists, else the package
+    """Return the clone that deepbots was installed from if pip knows it and it still exists, else the package
     name."""
     import json  # imported only for this message
     from importlib.metadata import PackageNotFoundError, distribution

@@ -22,7 +22,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def read_at_most(path: Path, most: int) -> bytes:
-    """The first `most` bytes of a file.
+    """Return the first `most` bytes of a file.
 
     Raises:
         OSError: The file cannot be read.
@@ -46,7 +46,7 @@ _REMEDIES = {
 
 
 def unwritable_message(path: Path, error: OSError) -> str:
-    """A sentence: the file that cannot be written, why, and what to do."""
+    """Return a sentence with the file that cannot be written, the reason, and what to do."""
     reason = (error.strerror or str(error).strip().partition("\n")[0] or "no reason given").lower()
     return f"{path} cannot be written: {reason}{_REMEDIES.get(error.errno or 0, '')}"
 
@@ -170,7 +170,8 @@ def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator
 
 
 def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
-    """Time of change and size of each file, None for a missing one: they differ when a file was saved."""
+    """Return the time of change and the size of each file, None for a missing one; they differ after a file
+    was saved."""
     stamps: dict[Path, tuple[int, int] | None] = {}
     for file in files:
         try:
@@ -182,7 +183,8 @@ def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
 
 
 def picture_problem(data: bytes) -> str | None:
-    """The headline for the first problem of a PNG picture; None for a sound gray picture of 8 or 16 bits.
+    """Return the headline for the first problem of a PNG picture; None for a sound gray picture of 8 or 16
+    bits.
 
     The header limits the size before the data is unpacked, to no more bytes than the header promises. PIL
     decodes the picture when the world is built; lint imports neither PIL nor numpy.
@@ -200,7 +202,7 @@ def picture_problem(data: bytes) -> str | None:
         return "the picture is interlaced"
     size = height * (width * bits // 8 + 1)  # each row has a byte that names its filter
     try:
-        unpacked = zlib.decompressobj().decompress(_packed(data), size + 1)  # one byte more tells a bomb
+        unpacked = zlib.decompressobj().decompress(_packed(data), size + 1)  # one byte more reveals a bomb
     except zlib.error:
         unpacked = b""
     if len(unpacked) != size:
@@ -209,7 +211,7 @@ def picture_problem(data: bytes) -> str | None:
 
 
 def _packed(data: bytes) -> bytes:
-    """The contents of the IDAT chunks."""
+    """Return the contents of the IDAT chunks."""
     packed, at = [], len(_PNG)
     while at + 12 <= len(data):
         length = int.from_bytes(data[at : at + 4], "big")

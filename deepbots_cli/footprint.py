@@ -48,16 +48,16 @@ class Footprint(NamedTuple):
 
     @property
     def area(self) -> float:
-        """In m^2."""
+        """The area, in m^2."""
         return 4.0 * self.half[0] * self.half[1] if self.half else 3.141592653589793 * self.radius**2
 
     @property
     def inradius(self) -> float:
-        """Half its smaller width."""
+        """Half the smaller width, in m."""
         return min(self.half) if self.half else self.radius
 
     def at(self, x: float, y: float, yaw: float) -> Patch:
-        """The patch that the footprint covers when the body's origin is at (x, y)."""
+        """Return the patch that the footprint covers when the body's origin is at (x, y)."""
         c, s = cos(yaw), sin(yaw)
         mx, my = self.middle
         return Patch(x + c * mx - s * my, y + s * mx + c * my, self.radius, self.half, c, s)
@@ -75,7 +75,7 @@ class Patch(NamedTuple):
 
     @property
     def half_extents(self) -> Spot:
-        """Half the size along x and y of the world."""
+        """Half the size along x and y of the world, in m."""
         if self.half is None:
             return self.radius, self.radius
         a, b = self.half
@@ -83,7 +83,7 @@ class Patch(NamedTuple):
         return c * a + s * b, s * a + c * b
 
     def distance(self, x: float, y: float) -> float:
-        """The distance of a point from the edge; 0 inside."""
+        """Return the distance of a point from the edge; 0 inside."""
         dx, dy = x - self.x, y - self.y
         if self.half is None:
             return max(0.0, hypot(dx, dy) - self.radius)
@@ -92,7 +92,7 @@ class Patch(NamedTuple):
         return hypot(max(0.0, along), max(0.0, across))
 
     def contains(self, other: Patch, margin: float) -> bool:
-        """Whether another patch lies within this one, at least `margin` m from its edge."""
+        """Return whether another patch lies within this one, at least `margin` m from its edge."""
         if self.half is not None:
             dx, dy = other.x - self.x, other.y - self.y
             axes = ((self.cos, self.sin, self.half[0]), (-self.sin, self.cos, self.half[1]))
@@ -105,14 +105,14 @@ class Patch(NamedTuple):
         return all(hypot(x - self.x, y - self.y) + margin <= self.radius for x, y in other.corners())
 
     def corners(self) -> Iterator[Spot]:
-        """The four corners of a rectangle."""
+        """Yield the four corners of a rectangle."""
         a, b = self.half or (0.0, 0.0)
         for i, j in ((a, b), (a, -b), (-a, b), (-a, -b)):
             yield self.x + self.cos * i - self.sin * j, self.y + self.sin * i + self.cos * j
 
 
 def patch_distance(a: Patch, b: Patch) -> float:
-    """The distance between two patches; negative where they overlap."""
+    """Return the distance between two patches; negative where they overlap."""
     if a.half is None or b.half is None:
         disc, other = (a, b) if a.half is None else (b, a)
         return other.distance(disc.x, disc.y) - disc.radius
@@ -124,14 +124,14 @@ def patch_distance(a: Patch, b: Patch) -> float:
 
 
 def _parted(a: Patch, b: Patch) -> bool:
-    """Whether two rectangles are disjoint: the separating axis theorem."""
+    """Return whether two rectangles are disjoint: the separating axis theorem."""
     dx, dy = b.x - a.x, b.y - a.y
     axes = ((a.cos, a.sin), (-a.sin, a.cos), (b.cos, b.sin), (-b.sin, b.cos))
     return any(abs(c * dx + s * dy) >= _along(a, c, s) + _along(b, c, s) for c, s in axes)
 
 
 def _along(patch: Patch, c: float, s: float) -> float:
-    """Half the length of a rectangle's projection on the axis (c, s)."""
+    """Return half the length of a rectangle's projection on the axis (c, s)."""
     a, b = patch.half or (0.0, 0.0)
     return a * abs(c * patch.cos + s * patch.sin) + b * abs(s * patch.cos - c * patch.sin)
 
@@ -140,8 +140,8 @@ def _along(patch: Patch, c: float, s: float) -> float:
 
 
 def shape_footprint(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Footprint:
-    """The footprint of an object whose origin is the middle of its shape; the bounding rectangle if the
-    object is tilted."""
+    """Return the footprint of an object whose origin is the middle of its shape; the bounding rectangle if
+    the object is tilted."""
     match shape:
         case Sphere(radius):
             return Footprint((0.0, 0.0), radius)
@@ -156,8 +156,8 @@ def shape_footprint(shape: Shape, roll: float = 0.0, pitch: float = 0.0) -> Foot
 
 
 def robot_footprint(model: RobotModel) -> Footprint:
-    """The disc around all collision shapes, or all visuals where there are none; a point for a robot without
-    shapes."""
+    """Return the disc around all collision shapes, or all visuals where there are none; a point for a robot
+    without shapes."""
     discs = _all_discs(model)
     if not discs:
         return Footprint((0.0, 0.0), 0.0)
@@ -168,15 +168,15 @@ def robot_footprint(model: RobotModel) -> Footprint:
 
 
 def half_width(model: RobotModel) -> float:
-    """The reach of a robot's shapes from its origin, along x or y, whichever is less: its distance from a
-    wall that it drives along."""
+    """Return the reach of a robot's shapes from its origin, along x or y, whichever is less: its distance
+    from a wall that it drives along."""
     discs = _all_discs(model)
     return min(max((abs(disc[axis]) + disc[2] for disc in discs), default=0.0) for axis in (0, 1))
 
 
 def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:
-    """The discs of all collision shapes, or of all visuals where there are none, in the frame of the root
-    link."""
+    """Return the discs of all collision shapes, or of all visuals where there are none, in the frame of the
+    root link."""
     for placed in (_placed(model, lambda link: link.collisions), _placed(model, lambda link: link.visuals)):
         discs = [disc for shape, frame in placed for disc in _discs(shape, frame)]
         if discs:
@@ -185,8 +185,8 @@ def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:
 
 
 def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
-    """Discs (x, y, radius) whose hull, seen from above, holds a shape of a robot; exact for upright and for
-    lying shapes."""
+    """Yield discs (x, y, radius) whose hull, seen from above, contains a shape of a robot; the hull is exact
+    for upright and for lying shapes."""
     x, y, _ = frame[0]
     axis = frames.rotate(frame[1], (0.0, 0.0, 1.0))
     match shape:
@@ -202,8 +202,8 @@ def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
 
 
 def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
-    """The points where a robot with all joints at 0 touches level ground, in the frame of its root; meshes do
-    not count.
+    """Return the points where a robot with all joints at 0 touches level ground, in the frame of its root;
+    meshes do not count.
 
     A point is the end of a shape within `thickness` (m) of the lowest.
     """
@@ -234,8 +234,8 @@ def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
 
 
 def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None) -> dict[str, Frame]:
-    """The frame of every link in the frame of the root; `positions` of joints (rad or m) are by name; others
-    are at 0 or follow."""
+    """Return the frame of every link in the frame of the root; `positions` of joints (rad or m) are by name;
+    others are at 0 or follow."""
     below: dict[str, list[Joint]] = {}
     for joint in model.joints:
         below.setdefault(joint.parent, []).append(joint)
@@ -257,7 +257,7 @@ def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None)
 
 
 def child_frame(joint: Joint, parent: Frame, position: float) -> Frame:
-    """The frame of a joint's child link, from the frame of its parent link."""
+    """Return the frame of a joint's child link, from the frame of its parent link."""
     frame = frames.compose(parent, frames.frame(joint.origin))
     if not joint.moves or position == 0.0:
         return frame
@@ -271,14 +271,14 @@ def _placed(
     shapes_of: Callable[[Link], Iterable[Geometry]],
     positions: Mapping[str, float] | None = None,
 ) -> list[tuple[Shape, Frame]]:
-    """Shapes of each link of a robot, in the frame of its root."""
+    """Return the shapes of each link of a robot, in the frame of its root."""
     where = link_frames(model, positions)
     parts = [(where[link.name], part) for link in model.links for part in shapes_of(link)]
     return [(part.shape, frames.compose(link, frames.frame(part.origin))) for link, part in parts]
 
 
 def _solids(model: RobotModel) -> list[tuple[Shape, Frame]]:
-    """The collision shapes that are no meshes, in the frame of the root, with all joints at 0."""
+    """Return the collision shapes that are no meshes, in the frame of the root, with all joints at 0."""
     return [
         (shape, frame)
         for shape, frame in _placed(model, lambda link: link.collisions)
@@ -293,7 +293,7 @@ Bounds = tuple[Triple, Triple]
 
 
 def robot_bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> Bounds:
-    """The box around all shapes of a robot and the origins of its links, in the frame of its root;
+    """Return the box around all shapes of a robot and the origins of its links, in the frame of its root;
     `positions` as in `link_frames`."""
     boxes = [
         bounds_of_shape(shape, frame)
@@ -304,7 +304,7 @@ def robot_bounds(model: RobotModel, positions: Mapping[str, float] | None = None
 
 
 def without_meshes(model: RobotModel) -> RobotModel:
-    """The robot without its meshes, which may take seconds to read."""
+    """Return the robot without its meshes, which may take seconds to read."""
 
     def plain(parts: tuple[Geometry, ...]) -> tuple[Geometry, ...]:
         return tuple(part for part in parts if not isinstance(part.shape, Mesh))
@@ -316,20 +316,20 @@ def without_meshes(model: RobotModel) -> RobotModel:
 
 
 def box_around(boxes: Sequence[Bounds]) -> Bounds:
-    """The box around all boxes; a cube of 1 m around the origin for none."""
+    """Return the box around all boxes; a cube of 1 m around the origin for none."""
     lows, highs = zip(*(boxes or [((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))]), strict=True)
     (x, y, z), (x_end, y_end, z_end) = map(min, zip(*lows, strict=True)), map(max, zip(*highs, strict=True))
     return (x, y, z), (x_end, y_end, z_end)
 
 
 def box_sides(box: Bounds) -> Triple:
-    """The lengths of a box along x, y and z."""
+    """Return the lengths of a box along x, y and z."""
     return frames.subtract(box[1], box[0])
 
 
 def resting_height(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
-    """The height of the origin of a body that rests on flat ground with this attitude; meshes of a robot do
-    not count."""
+    """Return the height of the origin of a body that rests on flat ground with this attitude; meshes of a
+    robot do not count."""
     tilted = (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0))
     if not isinstance(body, RobotModel):
         return 0.0 - bounds_of_shape(body, tilted)[0][2]
@@ -340,7 +340,7 @@ def resting_height(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0
 
 
 def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bounds:
-    """The box around a shape whose own frame is `frame`."""
+    """Return the box around a shape whose own frame is `frame`."""
     (x, y, z), turn = frame
     match shape:
         case Sphere(radius):
@@ -357,8 +357,8 @@ def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bound
 
 
 def _corners(shape: Shape, frame: Frame) -> list[Triple]:
-    """The corners of the box around a shape in its own axes; a mesh whose size is unknown counts as its
-    origin."""
+    """Return the corners of the box around a shape in its own axes; a mesh whose size is unknown counts as
+    its origin."""
     x, y, z = zip(*_own_bounds(shape), strict=True)
     return [frames.add(frame[0], frames.rotate(frame[1], corner)) for corner in product(x, y, z)]
 

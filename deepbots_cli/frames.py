@@ -20,7 +20,8 @@ IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """The rotation by roll about x, then pitch about y, then yaw about z (rad), all of them fixed axes."""
+    """Return the rotation by roll about x, then pitch about y, then yaw about z (rad), all of them fixed
+    axes."""
     roll, pitch, yaw = roll / 2, pitch / 2, yaw / 2
     sr, cr, sp, cp, sy, cy = sin(roll), cos(roll), sin(pitch), cos(pitch), sin(yaw), cos(yaw)
     return (
@@ -32,13 +33,13 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 def from_axis_angle(axis: Triple, angle: float) -> Quaternion:
-    """The rotation by `angle` (rad) about a unit axis."""
+    """Return the rotation by `angle` (rad) about a unit axis."""
     s = sin(angle / 2)
     return (axis[0] * s, axis[1] * s, axis[2] * s, cos(angle / 2))
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation by `b`, then by `a`."""
+    """Return the rotation by `b`, then by `a`."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -50,12 +51,13 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def inverse(q: Quaternion) -> Quaternion:
-    """The inverse of a unit quaternion."""
+    """Return the inverse of a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])
 
 
 def roll_pitch_yaw(q: Quaternion) -> Triple:
-    """Roll, pitch and yaw (rad) of a unit quaternion, about the fixed axes x, y and z in this order."""
+    """Return roll, pitch and yaw (rad) of a unit quaternion, about the fixed axes x, y and z in this
+    order."""
     x, y, z, w = q
     roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = asin(min(1.0, max(-1.0, 2 * (w * y - z * x))))
@@ -68,7 +70,7 @@ def normalized(q: Quaternion) -> Quaternion:
 
 
 def leveled(turned: Quaternion) -> Quaternion:
-    """The yaw of a rotation alone; none where its forward axis is vertical."""
+    """Return the yaw of a rotation alone; none where its forward axis is vertical."""
     x, y, _ = rotate(turned, (1.0, 0.0, 0.0))
     return quaternion(0.0, 0.0, atan2(y, x) if hypot(x, y) > 1e-9 else 0.0)
 
@@ -94,7 +96,8 @@ def scaled(a: Triple, factor: float) -> Triple:
 
 
 def rotate(q: Quaternion, v: Triple) -> Triple:
-    """`v` turned by a unit quaternion: v + 2 u x (u x v + w v), with u the vector part and w the rest."""
+    """Return `v` turned by a unit quaternion: v + 2 u x (u x v + w v), with u the vector part and w the
+    rest."""
     x, y, z, w = q
     tx = 2.0 * (y * v[2] - z * v[1])
     ty = 2.0 * (z * v[0] - x * v[2])
@@ -103,7 +106,7 @@ def rotate(q: Quaternion, v: Triple) -> Triple:
 
 
 def rotate_back(q: Quaternion, v: Triple) -> Triple:
-    """`v` turned by the inverse of a unit quaternion."""
+    """Return `v` turned by the inverse of a unit quaternion."""
     x, y, z, w = q
     tx = 2.0 * (z * v[1] - y * v[2])
     ty = 2.0 * (x * v[2] - z * v[0])
@@ -119,7 +122,7 @@ def frame(pose: Pose) -> Frame:
 
 
 def compose(outer: Frame, inner: Frame) -> Frame:
-    """The frame `inner`, given relative to `outer`, in the frame that `outer` is relative to."""
+    """Return the frame `inner`, given relative to `outer`, in the frame that `outer` is relative to."""
     return add(outer[0], rotate(outer[1], inner[0])), multiply(outer[1], inner[1])
 
 
@@ -127,7 +130,7 @@ def compose(outer: Frame, inner: Frame) -> Frame:
 
 
 def rotation_matrix(rpy: Triple) -> Matrix:
-    """The rotation of `quaternion(*rpy)`, from the child's axes to the parent's."""
+    """Return the rotation of `quaternion(*rpy)`, from the child's axes to the parent's."""
     roll, pitch, yaw = rpy
     cr, sr, cp, sp, cy, sy = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
     return (
@@ -148,7 +151,7 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 
 def rotate_tensor(m: Matrix, r: Matrix) -> Matrix:
-    """The tensor `m` in the axes of the parent, from that in the axes of the child: r m r^T."""
+    """Return the tensor `m` in the axes of the parent, from that in the axes of the child: r m r^T."""
     return product(product(r, m), transposed(r))
 
 

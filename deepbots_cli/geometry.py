@@ -1,5 +1,5 @@
-"""Shapes at simulation time: terrain as a grid of heights or as triangles, the height of the ground, and what
-meshes weigh.
+"""Shapes at simulation time: terrain as a grid of heights or as triangles, the height of the ground, and the
+inertials of meshes.
 
 Engines and the placement of bodies use the same surface. trimesh and yourdfpy read meshes: the triangles of a
 terrain, and the masses of links with a density. Importing the two libraries takes 0.57 s of CPU. Each
@@ -43,8 +43,8 @@ Height = Callable[[float, float], float]
 
 RIM_RADIUS_PER_SIGMA = sqrt(2.0 * log(2.0))  # the radius of a pit's rim over the width of its bell
 _PIT_CELLS = 200  # along either side
-_PIT_WIDTH = 0.135  # of the bell, as a share of the side
-_LUMPS = 20  # of the noise, along either side
+_PIT_WIDTH = 0.135  # the width of the bell, as a share of the side
+_LUMPS = 20  # the number of lumps of the noise along either side
 _HIGHEST = 1e4  # m; higher ground is a mistake, and engines lose their digits
 
 
@@ -67,7 +67,8 @@ class HeightGrid:
         return self.size[0] / (columns - 1), self.size[1] / (rows - 1)
 
     def triangles(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Vertices (n, 3) in m, and for each triangle three of them, counter-clockwise from above."""
+        """Return the vertices (n, 3) in m, and for each triangle the numbers of its vertices,
+        counter-clockwise from above."""
         rows, columns = self.heights.shape
         x, y = np.meshgrid(
             np.linspace(-0.5, 0.5, columns) * self.size[0], np.linspace(-0.5, 0.5, rows) * self.size[1]
@@ -78,7 +79,7 @@ class HeightGrid:
         return np.stack([x.ravel(), y.ravel(), self.heights.ravel()], axis=1), np.concatenate([lower, upper])
 
     def with_at_most(self, most: int) -> HeightGrid:
-        """The same surface in at most so many cells along either side."""
+        """Return the same surface in at most so many cells along either side."""
         heights = self.heights
         for _ in range(2):  # along y, then along x
             at = np.linspace(0.0, len(heights) - 1, min(len(heights) - 1, most) + 1)
@@ -88,7 +89,7 @@ class HeightGrid:
         return HeightGrid(heights, self.size)
 
     def height_function(self) -> Height:
-        """A function of plain floats, for use in a loop."""
+        """Return a function of plain floats, for use in a loop."""
         rows, columns = self.heights.shape
         z = self.heights.tolist()
         (dx, dy), (half_x, half_y) = self.cell, (self.size[0] / 2, self.size[1] / 2)
@@ -111,7 +112,7 @@ class HeightGrid:
 
 
 def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
-    """The heights of a relief; None for a mesh, which is not a grid.
+    """Return the heights of a relief; None for a mesh, which is not a grid.
 
     Raises:
         EngineError: A picture has gone or changed; a formula has no height somewhere.
@@ -127,13 +128,13 @@ def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
             grid = HeightGrid(tiles.heights(terrain_shape), terrain_shape.size)
         case _:
             return None
-    if not np.all(np.abs(grid.heights) < _HIGHEST):  # which NaN is not
+    if not np.all(np.abs(grid.heights) < _HIGHEST):  # false for NaN
         raise EngineError("somewhere in the terrain, the height is undefined or outside -10 km .. 10 km")
     return grid
 
 
 def ground_height(terrain: Terrain | None) -> Height:
-    """Of the ground: 0 where it is a plane."""
+    """Return the height of the ground, which is 0 if the ground is a plane."""
     if terrain is None:
         return lambda x, y: 0.0
     grid = height_grid(terrain.shape)
@@ -144,10 +145,11 @@ def ground_height(terrain: Terrain | None) -> Height:
 
 
 def _pit(pit: Pit) -> HeightGrid:
-    """Heights `height * g * (1 - g)` with a Gaussian g around the origin; 0 beyond three standard deviations.
+    """Return the heights `height * g * (1 - g)` with a Gaussian g around the origin; 0 beyond three standard
+    deviations.
 
-    The rim is a quarter of `height` high. Noise takes a share of the height away where it is low; it is the
-    same in every world. The figures are those of a published world (Kirtas et al., AIAI 2020).
+    The rim is a quarter of `height` high. Noise reduces low heights by a share; it is the same in every
+    world. The values are taken from a published world (Kirtas et al., AIAI 2020).
     """
     share = np.linspace(-0.5, 0.5, _PIT_CELLS + 1)
     squared = (share[:, None] ** 2 + share[None, :] ** 2) / _PIT_WIDTH**2
@@ -158,8 +160,8 @@ def _pit(pit: Pit) -> HeightGrid:
 
 
 def _value_noise() -> NDArray[np.float64]:
-    """Fixed noise from 0 to 1 over the grid of a pit: random values a twentieth of the side apart, smoothly
-    joined."""
+    """Return fixed noise from 0 to 1 over the grid of a pit: random values a twentieth of the side apart,
+    smoothly joined."""
     values = np.random.Generator(np.random.PCG64(0)).random((_LUMPS + 1, _LUMPS + 1))
     at = np.arange(_PIT_CELLS + 1) * _LUMPS / _PIT_CELLS
     first = np.minimum(at.astype(int), _LUMPS - 1)
@@ -180,12 +182,12 @@ def _picture(picture: Picture) -> HeightGrid:
     wrong = picture_problem(data)
     if wrong is not None:
         raise EngineError(f"picture {picture.path} cannot be read: {wrong}")
-    bits = data[24]  # of a pixel, by the header
+    bits = data[24]  # bits of a pixel, by the header
     return HeightGrid(picture_pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
 
 
 def picture_pixels(data: bytes) -> NDArray[np.integer]:
-    """The pixels of a PNG picture without fault, shape (height, width), rows from the top.
+    """Return the pixels of a PNG picture without fault, shape (height, width), rows from the top.
 
     Raises:
         EngineError: A chunk of the file is damaged.
@@ -200,7 +202,8 @@ def picture_pixels(data: bytes) -> NDArray[np.integer]:
 
 
 def _formula(formula: Formula) -> HeightGrid:
-    """As fine as a pit along the longer side, and square cells as far as they go."""
+    """Return the heights of a formula, with the resolution of a pit along the longer side, and with square
+    cells as far as possible."""
     longer = max(formula.size)
     columns, rows = (max(2, round(_PIT_CELLS * side / longer)) + 1 for side in formula.size)
     x, y = np.meshgrid(
@@ -214,7 +217,7 @@ def _formula(formula: Formula) -> HeightGrid:
 
 
 def _mesh_height(corners: NDArray[np.float64]) -> Height:
-    """The highest point of any triangle above or below a place; 0 where there is none."""
+    """Return the highest point of any triangle above or below a place; 0 where there is none."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (corners[:, corner].T for corner in range(3))
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     level = np.abs(area) > 1e-12
@@ -234,7 +237,7 @@ def _mesh_height(corners: NDArray[np.float64]) -> Height:
 
 
 def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
-    """The corners of an STL or OBJ mesh, scaled: shape (count, 3 corners, 3 coordinates), in m.
+    """Return the corners of an STL or OBJ mesh, scaled: shape (count, 3 corners, 3 coordinates), in m.
 
     Raises:
         EngineError: The file has gone or changed, or holds no triangles.
@@ -252,7 +255,8 @@ def mesh_triangles(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def with_masses(model: RobotModel) -> RobotModel:
-    """The model with mass, center and inertia of each link that has a density, from the volume of its mesh.
+    """Return the model with mass, center and inertia of each link that has a density, from the volume of its
+    mesh.
 
     Raises:
         EngineError: A mesh has gone or changed, or encloses no volume.
@@ -264,7 +268,8 @@ def with_masses(model: RobotModel) -> RobotModel:
 
 
 def _inertial(link: Link, density: float) -> Inertial:
-    """The inertial of a homogeneous link, in axes parallel to those of the link; `density` in kg/m^3."""
+    """Return the inertial of a homogeneous link, in axes parallel to those of the link; `density` in
+    kg/m^3."""
     solid = _solid(link)
     if not solid.is_watertight or not solid.is_winding_consistent:
         raise EngineError(
@@ -280,7 +285,8 @@ def _inertial(link: Link, density: float) -> Inertial:
 
 
 def _solid(link: Link) -> trimesh.Trimesh:
-    """What a link collides with, or shows where nothing collides, as one mesh in the frame of the link."""
+    """Return the collision shapes of the link, or its visuals if it has none, as one mesh in the frame of the
+    link."""
     import yourdfpy
 
     shapes = link.collisions or link.visuals

@@ -1,4 +1,4 @@
-"""How messages may be written: one record per format.
+"""The formats of messages: one record per format.
 
 Other packages add a format by an entry point of the group `deepbots.formats`, whose name is the word under
 `messages.format`.
@@ -13,7 +13,8 @@ from deepbots_cli.plugins import PluginTable
 
 
 class MessageFormat(NamedTuple):
-    """`codec` is the `module:attribute` of what makes the codec of a layout, empty for no messages at all.
+    """A format of messages. `codec` is the `module:attribute` of the factory of the codec of a layout, empty
+    for no messages at all.
 
     It takes the stamp of the layout, an int, and one code per value: `d` (a float), `?` (a truth value), or
     `24s` (so many bytes of a picture). It returns a `runtime.messages.Codec`.

@@ -1,4 +1,4 @@
-"""Plug-ins: what other installed packages add to the tables of deepbots, by entry points.
+"""Plug-ins: entries that other installed packages add to the tables of deepbots, by entry points.
 
     deepbots.sensors      a class of `scenario.sensors`, under the word of its `type`
     deepbots.actuators    a class of `scenario.actuators`, under the word of its `type`
@@ -11,8 +11,9 @@
     deepbots.engines      a `port.EngineFactory`, under its name
     deepbots.scenarios    a package whose folder holds `scenarios/*.yaml` and `robots/urdf/*.urdf`
 
-A group is loaded when a name is asked for that deepbots does not have itself, or when all names are. What
-cannot be loaded, is of the wrong type or has a name that is taken is left out, and one warning says why.
+A group is loaded when a name is looked up that deepbots does not define itself, or when all names are listed.
+An entry that cannot be loaded, has the wrong type or has a name that is taken is left out, with one warning
+that gives the reason.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ T = TypeVar("T")
 
 
 def entry_points_of(group: str) -> tuple[EntryPoint, ...]:
-    """The entry points of a group, in the order in which packages are found."""
+    """Return the entry points of a group, in the order in which packages are found."""
     return _group_on_path(group, tuple(sys.path))
 
 
@@ -42,26 +43,26 @@ def _group_on_path(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
 
 @cache
 def _entry_points_on_path(_path: tuple[str, ...]) -> EntryPoints:
-    """Those of all packages on the path, whose files are read once."""
+    """Return the entry points of all packages on the path; each file is read once."""
     from importlib.metadata import entry_points
 
     return cast("EntryPoints", entry_points())
 
 
 def warn_unavailable(entry: EntryPoint, reason: object) -> None:
-    """Warn that what an entry point names is left out."""
+    """Warn that the objects of an entry point are left out."""
     logging.getLogger("deepbots").warning("warning: %s", unavailable_message(entry, reason))
 
 
 def unavailable_message(entry: EntryPoint, reason: object) -> str:
-    """The sentence that says so."""
+    """Return the text of the warning."""
     message = f"{type(reason).__name__}: {reason}" if isinstance(reason, BaseException) else str(reason)
     what = entry.group.rpartition(".")[2]
     return f"the {what} '{entry.name}' ({entry.value}) are not available: {' '.join(message.split())[:200]}"
 
 
 def import_attribute(place: str) -> Any:
-    """What stands at `module:attribute`, imported now.
+    """Import and return the object at `module:attribute`.
 
     Raises:
         ImportError, AttributeError: There is no such thing.
@@ -71,10 +72,10 @@ def import_attribute(place: str) -> Any:
 
 
 class PluginTable(Mapping[str, T], Generic[T]):
-    """Entries by name: our own first, then those of plug-ins.
+    """A table of entries by name: our own first, then those of plug-ins.
 
     `read` gets the name and the object of an entry point, yields named entries, and raises an exception for
-    what cannot be used.
+    an object that cannot be used.
     """
 
     def __init__(

@@ -35,7 +35,7 @@ R = TypeVar("R")
 SERVO_TIME = 0.02
 """Time (s) in which the servo of an engine, without stiffness, reduces its error to 1/e."""
 Capability = Literal["contacts", "mimic", "rendering", "snapshot"]
-"""What an engine may leave out: contacts between bodies, pictures, an exact `snapshot` of the world."""
+"""A feature that an engine may lack: contacts between bodies, pictures, an exact `snapshot` of the world."""
 Part = tuple[str, str | None]
 """A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
 JointStates = Sequence[Sequence[float]]
@@ -52,7 +52,7 @@ Motion = tuple[tuple[Triple, Quaternion], tuple[Triple, Triple]]
 MotionReader = Callable[[], Motion]
 """The results of a `PoseReader` and a `VelocityReader`, read together."""
 Gain = Sequence[float] | None
-"""Of a spring, one per joint; None where a motor is no spring, or does not damp."""
+"""The gain of a spring, one per joint; None if a motor is no spring, or does not damp."""
 MotorWriter = Callable[[Sequence[float]], object]
 """Sets one target per joint, in force until the next call; after a reset motors exert nothing until written.
 
@@ -75,8 +75,8 @@ CAMERA_RANGE_M = 100.0  # m; as far as cameras see
 
 class CameraImage(NamedTuple):
     """One picture: `colors` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of
-    sight's axis, at most `CAMERA_RANGE_M`; `bodies` int32 (height, width), the place of each pixel's body in
-    `body_names`, -1 for none. A pixel is what its center sees."""
+    sight's axis, at most `CAMERA_RANGE_M`; `bodies` int32 (height, width), the index of each pixel's body in
+    `body_names`, -1 for none. Each pixel is sampled at its center."""
 
     colors: Image
     depth: NDArray[np.float32]
@@ -127,19 +127,22 @@ class Bindable(Protocol):
     def contact(
         self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
     ) -> ContactReader:
-        """Whether `one` touched one of `others` in any engine step of the last `step`; false after a reset.
+        """Return whether `one` touched one of `others` in any engine step of the last `step`; false after a
+        reset.
 
         If `others` is None, all other bodies are meant. `ground` includes plane and terrain.
         """
 
     def contact_force(self, one: Part) -> ForceReader:
-        """The sum of normal forces (N) on `one` from everything that it touches, in the last engine step."""
+        """Return the sum of normal forces (N) on `one` from everything that it touches, in the last engine
+        step."""
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
-        """The distance between two surfaces, m: 0 if they touch, infinite if a body is absent."""
+        """Return the distance between two surfaces, m: 0 if they touch, infinite if a body is absent."""
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False) -> RayReader:
-        """Rays along the x axis of frames in the frame of a link: how far (m) each is free, at most `reach`.
+        """Return a reader of rays along the x axis of frames in the frame of a link: the free distance (m) of
+        each, at most `reach`.
 
         Rays ignore their own body, and bodies that are not solid. With `upright`, the frames follow the yaw
         of the link alone, and stay level when it tilts.
@@ -150,13 +153,13 @@ class Bindable(Protocol):
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader: ...
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        """Pose of a link, or of the root link of a robot or object."""
+        """Return a reader of the pose of a link, or of the root link of a robot or object."""
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
-        """Pose and velocity in one call, which takes half the time of two calls if the link is not the
-        root."""
+        """Return a reader of pose and velocity in one call, which takes half the time of two calls if the
+        link is not the root."""
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         """Drive joints towards target velocities (rad/s or m/s) with at most `max_torque` (N m or N)."""
@@ -232,17 +235,17 @@ class Engine(Bindable, Protocol):
             EngineError: The engine cannot set it, or the world has no such body, link or joint.
         """
 
-    # What acts in every engine step; bound at build, called in the order of binding
+    # Functions that act in every engine step; bound at build, called in the order of binding
 
     def before_substep(self, act: Callable[[], object]) -> None:
         """Call `act` before each engine step of `step`."""
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
-        """Pushes a link at its origin, in the next engine step only, with axes of the world or of the
-        link."""
+        """Return a function that pushes a link at its origin, in the next engine step only, with axes of the
+        world or of the link."""
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
-        """Looks along the x axis of `mount`, z up; `fov` is the vertical angle in rad.
+        """Return a camera that looks along the x axis of `mount`, z up; `fov` is the vertical angle in rad.
 
         Only the outer side of a surface is visible, so a camera inside a hull looks out of it.
 
@@ -251,8 +254,8 @@ class Engine(Bindable, Protocol):
         """
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        """Positions of joints (rad or m), within their ranges, that bring the origin of a link to a position,
-        in a given orientation or in any (None).
+        """Return a function that gives positions of joints (rad or m), within their ranges, for which the
+        origin of a link is at a position, in a given orientation or in any (None).
 
         The same call in the same state of the world gives the same bits.
         """
@@ -261,7 +264,7 @@ class Engine(Bindable, Protocol):
         """Advance by `substeps` engine steps of `timestep / substeps` of the world model each."""
 
     def snapshot(self) -> object:
-        """The state of the world between two steps, for `restore`; taking it changes nothing.
+        """Return the state of the world between two steps, for `restore`; taking it changes nothing.
 
         It contains everything on which later steps depend: poses, velocities, the memory of contacts, the
         commands of motors, and the values that were set since the reset. It does not contain the state of
@@ -285,8 +288,8 @@ class Engine(Bindable, Protocol):
         """
 
     def overlaps(self) -> Sequence[Overlap]:
-        """Overlaps in the present state of the world: the deepest pair of links of every two bodies; deepest
-        first.
+        """Return the overlaps in the present state of the world: the deepest pair of links of every two
+        bodies; deepest first.
 
         At least one of the two can move; the ground is one of the bodies. The call may change later contacts
         by rounding errors.
@@ -300,7 +303,7 @@ class Engine(Bindable, Protocol):
         """
 
     def render(self, view: View) -> Image:
-        """An image of the world: uint8, shape (height, width, 3).
+        """Return an image of the world: uint8, shape (height, width, 3).
 
         Raises:
             EngineError: The engine cannot draw (no "rendering" among its capabilities).
@@ -325,15 +328,16 @@ class EngineProxy:
         self.name, self.capabilities = engine.name, engine.capabilities
 
     def body(self, name: str) -> str:
-        """The name of a body in the other engine."""
+        """Return the name of a body in the other engine."""
         return name
 
     def bound(self, read: Callable[P, R]) -> Callable[P, R]:
-        """A reader of the other engine, as this one gives it."""
+        """Return a reader of the other engine, as this one gives it."""
         return read
 
     def changing(self, body: str = "") -> Engine | None:
-        """The other engine, to change this body or the world; None where this engine leaves it alone."""
+        """Return the other engine, to change this body or the world; None where this engine leaves it
+        alone."""
         return self.engine
 
     @property
@@ -341,10 +345,10 @@ class EngineProxy:
         return self.engine.gravity
 
     def close(self) -> None:
-        """Nothing: whoever made the other engine closes it."""
+        """Do nothing: the creator of the other engine closes it."""
 
     def _renamed(self, value: Any) -> Any:
-        """A body, a part or several parts, as the other engine calls them."""
+        """Return a body, a part or several parts, as the other engine calls them."""
         if not value:
             return value
         if isinstance(value, str):
@@ -404,11 +408,11 @@ class EngineProxy:
 
 
 class BatchEngine(Bindable, Protocol):
-    """An engine that holds many worlds of one model and steps them together; `gravity` is that of the model,
-    which episodes may change."""
+    """An engine that steps many worlds of one model together; `gravity` is that of the model, which episodes
+    may change."""
 
     capabilities: frozenset[Capability]
-    """Those of its members."""
+    """The capabilities that all members have."""
     members: Sequence[Engine]
     """An engine per world, which begins the episodes of its world and serves rare readers."""
     write_mask: NDArray[np.bool_] | None
@@ -421,10 +425,10 @@ class BatchEngine(Bindable, Protocol):
         """Take over the episodes that the members of these worlds have begun."""
 
     def non_finite_worlds(self) -> NDArray[np.intp]:
-        """The numbers of the worlds whose state is not finite."""
+        """Return the numbers of the worlds whose state is not finite."""
 
 
 class EngineFactory(Protocol):
-    """What `engines/` registers under a name."""
+    """The class that `engines/` registers under a name."""
 
     def __call__(self, world: WorldModel) -> Engine: ...

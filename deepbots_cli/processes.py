@@ -1,7 +1,7 @@
 """Further processes of Python, which import nothing from the working directory: its modules may be anyone's.
 
 `python -m` and `python -c` put the working directory first on the path of imports, so a `typer.py` there
-would run. Every process that deepbots starts is started with what this module returns.
+would run. deepbots starts every process with the arguments that this module returns.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ _SAFE_PATH = "PYTHONSAFEPATH"
 
 
 def python_command(module: str, *arguments: str) -> list[str]:
-    """The command line that runs `module` of deepbots in a process of its own, together with
+    """Return the command line that runs `module` of deepbots in a process of its own, together with
     `python_environment`."""
     return [sys.executable, "-m", module, *arguments]
 
 
 def python_script(text: str) -> list[str]:
-    """The command line that runs a script of the standard library alone: without packages, the environment
-    and the working directory."""
+    """Return the command line that runs a script of the standard library alone: without packages, the
+    environment and the working directory."""
     return [sys.executable, "-ISc", text]
 
 
 def python_environment(changes: Mapping[str, str] | None = None) -> dict[str, str]:
-    """The environment of such a process, in which this very deepbots is found.
+    """Return the environment of such a process, in which this very deepbots is found.
 
     An empty entry of PYTHONPATH, which is the working directory, is left out.
     """
@@ -39,7 +39,8 @@ def python_environment(changes: Mapping[str, str] | None = None) -> dict[str, st
 
 @contextmanager
 def safe_path() -> Iterator[None]:
-    """Within, processes that `multiprocessing` starts do not import from the working directory either."""
+    """Keep processes that `multiprocessing` starts in the block from importing modules of the working
+    directory."""
     before = os.environ.get(_SAFE_PATH)
     os.environ[_SAFE_PATH] = "1"
     try:

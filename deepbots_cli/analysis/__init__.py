@@ -1,17 +1,17 @@
-"""From a program to what is known of its values without a simulation.
+"""Static analysis of the values of a program, without a simulation.
 
 `Analysis` follows names to their definitions as scalar trees, message fields to the sensors behind them, and
-sensors to the facts that they measure. It says what a value depends on.
+sensors to the facts that they measure. It also finds the values that a value depends on.
 
-identities.py  which values are the same quantity
-ranges.py      the interval of a value, in any step and right after a reset; intervals as text
-conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
-deployment.py  the readings of the world that a policy needs on a real robot
-returns.py     what the terms of the reward pay in a step and at an end, and the return of an episode
-changes.py     what differs between two scenarios
-speeds.py      limits of speed, and the return that they allow
-shown_units.py in which unit a quantity is shown: the one in which the file writes it
-courses.py     values along an assumed course of some quantities, without a simulated world
+identities.py   values that are the same quantity
+ranges.py       the interval of a value, in any step and right after a reset; intervals as text
+conditions.py   the comparisons in a condition, the thresholds that they set, endings that hide others
+deployment.py   the readings of the world that a policy needs on a real robot
+returns.py      the value of the reward terms in a step and at an end, and the return of an episode
+changes.py      the differences between two scenarios
+speeds.py       limits of speed, and the return that they allow
+shown_units.py  the unit in which a quantity is shown: that of the file
+courses.py      values along an assumed course of some quantities, without a simulated world
 """
 
 from __future__ import annotations
@@ -68,33 +68,31 @@ class _CachedLowering(Lowering):
         if cached is None:
             if isinstance(value, Reference):
                 self._leaves[value.symbol.name] = value.type
-            cached = self._lowered[id(value)] = (
-                value,
-                super().scalars(value),
-            )  # a tree that is kept keeps its id
+            # The tree is kept, so that no other tree gets its id.
+            cached = self._lowered[id(value)] = (value, super().scalars(value))
         return cached[1]
 
 
 class Analysis:
-    """One program, with everything that several rules ask worked out once.
+    """The analysis of one program, whose results are computed once for all rules.
 
-    A sensor stands for what it measures only where its readings are exact, and a value with noise is not
-    followed. The `ideal` analysis ignores faults and noise.
+    A sensor is replaced by the fact that it measures only if its readings are exact, and a value with noise
+    is not followed. The `ideal` analysis ignores faults and noise.
     """
 
     def __init__(self, program: Program, *, exact: Analysis | None = None) -> None:
-        """`exact` is the analysis of the same program of which this is the ideal one; they share lowered
-        trees."""
+        """Create an analysis. `exact` is the analysis of the same program of which this is the ideal one;
+        they share lowered trees."""
         self.program = program
         self._self = cast("Analysis", proxy(self))
-        """For ranges and rewards, which the analysis holds: collecting the cycles took 7 % of the time of
-        linting 200 files."""
+        """A weak reference for ranges and rewards, which the analysis refers to: collecting the cycles took 7
+        % of the time of linting 200 files."""
         self.leaves: dict[str, Type] = exact.leaves if exact else {}
-        """Types of names without definition, such as action variables and readings."""
+        """The types of names without definition, such as action variables and readings."""
         self._is_ideal = exact is not None
         self._robots = {robot.name: robot for robot in program.robots}
         self.intangible = frozenset(thing.name for thing in program.world.objects if not thing.solid)
-        """Objects that nothing touches."""
+        """The objects that nothing touches."""
         self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
         self._defined: dict[str, tuple[Expression, str]] = {
             value.name: (value, "") for value in (*program.parameters, *program.signals)
@@ -119,10 +117,10 @@ class Analysis:
         """A number that two trees share if they mean the same quantity."""
         self._ranges: dict[tuple[float, float], Ranges] = {}
         self.rates: dict[bool, dict[Scalar, float]] = {}
-        """The largest changes of values per second, as `speeds.rate_of` works them out: all, and those that
-        are exact."""
+        """The largest changes of values per second, as computed by `speeds.rate_of`: all, and the exact
+        ones."""
         self.period = program.world.timestep * program.action_repeat
-        """Seconds between two actions."""
+        """The time between two actions, in s."""
         self.last_step = program.truncation.max_episode_steps(self.period)
         """The step at which an episode is truncated at the latest."""
 
@@ -132,12 +130,12 @@ class Analysis:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Value ranges in any step of an episode."""
+        """The value ranges in any step of an episode."""
         return Ranges(self._self)
 
     @cached_property
     def start(self) -> StartRanges:
-        """Value ranges right after a reset."""
+        """The value ranges right after a reset."""
         return StartRanges(self._self)
 
     @cached_property
@@ -146,11 +144,11 @@ class Analysis:
 
     @cached_property
     def shadowed(self) -> Mapping[Expression, Expression]:
-        """Endings that have no effect, each with the ending that always holds first."""
+        """The endings that have no effect, each with the ending that always holds first."""
         return shadowed_endings(self)
 
     def ranges_in(self, first: float, last: float) -> Ranges:
-        """Value ranges in these steps."""
+        """Return the value ranges in these steps."""
         if (first, last) not in self._ranges:
             self._ranges[first, last] = Ranges(self._self, {}, (first, last))
         return self._ranges[first, last]
@@ -167,22 +165,23 @@ class Analysis:
     # Definitions
 
     def expression_named(self, name: str) -> Expression | None:
-        """The definition of a name, where it has one."""
+        """Return the definition of a name, where it has one."""
         expression = self._defined.get(name)
         return expression[0] if expression else None
 
     def scalars(self, value: Expression) -> tuple[Scalar, ...]:
-        """A value of the supervisor, per component. Of a value in Python only the type is known."""
+        """Return a value of the supervisor, per component. For a value in Python only the type is known."""
         return self.lowered(value.typed, value.owner)
 
     def lowered(self, typed: Typed, owner: str) -> tuple[Scalar, ...]:
-        """A tree of the supervisor, per component; the same objects each time."""
+        """Return a tree of the supervisor, per component; the same objects each time."""
         if owner not in self._lowerings:
             self._lowerings[owner] = _CachedLowering(owner, self.leaves)
         return self._lowerings[owner].scalars(typed)
 
     def resolve_aliases(self, node: Scalar) -> Scalar:
-        """The definition of a name, through names that only rename; any other tree is returned as it is."""
+        """Return the definition of a name, through names that only rename; any other tree is returned as it
+        is."""
         for _ in range(len(self._defined) + 1):
             definition = self.definition(node) if isinstance(node, Name) else None
             if definition is None:
@@ -191,15 +190,15 @@ class Analysis:
         return node
 
     def is_noisy(self, name: str) -> bool:
-        """Whether a name stands for a measurement with noise, which is not followed."""
+        """Return whether a name is a measurement with noise, which is not followed."""
         return not self._is_ideal and name in self._defined and self._defined[name][0].noise is not None
 
     def definition(self, node: Name) -> Scalar | None:
-        """The definition of a name, which may be another name; None for a leaf."""
+        """Return the definition of a name, which may be another name; None for a leaf."""
         return None if self.is_noisy(node.name) else self.definition_without_noise(node)
 
     def definition_without_noise(self, node: Name) -> Scalar | None:
-        """The definition of a name regardless of noise: the exact value."""
+        """Return the definition of a name regardless of noise: the exact value."""
         if node.name not in self._defined or self._defined[node.name][0].foreign is not None:
             return None
         if node.name not in self._components:
@@ -211,7 +210,7 @@ class Analysis:
         return components[node.component] if node.component in components else next(iter(components.values()))
 
     def value_on_robot(self, value: Expression, robot: str) -> Scalars:
-        """A value of a robot controller, per component. Its leaves are called `robot:name`."""
+        """Return a value of a robot controller, per component. Its leaves are called `robot:name`."""
         met: dict[str, Type] = {}
         trees = _CachedLowering(value.owner, met).scalars(value.typed)
         self.leaves.update((f"{robot}:{name}", typed) for name, typed in met.items())
@@ -235,7 +234,7 @@ class Analysis:
                 return node
 
     def sensor(self, leaf: Scalar) -> tuple[str, Sensor] | None:
-        """The robot and the sensor of a reading."""
+        """Return the robot and the sensor of a reading."""
         robot, _, name = leaf.name.partition(":") if isinstance(leaf, Name) else ("", "", "")
         sensors = self._robots[robot].sensors if name and robot in self._robots else ()
         return next(((robot, sensor) for sensor in sensors if sensor.name == name), None)
@@ -243,8 +242,8 @@ class Analysis:
     # Dependencies
 
     def dependencies(self, node: Scalar) -> frozenset[str]:
-        """All names that a value depends on, its own included; `time` where it depends on how long something
-        lasts."""
+        """Return all names that a value depends on, its own included; `time` where it depends on how long
+        something lasts."""
         cached = self._dependencies.get(id(node))
         if cached is None:
             cached = self._dependencies[id(node)] = (node, self._compute_dependencies(node))
@@ -263,7 +262,7 @@ class Analysis:
                 return _NO_NAMES.union(*map(self.dependencies, node.args))
 
     def drawn_dependencies(self, node: Scalar) -> frozenset[str]:
-        """The drawn parameters and the bodies that a value depends on, among other names."""
+        """Return the drawn parameters and the bodies that a value depends on, among other names."""
         cached = self._sources.get(id(node))
         if cached is None:
             cached = self._sources[id(node)] = (node, frozenset(self._found_sources(node)))
@@ -286,7 +285,7 @@ class Analysis:
                     yield from self.drawn_dependencies(part)
 
     def walk_definitions(self, node: Scalar) -> Iterator[Scalar]:
-        """A value and everything that it is made of, through all names; each quantity once."""
+        """Yield a value and everything that it is made of, through all names; each quantity once."""
         met: set[int] = set()
         waiting = [node]
         while waiting:
@@ -297,8 +296,8 @@ class Analysis:
                 waiting += parts(node)
 
     def conjuncts(self, *conditions: Scalar, limit: float = INF) -> Iterator[Scalar]:
-        """The parts of conditions that must all hold, through all names, each once; at most `limit` nodes are
-        visited."""
+        """Yield the parts of conditions that must all hold, through all names, each once; at most `limit`
+        nodes are visited."""
         met: set[int] = set()
         waiting = list(conditions)
         while waiting and len(met) < limit:
@@ -314,8 +313,8 @@ class Analysis:
     # Bodies
 
     def own_contacts(self, node: Scalar) -> list[str]:
-        """The contacts between links of one robot, which are never true: links of one robot do not touch each
-        other."""
+        """Return the contacts between links of one robot, which are never true: links of one robot do not
+        touch each other."""
         contacts = [
             part
             for part in self.walk_definitions(node)
@@ -329,8 +328,8 @@ class Analysis:
         )
 
     def distance_pair(self, node: Scalar) -> frozenset[str] | None:
-        """The two bodies whose distance this is, by any measure: between origins, between surfaces, or along
-        a path."""
+        """Return the two bodies whose distance this is, by any measure: between origins, between surfaces, or
+        along a path."""
         match self.resolve_aliases(node):
             case EngineRead("clearance" | "path_distance", subjects):
                 return frozenset(self._roots.get(subject, subject) for subject in subjects)
@@ -351,8 +350,8 @@ class Analysis:
 
 
 def _goal_reached(goal: Goal) -> Expression:
-    """The definition of `goal_reached`, as if it had been written out. It has no place in the scenario: its
-    owner is empty."""
+    """Return the definition of `goal_reached`, as if it had been written out. It has no place in the
+    scenario: its owner is empty."""
     distance_text = "norm(achieved - desired)"
     limit = f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
     text, end = f"{distance_text} <= {limit}", len(distance_text)
@@ -367,25 +366,26 @@ def _goal_reached(goal: Goal) -> Expression:
 
 
 def possible_returns(program: Program) -> tuple[float, float]:
-    """The least and the largest return of an episode that rewards and time limit allow; infinite where they
-    imply none."""
+    """Return the least and the largest return of an episode that rewards and time limit allow; infinite where
+    they imply none."""
     interval = return_range(Analysis(program))
     return interval.low, interval.high
 
 
 def unobserved_reads(program: Program, script: str) -> list[str]:
-    """What a script reads and the policy does not observe, as the scenario writes it: for a signal, the parts
-    that are not observed.
+    """Return the values that a script reads and the policy does not observe, as the scenario writes them: for
+    a signal, the parts that are not observed.
 
     A value is observed if it is a number of the observation or of the goal, or if everything that it is
     computed from is known by them. A number makes known what it is computed from, if all but one of these
-    values are known: a distance `a - b`, beside `b`, makes `a` known, but a speed along a heading makes no
-    heading known. Noise and clipping are left out.
+    values are known: a distance `a - b`, beside `b`, makes `a` known, but a speed along a heading does not
+    make the heading known. Noise and clipping are left out.
     """
     analysis, agent = Analysis(program).ideal, program.agent
 
     def source(node: Name | EngineRead) -> Hashable:
-        """The same for all components of an orientation: the sine or cosine of a heading makes it known."""
+        """Return one tree for all components of an orientation: the sine or cosine of a heading makes it
+        known."""
         if isinstance(node, EngineRead) and node.function == "orientation":
             return node.subjects
         return analysis.identity(node)
@@ -425,7 +425,7 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
 
 
 def _reads_in(node: Typed) -> Iterator[Typed]:
-    """The named values and the functions of the world in an expression, without what is part of another
+    """Yield the named values and the functions of the world in an expression, without parts of another
     one."""
     match node:
         case Reference() | Constant():

@@ -1,9 +1,9 @@
-"""What differs between two compiled scenarios, value by value.
+"""The differences between two compiled scenarios, value by value.
 
 A compiled scenario is flattened to values by path, such as
 `world/robots/cart/model/links/pole/inertial/mass`. `_PATHS` maps the path of a value that differs to its path
-in the language, `robots.cart.links.pole`, and to the group of the difference. A change holds the texts of
-both scenarios at this path.
+in the language, `robots.cart.links.pole`, and to the group of the difference. A change has the texts of both
+scenarios at this path.
 """
 
 from __future__ import annotations
@@ -43,25 +43,24 @@ class Effect(StrEnum):
 
 @dataclass(frozen=True)
 class WrittenScenario:
-    """A compiled scenario with its text after includes and settings; `root` is None where there is no
-    text."""
+    """A compiled scenario with its text after includes and settings; `root` is None if there is no text."""
 
     program: Program
     root: Node | None
 
     def text_at(self, path: str) -> str:
-        """What is written at a path, on one line; empty where nothing is. A stage of the curriculum goes by
-        its name."""
+        """Return the text at a path, on one line; empty if there is none. A stage of the curriculum is found
+        by its name."""
         node = self._written(path)
         return "" if node is None else inline_text(node)
 
     def text_at_key(self, path: str, key: str) -> str:
-        """What is written at a key of the mapping at a path; the key may have dots."""
+        """Return the text at a key of the mapping at a path; the key may have dots."""
         entry = entries_at(self._written(path)).get(key)
         return "" if entry is None else inline_text(entry.value)
 
     def text_of_value(self, path: str) -> str:
-        """What is written at a path; of a mapping, the values without their keys."""
+        """Return the text at a path; for a mapping, the values without their keys."""
         entries = entries_at(self._written(path))
         return (
             " ".join(inline_text(entry.value) for entry in entries.values())
@@ -70,7 +69,8 @@ class WrittenScenario:
         )
 
     def members(self, robot: str, name: str) -> list[str]:
-        """The patterns of joints and links in a group of a robot; the name itself where it is no group."""
+        """Return the patterns of joints and links in a group of a robot; the name itself if it is no
+        group."""
         reached: list[str] = []
         waiting, expanded = [name], set[str]()
         while waiting:
@@ -87,7 +87,7 @@ class WrittenScenario:
         return reached
 
     def keys_at(self, path: str) -> list[str]:
-        """The keys that are written at a path."""
+        """Return the keys that are written at a path."""
         return list(entries_at(self._written(path)))
 
     def _written(self, path: str) -> Node | None:
@@ -101,7 +101,7 @@ class WrittenScenario:
 
 @dataclass(frozen=True)
 class Change:
-    """`one` and `other` are the texts of both sides.
+    """A difference between two scenarios; `one` and `other` are the texts of both sides.
 
     `through` has the parameters, and the poses and groups of robots, behind them that differ, and the texts
     of each on both sides.
@@ -116,7 +116,7 @@ class Change:
 
     @property
     def lines(self) -> list[str]:
-        """The texts of both sides, or the text of both, and what else changes its meaning."""
+        """The texts of both sides, or the text of both, and further changes of its meaning."""
         if self.through and self.one == self.other:
             return [f"      {self.one}", f"      {self.by}"]
         if self.kind == "changed" and not (self.one or self.other):
@@ -152,13 +152,13 @@ class Change:
 
 @dataclass(frozen=True)
 class Meanings:
-    """The differences between two scenarios that say what of their policies can be compared.
+    """The differences between two scenarios that limit the comparison of their policies.
 
     Attributes:
-        acting: What an observation or an action means: robots, sensors, actuators, `apply`, observation,
+        acting: The meaning of an observation or an action: robots, sensors, actuators, `apply`, observation,
             action, control period. Policies for which these differ need each their own scenario.
-        returns: What a return sums: reward, endings, limits of an episode, goal, control period.
-        success: What a success is.
+        returns: The terms of a return: reward, endings, limits of an episode, goal, control period.
+        success: The meaning of success.
     """
 
     acting: tuple[Change, ...] = ()
@@ -173,7 +173,7 @@ _SUCCESS = ("termination.success.", "goal.")
 
 
 def compared_meanings(one: WrittenScenario, other: WrittenScenario) -> Meanings:
-    """What of the policies of two scenarios can be compared."""
+    """Return the differences that limit the comparison of the policies of two scenarios."""
     changes = [
         change
         for change in scenario_changes(one, other)
@@ -197,7 +197,8 @@ def compared_meanings(one: WrittenScenario, other: WrittenScenario) -> Meanings:
 
 
 def _names_behind(program: Program, parts: object) -> set[str]:
-    """The names of the signals and parameters that parts of a program read, and of those behind them."""
+    """Return the names of the signals and parameters that parts of a program read, and the names that these
+    read in turn."""
     definitions = {entry.name: entry for entry in (*program.signals, *program.parameters)}
     names: set[str] = set()
     waiting = set(_names_read(parts))
@@ -295,15 +296,15 @@ _CONTAINER_RECORDS = (
     Training,
     Network,
 )
-"""Records that only hold other records; their class is not compared."""
+"""The records that only contain other records; their class is not compared."""
 _JOINT_STATE = re.compile(r"joint_starts/[^/]+/states/[^/]+$")
 _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _MAX_LISTED = 3
 
 
 def scenario_changes(one: WrittenScenario, other: WrittenScenario) -> list[Change]:
-    """All differences, the most serious group first; empty if both scenarios compile to the same program,
-    except for paths of files."""
+    """Return all differences, the most serious group first; empty if both scenarios compile to the same
+    program, except for paths of files."""
     changes = [
         *_of_interface(one, other),
         *_of_values(one, other),
@@ -327,7 +328,7 @@ def scenario_changes(one: WrittenScenario, other: WrittenScenario) -> list[Chang
 
 
 def _of_interface(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
-    """Differences in the interface of a policy: ranges, choices and messages."""
+    """Yield the differences in the interface of a policy: ranges, choices and messages."""
     before, after = (identity.interface(side.program)[side.program.agent.name] for side in (one, other))
     for name in dict.fromkeys((*before, *after)):
         if before.get(name) != after.get(name):
@@ -355,8 +356,8 @@ def _of_values(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]
 
 
 def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Effect], str]:
-    """The rank, the path in the language and the group of the item that a value belongs to, and its path from
-    there."""
+    """Return the rank, the path in the language and the group of the item that a value belongs to, and its
+    path from there."""
     for rank, (pattern, template, group) in enumerate(_PATHS):
         if match := re.match(pattern, raw):
             path = match.expand(template)
@@ -367,7 +368,7 @@ def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Effect],
 
 
 def _is_seen(path: str, scenario: Program) -> bool:
-    """Whether a robot has a camera, or the look belongs to a robot that has no other shapes."""
+    """Return whether a robot has a camera, or the look belongs to a robot that has no other shapes."""
     name = path.removeprefix(APPEARANCE_PREFIX).split(".")[1]
     bodies = [
         body
@@ -386,8 +387,8 @@ def _change(
     one: WrittenScenario,
     other: WrittenScenario,
 ) -> Change:
-    """The change at a path: the texts of both scenarios, or the compiled values that differ where the texts
-    do not."""
+    """Return the change at a path: the texts of both scenarios, or the compiled values that differ where the
+    texts do not."""
     section, _, name = path.partition(".")
     if section == "signals" and any(name in side.keys_at("augment") for side in (one, other)):
         path = f"augment.{name}"
@@ -409,8 +410,8 @@ def _change(
 
 
 def _entry_of_joint(path: str, scenario: WrittenScenario) -> str | None:
-    """The entry of `reset.joints` with a joint that has no entry of its own: that of a group or of a
-    pattern."""
+    """Return the entry of `reset.joints` with a joint that has no entry of its own: the entry of a group or
+    of a pattern."""
     if not path.startswith("reset.joints."):
         return None
     robot, joint = path.split(".")[2:4]
@@ -430,7 +431,7 @@ def _kind(before: bool, after: bool) -> Kind:
 
 
 def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str]:
-    """The first few values that differ; none of an item with many values that only one scenario has."""
+    """Yield the first few values that differ; none of an item with many values that only one scenario has."""
     names = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
     if len(names) > _MAX_LISTED and not (old and new):
         return "", ""
@@ -447,11 +448,11 @@ def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str
 def _altered_names(
     text: str, one: WrittenScenario, other: WrittenScenario, excluded: set[str]
 ) -> dict[str, tuple[str, str]]:
-    """The parameters, and the poses and groups of robots, whose texts differ: of those in a text and of those
-    behind them.
+    """Return the parameters, and the poses and groups of robots, whose texts differ: those in a text and
+    those behind them.
 
-    Each has both of its texts. A pose is called `the pose stand`, and a group `the group legs`. `excluded`
-    are names that are not looked up.
+    Each name has both of its texts. A pose is called `the pose stand`, and a group `the group legs`.
+    `excluded` are names that are not looked up.
     """
     altered: dict[str, tuple[str, str]] = {}
     met, waiting = set(excluded), [text]
@@ -468,13 +469,13 @@ def _altered_names(
 
 
 def _places(name: str, scenario: WrittenScenario) -> list[str]:
-    """Where a parameter or a pose of this name is written."""
+    """Return the places where a parameter or a pose of this name is written."""
     return [f"parameters.{name}", *(f"robots.{robot}.poses.{name}" for robot in scenario.keys_at("robots"))]
 
 
 def _definitions(name: str, one: WrittenScenario, other: WrittenScenario) -> Iterator[tuple[str, str, str]]:
-    """What is called by a name: a parameter, poses, groups; how a sentence calls it, and both of its
-    texts."""
+    """Yield the definitions of a name (a parameter, poses, groups): the words for it in a sentence, and both
+    of its texts."""
     for path in _places(name, one):
         yield (f"the pose {name}" if ".poses." in path else name), *_differing_entries(path, one, other)
     for robot in one.keys_at("robots"):
@@ -483,7 +484,7 @@ def _definitions(name: str, one: WrittenScenario, other: WrittenScenario) -> Ite
 
 
 def _differing_entries(path: str, one: WrittenScenario, other: WrittenScenario) -> tuple[str, str]:
-    """The texts at a path; of two mappings, the entries that differ."""
+    """Return the texts at a path; of two mappings, the entries that differ."""
     keys = [side.keys_at(path) for side in (one, other)]
     if not all(keys):
         return one.text_at(path), other.text_at(path)
@@ -499,7 +500,7 @@ def _differing_entries(path: str, one: WrittenScenario, other: WrittenScenario) 
 
 
 def _of_variants(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
-    """Cases and stages, by the values that each changes in its scenario."""
+    """Yield the differences of cases and stages, by the values that each changes in its scenario."""
     for section, before, after in (
         (
             "evaluation.cases",
@@ -539,7 +540,7 @@ def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
 
 
 def _of_orders(one: Program, other: Program) -> Iterator[Change]:
-    """The same names in another order, where the order has a meaning."""
+    """Yield the same names in another order, where the order has a meaning."""
     before, after = dict(_orders(one)), dict(_orders(other))
     for (path, group), names in before.items():
         there = after.get((path, group), names)
@@ -562,7 +563,7 @@ def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Effect], list[str]]]
 
 
 def values(scenario: Program) -> dict[str, str]:
-    """Every value of a scenario as text, by path; without cases, stages and paths of files."""
+    """Return every value of a scenario as text, by path; without cases, stages and paths of files."""
     kinds = dict.fromkeys(scenario.failures, "failure") | dict.fromkeys(scenario.agent.success, "success")
     leaves = _leaves(replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=()), "")
     texts: dict[str, str] = {}
@@ -575,8 +576,8 @@ def values(scenario: Program) -> dict[str, str]:
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
-    """The single values in a record, with their paths; numbers to twelve digits, since units are converted in
-    floats."""
+    """Yield the single values in a record, with their paths; numbers to twelve digits, since units are
+    converted in floats."""
     value = value.value if isinstance(value, Const) else value
     members = None if isinstance(value, Scalar) else identity.record_members(value)
     if members is not None and "scalars" in members:
@@ -616,7 +617,7 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
 
 
 def _keyed(entries: tuple[Any, ...], path: str) -> list[tuple[str, Any]]:
-    """The entries of a list with their names where they have one, or with axis or position."""
+    """Return the entries of a list with their names where they have one, or with axis or position."""
     if _JOINT_STATE.search(path):
         return [*zip(("position", "velocity"), entries[1:], strict=True)]
     axes = _AXES.get(path.rpartition("/")[2], ())
@@ -639,7 +640,7 @@ def _key(entry: Any) -> str:
 
 
 def _path_of_draw(entry: RandomizedParameter) -> str:
-    """The path in the language of a value that is drawn per episode."""
+    """Return the path in the language of a value that is drawn per episode."""
     body, *rest = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
     if entry.what == "color":
         return (

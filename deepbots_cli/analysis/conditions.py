@@ -18,28 +18,29 @@ if TYPE_CHECKING:
     from deepbots_cli.analysis import Analysis
 
 ORDER_PRESERVING = frozenset({"running_max", "running_min", "low_pass", "hold"})
-"""Functions with a memory that rise with their argument."""
+"""The functions with a memory that rise with their argument."""
 _COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
 _CLOCK_NAMES = frozenset({"time", "step", "episode_return", "previous_reward"})
 _MIN_LEAD_SHARE = 0.02
-"""By this share of its limit another ending has to hold first: a value may pass both limits within a step."""
+"""The share of its limit by which another ending has to hold first: a value may pass both limits within a
+step."""
 _MAX_ENDINGS = 32
-"""With more endings, not all pairs are compared."""
+"""The number of endings up to which all pairs are compared."""
 _CONTINUOUS_FUNCTIONS = frozenset(
     {"position", "orientation", "joint_position", "clearance", "cross_track_error", "arc_length"}
 )
-"""Facts that do not jump, unlike speeds and forces when bodies collide."""
+"""The facts that do not jump, unlike speeds and forces when bodies collide."""
 
 
 class ConditionComparison(NamedTuple):
-    """A comparison in a condition, and the named value whose text holds it."""
+    """A comparison in a condition, and the named value whose text contains it."""
 
     value: Expression
     node: Operation
 
 
 def comparisons(analysis: Analysis, condition: Expression) -> Iterator[ConditionComparison]:
-    """Comparisons of which at least one must hold for the condition to hold; also those within
+    """Yield the comparisons of which at least one must hold for the condition to hold; also those within
     `duration(...)`."""
     yield from _compared(analysis, condition, condition.typed, set()) if condition.foreign is None else ()
 
@@ -69,7 +70,7 @@ def _compared(
 
 
 def only_comparison(analysis: Analysis, condition: Expression) -> ConditionComparison | None:
-    """The comparison that a condition is; None for a conjunction, a disjunction and others."""
+    """Return the comparison that a condition is; None for a conjunction, a disjunction and others."""
     meaning = analysis.resolve_aliases(analysis.scalars(condition)[0])
     compared = list(comparisons(analysis, condition))
     return (
@@ -78,11 +79,11 @@ def only_comparison(analysis: Analysis, condition: Expression) -> ConditionCompa
 
 
 class Threshold(NamedTuple):
-    """A condition needs `quantity` above (or below) some value in `bound`; `dimension` is None where it is
-    unknown.
+    """The requirement of a condition that `quantity` is above (or below) some value in `bound`; `dimension`
+    is None if it is unknown.
 
-    `now` is false where the condition may hold without: `running_max(x) > 1 m` holds for ever after, and
-    `abs(x) > 1 m` needs one of two things.
+    `now` is false if the condition may hold without the requirement: `running_max(x) > 1 m` holds for ever
+    after, and `abs(x) > 1 m` requires one of two things.
     """
 
     quantity: Scalar
@@ -98,13 +99,13 @@ class Threshold(NamedTuple):
 
 
 def is_clock(analysis: Analysis, quantity: Scalar) -> bool:
-    """Whether a quantity is the time or the return, which advance by themselves."""
+    """Return whether a quantity is the time or the return, which advance by themselves."""
     meaning = analysis.resolve_aliases(quantity)
     return isinstance(meaning, Name) and meaning.name in _CLOCK_NAMES
 
 
 def has_choice(analysis: Analysis, condition: Expression) -> bool:
-    """Whether one part of a condition may hold without the others."""
+    """Return whether one part of a condition may hold without the others."""
     return any(
         isinstance(part, Op) and part.op == "or"
         for part in analysis.conjuncts(analysis.scalars(condition)[0])
@@ -112,7 +113,7 @@ def has_choice(analysis: Analysis, condition: Expression) -> bool:
 
 
 def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Threshold]:
-    """The thresholds that a comparison sets for each quantity of its sides, for each component."""
+    """Yield the thresholds that a comparison sets for each quantity of its sides, for each component."""
     analysis, node = ranges.analysis, comparison.node
     left, right = (analysis.lowered(arg, comparison.value.owner) for arg in node.args)
     count = max(len(left), len(right))
@@ -126,7 +127,7 @@ def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Thre
 
 
 def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
-    """A threshold, and those of the quantities that its quantity is made of."""
+    """Yield a threshold, and the thresholds of the quantities that its quantity is made of."""
     yield threshold
     meaning = ranges.analysis.resolve_aliases(threshold.quantity)
     match meaning:
@@ -153,7 +154,7 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
 
 
 def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
-    """`a + b > c` needs a > c - b, where b is known."""
+    """Yield the thresholds of the parts of a sum: `a + b > c` needs a > c - b, if b is known."""
     limit, unknown = (ranges.of(b), a) if ranges.of(b).is_finite else (ranges.of(a), b)
     if not limit.is_finite or ranges.of(unknown).is_single:
         return
@@ -175,8 +176,8 @@ def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges)
 
 
 def shadowed_endings(analysis: Analysis) -> Mapping[Expression, Expression]:
-    """Endings that have no effect, each with the ending that always holds first: `abs(x) > 45 cm` after
-    `abs(x) > 39 cm`.
+    """Return the endings that have no effect, each with the ending that always holds first: `abs(x) > 45 cm`
+    after `abs(x) > 39 cm`.
 
     A failure has precedence over a success, so a failure behind a success still counts.
     """

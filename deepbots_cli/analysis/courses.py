@@ -2,9 +2,8 @@
 simulated world.
 
 A `Course` fixes quantities, such as a distance, and the clock in each timestep. Every other fact of the world
-keeps one value that is not known: it stands for all values of its range, and it never changes. So `delta` of
-it is 0, and speeds are 0. `ways` solves a condition: which values of the compared quantities make it true, or
-false.
+keeps one unknown value of its range, which never changes. So `delta` of it is 0, and speeds are 0. `ways`
+solves a condition for the values of the compared quantities that make it true, or false.
 """
 
 from __future__ import annotations
@@ -25,15 +24,15 @@ _COMPARISONS = frozenset({"less", "less_equal", "greater", "greater_equal"})
 _CLOCKS = frozenset({"time", "step"})
 _GOES_ON: Mapping[str, Interval] = dict.fromkeys(("terminated", "truncated", "ended"), NEVER)
 _OF_ITS_VALUES = frozenset({"running_max", "running_min", "low_pass", "hold", "previous"})
-"""Functions with a memory that keep the values of their argument."""
+"""The functions with a memory that keep the values of their argument."""
 _RECENT = frozenset({"delta", "previous", "low_pass"})
-"""Functions with a memory whose values may go up and down at will."""
+"""The functions with a memory whose values may go up and down at will."""
 _MAX_WAYS = 12
-"""Ways to make a condition true or false that are looked at."""
+"""The maximum number of ways to make a condition true or false that are examined."""
 EDGE = 0.01
-"""A quantity just beyond a threshold lies beyond it by this share of the threshold."""
+"""The share of a threshold by which a quantity just beyond it lies beyond it."""
 _SMALLEST_EDGE = 1e-4
-"""The same beside a threshold of 0, in SI units."""
+"""The distance from a threshold of 0 of a quantity just beyond it, in SI units."""
 
 
 class Required(NamedTuple):
@@ -44,17 +43,17 @@ class Required(NamedTuple):
 
 
 Way = Mapping[int, Required]
-"""One way to meet a condition: by the identities of quantities, where each has to lie."""
+"""One way to meet a condition: the required range of each quantity, by the identity of the quantity."""
 
 
 # Conditions
 
 
 def ways(analysis: Analysis, condition: Scalar, *, truth: bool = True) -> list[Way]:
-    """The ways in which quantities make a condition true or false; of very many only the first; none where it
-    cannot be so.
+    """Return the ways in which quantities make a condition true or false; of very many only the first; none
+    if they cannot.
 
-    A condition about how long or how often something has been so is met by what it counts: `duration(near) >
+    A condition about how long or how often something has been true is met by its argument: `duration(near) >
     1 s` by `near`.
     """
     node = analysis.resolve_aliases(condition)
@@ -82,7 +81,7 @@ def _together(parts: list[list[Way]]) -> list[Way]:
 
 
 def merged(*chosen: Way) -> Way | None:
-    """What all these ways require; None where they contradict each other."""
+    """Return the requirements of all these ways together; None if they contradict each other."""
     requirements: dict[int, Required] = {}
     for way in chosen:
         for quantity, required in way.items():
@@ -95,7 +94,7 @@ def merged(*chosen: Way) -> Way | None:
 
 
 def _compared(analysis: Analysis, whole: Op, a: Scalar, b: Scalar, *, rising: bool, truth: bool) -> list[Way]:
-    """The ways to have `a` above `b`, or below where not `rising`."""
+    """Return the ways to have `a` above `b`, or below where not `rising`."""
     quantity, bound, above = a, analysis.ranges.of(b), rising
     if _is_settled(analysis, a):
         quantity, bound, above = b, analysis.ranges.of(a), not rising
@@ -119,7 +118,7 @@ def is_clock(analysis: Analysis, node: Scalar) -> bool:
 
 
 def _is_settled(analysis: Analysis, node: Scalar) -> bool:
-    """Whether a value does not change within an episode."""
+    """Return whether a value does not change within an episode."""
     drawn = {value.name for value in analysis.program.parameters}
     parts = analysis.walk_definitions(node)
     return all(
@@ -129,7 +128,7 @@ def _is_settled(analysis: Analysis, node: Scalar) -> bool:
 
 
 def _counted(analysis: Analysis, quantity: Scalar) -> tuple[State, bool] | None:
-    """The memory that a quantity counts with, and whether it rises with it; None for a quantity of the
+    """Return the memory that a quantity counts with, and whether it rises with it; None for a quantity of the
     present."""
     node = analysis.resolve_aliases(quantity)
     match node:
@@ -160,7 +159,7 @@ def _counted(analysis: Analysis, quantity: Scalar) -> tuple[State, bool] | None:
 
 
 def _ways_to_count(analysis: Analysis, counted: tuple[State, bool], *, above: bool) -> list[Way]:
-    """The ways to make what a memory counts grow, or fall."""
+    """Return the ways to make the argument that a memory counts grow, or fall."""
     state, rises = counted
     inner, up = state.args[0], above == rises
     if state.function == "duration":
@@ -178,8 +177,8 @@ def _ways_to_count(analysis: Analysis, counted: tuple[State, bool], *, above: bo
 class Course(Ranges):
     """The ranges of values in the timesteps of a course; `follow` moves to the next one.
 
-    `flags` are the truth values of `terminated`, `truncated` and `ended`; endings have those of their
-    conditions.
+    `flags` are the truth values of `terminated`, `truncated` and `ended`; endings have the truth values of
+    their conditions.
     """
 
     def __init__(
@@ -191,8 +190,8 @@ class Course(Ranges):
         begin: float,
         is_moving: bool,
     ) -> None:
-        """`watched` are the trees whose memories advance, `quantities` those that the course fixes; it begins
-        in the step `begin`."""
+        """Create a course. `watched` are the trees whose memories advance, `quantities` the quantities that
+        the course fixes; it begins in the step `begin`."""
         super().__init__(analysis, {}, (min(begin, float(analysis.last_step)), float(analysis.last_step)))
         self._is_moving = is_moving
         self._course = quantities
@@ -218,7 +217,7 @@ class Course(Ranges):
             else ()
         )
         self._same = {analysis.identity(part): key for part, key in same if key is not None}
-        """Other measures of a distance that the course fixes."""
+        """The other measures of a distance that the course fixes."""
 
     def follow(self, values: Mapping[int, Interval]) -> None:
         """Move to a timestep in which the quantities have these values."""
@@ -240,7 +239,7 @@ class Course(Ranges):
 
     @property
     def memories(self) -> Mapping[int, Interval]:
-        """What each memory keeps, by its identity."""
+        """The value of each memory, by its identity."""
         return dict(self._memory)
 
     def skip(self, since: Mapping[int, Interval], rounds: float, ticks: int) -> None:
@@ -257,11 +256,11 @@ class Course(Ranges):
         self._set_clock(self._ticks + rounds * ticks)
 
     def certain(self, node: Scalar) -> float:
-        """What a value is at least, where memories leave it open, and at most, where only facts of the
-        present do.
+        """Return the lower bound of a value that depends on memories, and the upper bound of one that depends
+        on facts of the present alone.
 
-        Facts of the present may have any value, at any time. The range of a memory says nothing of what it
-        kept before: a `running_max` of a range does not rise by this range in each timestep.
+        Facts of the present may have any value, at any time. The range of a memory does not bound its change:
+        a `running_max` of a range does not rise by this range in each timestep.
         """
         value, identity = self.of(node), self.analysis.identity(node)
         if identity not in self._remembers:
@@ -269,7 +268,7 @@ class Course(Ranges):
         return value.low if self._remembers[identity] else value.high
 
     def end(self, flags: Mapping[str, Interval]) -> None:
-        """Set what this timestep ends, before the reward is asked for."""
+        """Set the endings of this timestep, before the reward is computed."""
         self._flags = {**_GOES_ON, **flags}
         self._forget()
 
@@ -291,7 +290,8 @@ class Course(Ranges):
         return interval
 
     def _varies(self, node: Scalar) -> bool:
-        """Whether a value depends on what the course fixes, on memories, or on how an episode ends."""
+        """Return whether a value depends on quantities that the course fixes, on memories, or on how an
+        episode ends."""
         node = self.analysis.resolve_aliases(node)
         identity = self.analysis.identity(node)
         if identity not in self._is_varied:
@@ -314,7 +314,7 @@ class Course(Ranges):
         return super()._op(op, args)
 
     def _unchanged(self, node: Scalar) -> Scalar:
-        """The value one timestep later, where it does not vary."""
+        """Return the value one timestep later, where it does not vary."""
         meaning = self.analysis.resolve_aliases(node)
         if (
             isinstance(meaning, State)
@@ -386,7 +386,7 @@ class Course(Ranges):
 
 
 def has_memory(analysis: Analysis, node: Scalar) -> bool:
-    """Whether a value depends on earlier timesteps."""
+    """Return whether a value depends on earlier timesteps."""
     return any(isinstance(part, State) for part in analysis.walk_definitions(node))
 
 
@@ -402,7 +402,7 @@ def _parts(node: Scalar) -> tuple[Scalar, ...]:
 
 
 def value_within(ranges: Ranges, required: Required) -> float:
-    """A value that a way allows: the middle of two bounds, or just beyond the only one."""
+    """Return a value that a way allows: the middle of two bounds, or just beyond the only one."""
     bounds, (low, high) = ranges.of(required.node), required.within
     if low == high:
         return low
@@ -414,12 +414,12 @@ def value_within(ranges: Ranges, required: Required) -> float:
 
 
 def beyond(threshold: float, side: float) -> float:
-    """Just above (`side` 1) or below (-1) a threshold."""
+    """Return a value just above (`side` 1) or below (-1) a threshold."""
     return threshold + side * max(EDGE * abs(threshold), _SMALLEST_EDGE)
 
 
 def thresholds_of(analysis: Analysis, trees: list[Scalar]) -> Iterator[tuple[Scalar, float]]:
-    """The quantities of the present that trees compare with a value, and each finite value."""
+    """Yield the quantities of the present that trees compare with a value, and each finite value."""
     for part in (part for tree in trees for part in analysis.walk_definitions(tree)):
         if isinstance(part, Op) and part.op in _COMPARISONS:
             for quantity, other in (part.args, part.args[::-1]):
@@ -436,13 +436,13 @@ def thresholds_of(analysis: Analysis, trees: list[Scalar]) -> Iterator[tuple[Sca
 
 
 def _may_go_to_and_fro(analysis: Analysis, quantity: Scalar, bound: Interval) -> bool:
-    """Whether a quantity depends on the present alone; of its change, only the sign is at will."""
+    """Return whether a quantity depends on the present alone; of its change, only the sign is at will."""
     states = [part for part in analysis.walk_definitions(quantity) if isinstance(part, State)]
     return not states or (bound == NEVER and all(part.function in _RECENT for part in states))
 
 
 def hold_times(analysis: Analysis, trees: list[Scalar]) -> set[float]:
-    """The times (s) with which trees compare how long something lasts."""
+    """Return the times (s) with which trees compare how long something lasts."""
     times: set[float] = set()
     for part in (part for tree in trees for part in analysis.walk_definitions(tree)):
         if isinstance(part, Op) and part.op in _COMPARISONS:

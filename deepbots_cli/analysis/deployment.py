@@ -1,4 +1,5 @@
-"""What a policy needs on a real robot: which readings of the world no robot measures, and under which names.
+"""The requirements of a policy on a real robot: the readings of the world that no robot measures, and their
+names.
 
 A reading is called as the scenario would write it, with a robot for its root link: `position(cart)`.
 """
@@ -18,7 +19,7 @@ _OF_CHANNEL = frozenset({"age", "message_received"})
 
 
 def reading_key(text: str) -> str:
-    """The name of a reading without the spaces that a person may write."""
+    """Return the name of a reading without the spaces that a person may write."""
     return re.sub(r"\s+", "", text).replace(",", ", ")
 
 
@@ -46,16 +47,16 @@ class Deployment:
         return sensors
 
     def subjects(self, read: EngineRead) -> tuple[str, ...]:
-        """The parts of the world that a reading is about; a robot for its root link."""
+        """Return the parts of the world that a reading is about; a robot for its root link."""
         return tuple(self._roots.get(subject, subject) for subject in read.subjects)
 
     def name(self, read: EngineRead) -> str:
-        """The name of a reading, without its component."""
+        """Return the name of a reading, without its component."""
         return f"{read.function}({', '.join(self.subjects(read))})"
 
     def is_measured(self, read: EngineRead) -> bool:
-        """Whether the robot measures it: the age of its messages, or a joint of which it has a sensor of this
-        kind."""
+        """Return whether the robot measures it: the age of its messages, or a joint of which it has a sensor
+        of this kind."""
         if read.function in _OF_CHANNEL or read in self.sensed:
             return True
         joint = self.joints.get(read.subjects[0])
@@ -83,7 +84,8 @@ class Deployment:
 
     @cached_property
     def nodes(self) -> tuple[Node, ...]:
-        """What the policy and the commands of its robots are computed from, through all definitions."""
+        """The nodes from which the policy and the commands of its robots are computed, through all
+        definitions."""
         return tuple(self.definitions.nodes(self._needed()))
 
     def _needed(self) -> Iterator[Scalar]:

@@ -1,4 +1,4 @@
-"""Which values are the same quantity, whatever their names."""
+"""Values that are the same quantity, whatever their names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Identities:
         self._numbers: dict[tuple[object, ...], int] = {}
 
     def of(self, node: Scalar) -> int:
-        """A number that two trees share if they mean the same quantity."""
+        """Return a number that two trees share if they mean the same quantity."""
         cached = self._identities.get(id(node))
         if cached is None:
             cached = self._identities[id(node)] = (node, self._identity(node))

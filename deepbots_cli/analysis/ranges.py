@@ -1,9 +1,9 @@
 """Value ranges: intervals of scalar trees, sharper than the intervals of their types.
 
 The type of an expression is known without its context. Here names are followed to their definitions,
-component by component, and leaves are narrowed by what the scenario says of an episode: joint limits, the
-start, which endings hold. Truth values are 0 and 1: [0, 0] is never true and [1, 1] always true. An infinite
-bound means that nothing is known.
+component by component, and leaves are narrowed by the facts of an episode: joint limits, the start, the
+endings that hold. Truth values are 0 and 1: [0, 0] is never true and [1, 1] always true. An infinite bound
+means that nothing is known.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from deepbots_cli.analysis import Analysis
 
 _MAX_CONDITIONS = 64
-"""Conditions of a conjunction that are compared with each other."""
+"""The number of conditions of a conjunction that are compared with each other."""
 _NO_RANGES: Mapping[str, Interval] = MappingProxyType({})
 
 
@@ -38,8 +38,8 @@ class Ranges:
         steps: tuple[float, float] | None = None,
         kept: tuple[int, Interval] | None = None,
     ) -> None:
-        """The names in `given` have these values; the quantity with the identity `kept[0]` stays within
-        `kept[1]`.
+        """Create ranges in which the names in `given` have these values; the quantity with the identity
+        `kept[0]` stays within `kept[1]`.
 
         `steps` are the first and the last step, by default all steps of an episode.
         """
@@ -54,14 +54,15 @@ class Ranges:
         self._names: dict[Name, Interval] = {}
 
     def where(self, quantity: int, kept: Interval) -> Ranges:
-        """The ranges while the quantity of this identity stays within `kept`."""
+        """Return the ranges while the quantity of this identity stays within `kept`."""
         return type(self)(self.analysis, self.given, self.steps, (quantity, kept))
 
     def of(self, node: Scalar) -> Interval:
-        """The range of a value. Trees are looked up by their id: hashing a tree walks it."""
+        """Return the range of a value. Trees are looked up by their id: hashing a tree walks it."""
         cached = self._known.get(id(node))
         if cached is None:
-            cached = self._known[id(node)] = (node, self._of(node))  # a tree that is kept keeps its id
+            # The tree is kept, so that no other tree gets its id.
+            cached = self._known[id(node)] = (node, self._of(node))
         return cached[1]
 
     def _of(self, node: Scalar) -> Interval:
@@ -158,7 +159,7 @@ class Ranges:
         return function_named(op).interval(*[self.of(arg) for arg in args])
 
     def _is_contradictory(self, conditions: Sequence[Scalar]) -> bool:
-        """Whether a quantity would have to be above and below: `x > 20 cm and x < 10 cm`."""
+        """Return whether a quantity would have to be above and below: `x > 20 cm and x < 10 cm`."""
         within: dict[int, Interval] = {}
         for quantity, required in self._required(conditions):
             interval = within.get(quantity, EVERYTHING)
@@ -169,8 +170,8 @@ class Ranges:
         return False
 
     def _required(self, conditions: Sequence[Scalar]) -> Iterator[tuple[int, Interval]]:
-        """The range of each quantity in which all these conditions can hold; of very many conditions only the
-        first count."""
+        """Yield the range of each quantity in which all these conditions can hold; of very many conditions
+        only the first are used."""
         analysis = self.analysis
         for condition in analysis.conjuncts(*conditions, limit=_MAX_CONDITIONS):
             match condition:
@@ -207,8 +208,8 @@ class StartRanges(Ranges):
         return super()._world(node) if interval is None else interval
 
     def initial(self, node: EngineRead) -> Interval | None:
-        """The initial range of a fact, no wider than what it is drawn from; None where the scenario does not
-        say it."""
+        """Return the initial range of a fact, no wider than the range that it is drawn from; None if the
+        scenario does not set it."""
         if not self._is_placed:
             return None
         subject = node.subjects[0]
@@ -237,7 +238,8 @@ class StartRanges(Ranges):
                 return None
 
     def joint(self, joint: str, what: str = "position") -> Interval | None:
-        """The initial position (rad or m) or velocity of a joint; None where the reset does not set it.
+        """Return the initial position (rad or m) or velocity of a joint; None where the reset does not set
+        it.
 
         A follower has the value that follows from its leader, which is at 0 where it is not set.
         """
@@ -256,8 +258,8 @@ class StartRanges(Ranges):
         return None
 
     def _velocity(self, subject: str, function: str, axis: int) -> Interval | None:
-        """Zero unless the scenario says otherwise; None where the origin moves because the body turns or its
-        joints move."""
+        """Return zero unless the scenario sets another velocity; None if the origin moves because the body
+        turns or its joints move."""
         body = self._bodies.get(subject)
         places = list(self._placements(body or subject.partition(".")[0].partition("#")[0]))
         is_moved = any(place.velocity is not None or place.angular_velocity is not None for place in places)
@@ -281,8 +283,8 @@ class StartRanges(Ranges):
         return (place for place in self.analysis.placements if place.body == body)
 
     def poses(self, body: str) -> Iterator[tuple[Placement, dict[str, Interval]]]:
-        """Each placement of a body or of the copies of a group, before the world settles: x, y, z in m, roll,
-        pitch, yaw in rad.
+        """Yield each placement of a body or of the copies of a group, before the world settles: x, y, z in m,
+        roll, pitch, yaw in rad.
 
         The z of a body that rests on the ground is unknown.
         """
@@ -306,7 +308,7 @@ class StartRanges(Ranges):
         return self.of(coordinate.scalar)
 
     def _quaternion(self, place: Placement) -> tuple[Interval, ...]:
-        """(x, y, z, w) of a body turned by roll, pitch and yaw about fixed axes, in this order."""
+        """Return (x, y, z, w) of a body turned by roll, pitch and yaw about fixed axes, in this order."""
         halves = [iv.multiply(self._coordinate(place, key), single(0.5)) for key in _ROTATION_KEYS]
         halves[2] = iv.add(halves[2], single(place.heading / 2))
         (cr, cp, cy), (sr, sp, sy) = map(iv.cosine, halves), map(iv.sine, halves)
@@ -331,7 +333,7 @@ class StartRanges(Ranges):
 
 
 def is_level(pose: Mapping[str, Interval]) -> bool:
-    """Whether a pose of `StartRanges.poses` is neither rolled nor pitched."""
+    """Return whether a pose of `StartRanges.poses` is neither rolled nor pitched."""
     return pose["roll"] == pose["pitch"] == single(0.0)
 
 
@@ -343,17 +345,17 @@ def _product(a: Interval, b: Interval, c: Interval) -> Interval:
 
 
 def with_unit(value: float, dimension: Dimension) -> str:
-    """`15 deg`, `0.4 m`, `195`."""
+    """Return a value with its unit: `15 deg`, `0.4 m`, `195`."""
     return f"{_number(value, dimension)}{_unit(dimension)}"
 
 
 def range_text(interval: Interval, dimension: Dimension) -> str:
-    """A range as the language writes it: `-18 .. 18 deg`."""
+    """Return a range as the language writes it: `-18 .. 18 deg`."""
     return f"{_number(interval.low, dimension)} .. {_number(interval.high, dimension)}{_unit(dimension)}"
 
 
 def bounds_text(interval: Interval, dimension: Dimension) -> str:
-    """`between 0 and 15 deg`, `at least 2 m`."""
+    """Return bounds in words: `between 0 and 15 deg`, `at least 2 m`."""
     if interval.is_single:
         return f"always {with_unit(interval.low, dimension)}"
     if interval.is_finite:

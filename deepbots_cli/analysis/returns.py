@@ -18,13 +18,13 @@ Terms = list[tuple[Expression, Scalar]]
 _PROGRESS_FUNCTIONS = frozenset(
     {"delta", "previous", "running_min", "running_max", "accumulate", "rising_edge", "hold"}
 )
-"""Functions that pay for getting somewhere, and nothing for staying."""
+"""The functions that pay for getting somewhere, and nothing for staying."""
 
 
 class RewardTerms:
     """The value of each reward term, in a step after which the episode goes on and in the step that ends it.
 
-    `terms` are those that are not written in Python; `is_complete` says whether these are all.
+    `terms` are the terms that are not written in Python; `is_complete` is true if these are all.
     """
 
     def __init__(self, analysis: Analysis) -> None:
@@ -39,14 +39,14 @@ class RewardTerms:
         self._at: dict[Expression | None, Ranges] = {}
 
     def ranges_while_running(self, steps: tuple[float, float] | None = None) -> Ranges:
-        """Ranges in a step after which the episode goes on."""
+        """Return the ranges in a step after which the episode goes on."""
         steps = steps or self._steps
         if steps not in self._running:
             self._running[steps] = Ranges(self.analysis, self._end_flags_at(None, truncated=False), steps)
         return self._running[steps]
 
     def ranges_at(self, ending: Expression | None) -> Ranges:
-        """Ranges in the step in which this ending holds, and no other; None stands for the truncation."""
+        """Return the ranges in the step in which this ending holds, and no other; None is the truncation."""
         if ending not in self._at:
             self._at[ending] = Ranges(
                 self.analysis, self._end_flags_at(ending, truncated=ending is None), self._steps
@@ -68,7 +68,7 @@ class RewardTerms:
         return {name: ALWAYS if held else NEVER for name, held in holds.items()}
 
     def split_by_end(self) -> tuple[Terms, Terms]:
-        """The terms that pay in ordinary steps, and the terms that pay only when an episode ends."""
+        """Return the terms that pay in ordinary steps, and the terms that pay only when an episode ends."""
         ordinary: Terms = []
         final: Terms = []
         for term, node in self.terms:
@@ -79,7 +79,7 @@ class RewardTerms:
         return ordinary, final
 
     def largest_final(self, final: Terms) -> float:
-        """The largest amount that the terms in `final` pay or cost at an end; infinite where that is
+        """Return the largest amount that the terms in `final` pay or cost at an end; infinite where that is
         unknown."""
         return max(
             iv.absolute(total_range(final, self.ranges_at(ending))).high
@@ -88,7 +88,7 @@ class RewardTerms:
 
 
 def total_range(terms: Terms, ranges: Ranges) -> Interval:
-    """The sum of terms in one step."""
+    """Return the sum of terms in one step."""
     total = NEVER
     for _, node in terms:
         total = iv.add(total, ranges.of(node))
@@ -96,14 +96,13 @@ def total_range(terms: Terms, ranges: Ranges) -> Interval:
 
 
 def return_range(analysis: Analysis) -> Interval:
-    """The range of the return of an episode, from the ranges of what a step and an end pay."""
+    """Return the range of the return of an episode, from the ranges of the reward of a step and of an end."""
     reward = analysis.reward
     if not reward.is_complete:
         return Interval(-INF, INF)
     step = total_range(reward.terms, reward.ranges_while_running())
-    end = total_range(
-        reward.terms, analysis.ranges_in(1.0, float(analysis.last_step))
-    )  # whichever endings hold, also several at once
+    # These are the ranges for any endings, also several at once.
+    end = total_range(reward.terms, analysis.ranges_in(1.0, float(analysis.last_step)))
     ticks = analysis.last_step * analysis.program.action_repeat - 1
     fewest = 0 if analysis.program.endings else ticks
     high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
@@ -112,7 +111,7 @@ def return_range(analysis: Analysis) -> Interval:
 
 
 def is_progress(analysis: Analysis, node: Scalar) -> bool:
-    """Whether a value depends on what was before."""
+    """Return whether a value depends on earlier values."""
     return any(
         isinstance(part, State) and part.function in _PROGRESS_FUNCTIONS
         for part in analysis.walk_definitions(node)

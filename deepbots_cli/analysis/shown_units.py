@@ -1,4 +1,4 @@
-"""In which unit each quantity of a scenario is shown: the one in which its file writes it.
+"""The unit in which each quantity of a scenario is shown: the one in which its file writes it.
 
 Programs, messages, recordings and JSON have SI units. Everything that a person reads has the units of
 `ShownUnits`.
@@ -32,8 +32,8 @@ class ShownUnits:
         self._root = root
 
     def of(self, unit: str, *texts: str) -> Unit:
-        """The unit in which a quantity with the SI unit `unit` is shown; `texts` are what the file says of
-        it.
+        """Return the unit in which a quantity with the SI unit `unit` is shown; `texts` are the texts of the
+        file about it.
 
         It is the first unit in the texts that fits, or else the first in the definitions of the names in
         them. An angle whose texts have no unit is shown in the unit that the file uses most for angles.
@@ -44,7 +44,8 @@ class ShownUnits:
         return written_unit(unit, *texts, *definitions) or self._of_angles.get(unit) or self._usual(unit)
 
     def of_entry(self, name: str, unit: str) -> Unit:
-        """The unit of a number of the observation, the action or the goal, such as `robot.sensor.x`."""
+        """Return the unit of a number of the observation, the action or the goal, such as
+        `robot.sensor.x`."""
         section, _, rest = name.partition(".")
         if section in _GOALS and node_at(self._root, "goal") is not None:
             return self.of(unit, text_at(self._root, "goal", "range"))
@@ -55,7 +56,7 @@ class ShownUnits:
         return self.of(unit)
 
     def _usual(self, unit: str) -> Unit:
-        """The usual unit; radians where the file writes all of its angles in radians."""
+        """Return the usual unit; radians where the file writes all of its angles in radians."""
         angle = self._of_angles.get("rad")
         return unit_named(unit) if angle is not None and angle.text == "rad" else usual_unit(unit)
 

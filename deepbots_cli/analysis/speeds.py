@@ -1,7 +1,7 @@
 """Limits of speed, and the return that they allow.
 
-Wheels on flat ground limit the speed of their robot, and motors that of their joints. A distance changes no
-faster than its two bodies move, so the sum of its changes over an episode is at most speed times time.
+Wheels on flat ground limit the speed of their robot, and motors the speed of their joints. A distance changes
+no faster than its two bodies move, so the sum of its changes over an episode is at most speed times time.
 
 The limits hold while wheels stay on the ground: an engine does not enforce them. So `highest_return` may show
 that a required return is out of reach, and is no bound for statistics; `returns.return_range` is.
@@ -31,15 +31,16 @@ _GROUND_GAP = 0.01
 """m; casters often end a little above the ground, so that the weight is on the wheels."""
 _MAX_EXPONENT = 50.0
 _AS_FAST_AS_THE_BODY = frozenset({"clearance", "path_distance", "cross_track_error", "arc_length"})
-"""Measures that follow the body; a path on a grid, and the inner side of a curve, may be a little faster."""
+"""The measures that follow the body; a path on a grid, and the inner side of a curve, may be a little
+faster."""
 
 
 # Bodies and joints
 
 
 def joint_speed(analysis: Analysis, robot: str, joint: str) -> float:
-    """The largest speed (rad/s or m/s) that a velocity motor gives a joint; infinite where nothing limits
-    it."""
+    """Return the largest speed (rad/s or m/s) that a velocity motor gives a joint; infinite where nothing
+    limits it."""
     controller = next((entry for entry in analysis.program.robots if entry.name == robot), None)
     for command in controller.commands if controller is not None else ():
         actuator = command.actuator
@@ -53,8 +54,8 @@ def joint_speed(analysis: Analysis, robot: str, joint: str) -> float:
 
 
 def base_speed(analysis: Analysis, robot: str) -> float:
-    """The largest speed (m/s) of the origin of a robot that nothing but its wheels can move; infinite where
-    that is unknown."""
+    """Return the largest speed (m/s) of the origin of a robot that nothing but its wheels can move; infinite
+    where that is unknown."""
     program = analysis.program
     world = program.world
     pushed = (
@@ -98,9 +99,8 @@ def _speed_on_wheels(analysis: Analysis, robot: str, model: RobotModel) -> float
     (left, right), (back, front) = (
         (min(at[axis] for at in places), max(at[axis] for at in places)) for axis in (1, 0)
     )
-    off = hypot(
-        max(0.0, back, -front), max(0.0, left, -right)
-    )  # how far the origin is from between the wheels
+    # The distance of the origin from the rectangle of the driven wheels.
+    off = hypot(max(0.0, back, -front), max(0.0, left, -right))
     if off > 1e-6 and right - left < 1e-6:
         return INF
     turning = 2.0 * off / (right - left) if off > 1e-6 else 0.0
@@ -108,7 +108,7 @@ def _speed_on_wheels(analysis: Analysis, robot: str, model: RobotModel) -> float
 
 
 def _radius(model: RobotModel, joint: Joint) -> float | None:
-    """The radius (m) of a wheel; None for any other joint."""
+    """Return the radius (m) of a wheel; None for any other joint."""
     shapes = [part.shape for part in model.link(joint.child).collisions]
     if joint.type != "continuous" or len(shapes) != 1 or not isinstance(shapes[0], (Cylinder, Sphere)):
         return None
@@ -116,7 +116,8 @@ def _radius(model: RobotModel, joint: Joint) -> float | None:
 
 
 def _stands(model: RobotModel, wheels: Sequence[Joint]) -> bool:
-    """Whether a robot stands without balancing: on wheels and other parts that do not lie on one line."""
+    """Return whether a robot stands without balancing: on wheels and other parts that do not lie on one
+    line."""
     places = [joint.origin.xyz[:2] for joint in wheels]
     bottom = min(joint.origin.xyz[2] - (_radius(model, joint) or 0.0) for joint in wheels) if wheels else 0.0
     for name in model.links_below(model.root, rigid=True):
@@ -145,7 +146,7 @@ def _half_width(shape: object) -> float:
 
 
 def _speed_of(analysis: Analysis, subject: str) -> float:
-    """The largest speed (m/s) of the origin of a body."""
+    """Return the largest speed (m/s) of the origin of a body."""
     base = subject.partition("#")[0]
     for body in analysis.program.world.robots:
         if base in (body.name, f"{body.name}.{body.model.root}"):
@@ -160,7 +161,7 @@ def _speed_of(analysis: Analysis, subject: str) -> float:
 
 
 def rate_of(analysis: Analysis, node: Scalar, *, exact: bool = False) -> float:
-    """The largest change of a value per second; infinite where nothing limits it.
+    """Return the largest change of a value per second; infinite where nothing limits it.
 
     `exact` leaves out measures that may be a little faster than their body.
     """
@@ -257,13 +258,13 @@ class SpeedRanges(Ranges):
         return interval
 
     def change(self, quantity: Scalar) -> float:
-        """The largest change of a quantity in a timestep."""
+        """Return the largest change of a quantity in a timestep."""
         return rate_of(self.analysis, quantity, exact=True) * self.analysis.program.world.timestep
 
 
 def change_of(analysis: Analysis, one: Scalar, other: Scalar) -> Scalar | None:
-    """The quantity whose change in a timestep the difference of two values is, as in `previous(x) - x`; None
-    for any other."""
+    """Return the quantity whose change in a timestep the difference of two values is, as in `previous(x) -
+    x`; None for any other."""
     a, b = analysis.resolve_aliases(one), analysis.resolve_aliases(other)
     for before, now in ((a, b), (b, a)):
         match before:
@@ -280,7 +281,7 @@ def _within(interval: Interval, limit: float) -> Interval:
 
 
 def highest_return(analysis: Analysis) -> float:
-    """The highest return of an episode within limits of speed; infinite where nothing bounds it."""
+    """Return the highest return of an episode within limits of speed; infinite where nothing bounds it."""
     reward, highest = analysis.reward, return_range(analysis).high
     if not reward.is_complete:
         return INF
@@ -294,7 +295,8 @@ def highest_return(analysis: Analysis) -> float:
 
 
 def _sum(ranges: SpeedRanges, node: Scalar, ticks: int) -> Interval:
-    """The range of the sum of a value over the timesteps of an episode, at least one and at most `ticks`."""
+    """Return the range of the sum of a value over the timesteps of an episode, at least one and at most
+    `ticks`."""
     analysis = ranges.analysis
     node = analysis.resolve_aliases(node)
     match node:
@@ -318,14 +320,14 @@ def _sum(ranges: SpeedRanges, node: Scalar, ticks: int) -> Interval:
 
 
 def _total_change(ranges: SpeedRanges, quantity: Scalar, ticks: int) -> Interval:
-    """The change of a quantity over an episode: within its range, and no faster than it can change."""
+    """Return the change of a quantity over an episode: within its range, and no faster than it can change."""
     limit = rate_of(ranges.analysis, quantity, exact=True) * ranges.analysis.program.world.timestep * ticks
     change = iv.subtract(ranges.of(quantity), ranges.analysis.start.of(quantity))
     return _within(change, limit) if 0.0 in change else change
 
 
 def speed_notes(analysis: Analysis) -> tuple[str, ...]:
-    """The largest speeds of the robots, for a note."""
+    """Return the largest speeds of the robots, for a note."""
     speeds = {body.name: base_speed(analysis, body.name) for body in analysis.program.world.robots}
     return tuple(
         f"`{name}` moves at most with {speed:.3g} m/s" for name, speed in speeds.items() if speed < INF

@@ -1,17 +1,16 @@
 """Work on processes of this machine, or over a Ray cluster.
 
-session.py           `Cluster`: the workers that a person names
-worker_pool.py       `WorkerPool`, which both kinds of workers implement; what a worker runs and checks
+session.py           `Cluster`: the workers that the user names
+worker_pool.py       `WorkerPool`, the interface of both kinds of workers; functions and checks of a worker
 local_processes.py   workers as processes of this machine, with the standard library alone
 worker.py            such a process
 ray_cluster.py       workers of a Ray cluster; only this module and the next one import Ray
 ray_internals.py     the private members of Ray that deepbots uses
 shards.py            the shards of a training on workers, which are replaced when they are lost
-tasks.py             calls of a function on workers, such as trainings of a group, which are repeated when
-                     they are lost
+tasks.py             calls of a function on workers (trainings of a group), repeated when they are lost
 
 The result of a training does not depend on where its parts run: shards and trainings are functions of the
-scenario, the seed and their number. What a worker computes therefore may be lost, and is computed again
+scenario, the seed and their number. The results of a worker therefore may be lost, and are computed again
 elsewhere.
 """
 
@@ -26,8 +25,7 @@ __all__ = ["Cluster"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import what spreads work when it is asked for: a worker reads its first call before it imports anything
-    large."""
+    """Import the cluster lazily: a worker reads its first call before it imports anything large."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from deepbots_cli.cluster import session

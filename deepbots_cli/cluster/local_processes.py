@@ -28,9 +28,9 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.processes import python_command, python_environment
 
 _LAST_BREATH_S = 1.0
-"""How long a process may take to end after it has closed its pipe."""
+"""The time in s that a process may take to end after it has closed its pipe."""
 _TICK_S = 1.0
-"""How long this process waits before it looks at signals, which a wait on Windows ignores."""
+"""The time in s that this process waits before it looks at signals, which a wait on Windows ignores."""
 
 
 class Owed:
@@ -174,7 +174,7 @@ class LocalProcesses:
         return owed
 
     def _take(self, worker: Worker, message: tuple[str, Any] | None) -> None:
-        """A message of a worker; None is its end."""
+        """Take a message of a worker; None is its end."""
         if message is None:
             self._remove(worker, _LAST_BREATH_S)
         elif not worker.owed:
@@ -231,7 +231,8 @@ class LocalCalls:
         return None
 
     def close(self) -> None:
-        """A process that was told to stop may receive this in its next call, so it makes none."""
+        """Close the calls. A process that was told to stop could receive the signal in its next call, so it
+        gets no further call."""
         for item in self._stopped:
             self._processes.end(self._running[item].worker)
 
@@ -240,7 +241,7 @@ class LocalCalls:
             self._begun.add(item)
         elif kind == "report":
             self._reports[item] = value
-        elif item not in self._stopped:  # after that, the caller says how to go on
+        elif item not in self._stopped:  # after that, the caller prints how to continue
             self._notes.append((item, value))
 
 

@@ -144,7 +144,7 @@ class RayCluster:
             raise WorkerLost(str(error).strip().partition("\n")[0]) from error
 
     def check(self) -> None:
-        """Calls of Ray may wait forever for a node of this process that was lost."""
+        """Check that Ray can answer: its calls may wait forever for a node of this process that was lost."""
         import ray
 
         here = ray.get_runtime_context().get_node_id()
@@ -217,7 +217,7 @@ class RayCalls:
         ray.kill(self._board)
 
     def _unfit_nodes(self) -> dict[str, str]:
-        """What nodes of a cluster lack, in a sentence for each."""
+        """Return a sentence for each node of a cluster that lacks something."""
         import ray
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
@@ -239,7 +239,7 @@ class RayCalls:
 
 
 def _nodes() -> dict[str, str]:
-    """The hosts of the nodes with a CPU for workers, by the identifier of the node."""
+    """Return the hosts of the nodes with a CPU for workers, by the identifier of the node."""
     import ray
 
     nodes = ray.nodes()
@@ -276,7 +276,7 @@ class _BoardLine:
         self._newest = value
 
     def note(self, text: str) -> None:
-        if not self._is_stopping:  # the caller says how to go on
+        if not self._is_stopping:  # the caller prints how to continue
             self._notes.append(text)
 
     def _run(self) -> None:
@@ -300,8 +300,8 @@ class _BoardLine:
 
 
 def _make_board() -> Any:
-    """The actor that keeps the newest report of each call. Its class goes to the worker as it is, without an
-    import of deepbots."""
+    """Return the actor that keeps the newest report of each call. Its class is sent to the worker as it is,
+    without an import of deepbots."""
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
@@ -377,7 +377,7 @@ def _last_words() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _termination_handler_kept() -> Iterator[None]:
-    """The handler of SIGTERM stays as it is; Ray sets one that ends the process."""
+    """Keep the handler of SIGTERM within the block; Ray sets one that ends the process."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -390,7 +390,8 @@ def _termination_handler_kept() -> Iterator[None]:
 
 @contextmanager
 def _working_directory(folder: Path) -> Iterator[None]:
-    """Within, the working directory is `folder`: Ray puts it first on the import path of its workers."""
+    """Make `folder` the working directory within the block: Ray puts it first on the import path of its
+    workers."""
     before = Path.cwd()
     os.chdir(folder)
     try:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def messages_left_out() -> Iterator[None]:
-    """Within, a Ray that is joined does not print the messages of its nodes. Lost workers are reported by
+    """Keep Ray within the block from printing the messages of its nodes. Lost workers are reported by
     deepbots."""
     from ray._private import worker
 

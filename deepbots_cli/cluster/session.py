@@ -16,7 +16,7 @@ from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.calls import Attempt
 from deepbots_cli.learning.executor import CallOptions, Item, Result
 
-if TYPE_CHECKING:  # what evaluates and trains imports torch; tests of scenarios do without
+if TYPE_CHECKING:  # these modules import torch, which tests of scenarios do not need
     from deepbots_cli.learning.environments import WorldFactory
     from deepbots_cli.learning.run import Run
     from deepbots_cli.program.task import Training
@@ -57,13 +57,13 @@ class Cluster:
 
     @property
     def workers(self) -> int:
-        """The number of workers: that which was asked for, or the CPUs of the cluster."""
+        """The number of workers: the requested one, or the number of CPUs of the cluster."""
         return self._pool.workers
 
     def shards(
         self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]
     ) -> ShardPool:
-        """The shards of a training on the workers.
+        """Return the shards of a training on the workers.
 
         Raises:
             UsageError: A worker does not see the run, or has another version of deepbots or of its libraries.

@@ -1,7 +1,7 @@
 """The shards of a training on workers.
 
 A worker has one or more shards. When it is lost, alone or with its node, its shards continue on another
-worker from the end of the last fragment, and repeat what was lost of the present one: the same numbers. A
+worker from the end of the last fragment, and repeat the lost part of the present one with the same results. A
 node that joins later gets a worker with the next fragment.
 """
 
@@ -27,15 +27,15 @@ from deepbots_cli.rollout.collector import Evaluated, EvaluationOrder, Harvest, 
 from deepbots_cli.rollout.worlds import Array
 
 _READY_TIMEOUT_S = 60.0
-"""How long shards wait for a new worker while others could take them, and then for the next attempt to start
-one."""
+"""The time in s for which shards wait for a new worker while others could take them, and then for the next
+attempt to start one."""
 _MAX_VAIN_STARTS = 5
-"""How often in a row all new workers may end while they start, if there are no others."""
+"""The number of times in a row that all new workers may end while they start, if there are no others."""
 
 
 class Beginning(NamedTuple):
-    """What a worker needs to make a shard: the numbers of its worlds, the running episode of each, and the
-    permissions of the training."""
+    """The arguments with which a worker makes a shard: the numbers of its worlds, the running episode of
+    each, and the permissions of the training."""
 
     worlds: Sequence[int]
     episodes: Sequence[RunningEpisode]
@@ -46,7 +46,7 @@ class ShardWorker:
     """Shards of one training, in a process of their own."""
 
     def __init__(self, run: Path, number: int) -> None:
-        self._settings = ExitStack()  # for the life of this process
+        self._settings = ExitStack()  # closed when the process ends
         self._settings.enter_context(output_in(run / WORKERS_FOLDER / f"{number}.log"))
         from deepbots_cli.learning.sb3.algorithms import torch_settings
 
@@ -55,7 +55,8 @@ class ShardWorker:
         self._shards: dict[int, Any] = {}
 
     def unmet(self, requirements: Requirements, digest: str) -> str | None:
-        """What this process lacks, in a sentence; `digest` is that of the program of the run."""
+        """Return a sentence with the requirement that this process does not meet; `digest` is that of the
+        program of the run."""
         reason = requirements.unmet()
         if reason is None and Run.open(self._path).digest != digest:
             host = socket.gethostname()
@@ -104,11 +105,11 @@ class RemoteShards:
     """The shards of a training on workers.
 
     Args:
-        pool: What has the processes.
+        pool: The pool of processes.
         run: The run, in a folder that all workers see.
-        permissions: Those of the training.
+        permissions: The permissions of the training.
         worlds: The numbers of the worlds of each shard.
-        note: Called with what the user should know, such as a lost worker.
+        note: Called with messages for the user, such as about a lost worker.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class RemoteShards:
         self._wanted = min(pool.workers, len(worlds))
         self._workers: dict[int, Any] = {}
         self._homes: list[int | None] = [None] * len(worlds)
-        """The worker of each shard; None after this was lost."""
+        """The worker of each shard; None after it was lost."""
         self._new: set[int] = set()
         """The shards that have to begin on their worker."""
         self._started = self._vain_starts = 0
@@ -282,7 +283,7 @@ class RemoteShards:
         return waiting
 
     def _forget(self, lost: int) -> None:
-        """A worker is lost: its shards have no home."""
+        """Forget a worker that is lost, and the homes of its shards."""
         if self._workers.pop(lost, None) is not None:
             self._note(f"worker {lost} was lost; its shards continue on another worker")
         self._homes = [None if home == lost else home for home in self._homes]

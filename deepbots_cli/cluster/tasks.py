@@ -17,11 +17,11 @@ _NEWS_INTERVAL_S = 0.3
 
 
 class Tasks:
-    """Calls of a function on the workers of an pool.
+    """Calls of a function on the workers of a pool.
 
     Args:
         pool: The pool.
-        options: Those of `Executor.map`.
+        options: The options of `Executor.map`.
     """
 
     def __init__(self, pool: WorkerPool, options: CallOptions) -> None:
@@ -70,7 +70,7 @@ class Tasks:
             )
 
     def _end(self, ready: Any, *, is_stopping: bool) -> None:
-        """A call has ended, or its worker."""
+        """Handle the end of a call, or of its worker."""
         call = self._running.pop(ready)
         try:
             outcome = self._pool.answer(ready)

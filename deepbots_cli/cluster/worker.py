@@ -22,7 +22,7 @@ class Parent:
     """The connection to the process that has started this one.
 
     Attributes:
-        state: What calls keep for later ones.
+        state: The values that calls keep for later ones.
     """
 
     def __init__(self, out: IO[bytes]) -> None:
@@ -90,7 +90,7 @@ def _receive(source: IO[bytes], calls: SimpleQueue[bytes]) -> None:
 
 
 def _passable(error: Exception) -> Exception:
-    """An error that can be pickled, with its traceback in a note."""
+    """Return an error that can be pickled, with its traceback in a note."""
     text = "".join(traceback.format_exception(error))
     try:
         error.add_note(f"in a worker:\n{text}")

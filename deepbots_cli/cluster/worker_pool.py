@@ -1,7 +1,8 @@
-"""What shards and calls need from the processes that do their work.
+"""The interface between shards or calls and the processes that do their work.
 
 `LocalProcesses` (`local_processes.py`) starts processes on this machine, and `RayCluster` (`ray_cluster.py`)
-uses those of a Ray cluster. The module also has what a worker of either kind runs and checks.
+uses those of a Ray cluster. The module also has the functions that a worker of either kind runs and the
+requirements that it checks.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from deepbots_cli.learning.calls import Attempt
 from deepbots_cli.learning.records import versions
 
 MAX_LOSSES = 3
-"""Workers that may be lost in one fragment of a shard, or in one call."""
+"""The number of workers that may be lost in one fragment of a shard, or in one call."""
 _LIBRARIES = ("numpy", "torch", "stable-baselines3", "pybullet", "mujoco")
-"""Libraries on whose versions the numbers depend."""
+"""The libraries on whose versions the results depend."""
 
 
 class WorkerLost(Exception):  # noqa: N818  # a state, which never reaches the user
@@ -35,7 +36,7 @@ class WorkerLost(Exception):  # noqa: N818  # a state, which never reaches the u
 
 
 class News(NamedTuple):
-    """What calls have sent since the last question, by the numbers of their items.
+    """The reports that calls have sent since the last question, by the numbers of their items.
 
     `begun` has all calls that have begun; it is None if nobody answered.
     """
@@ -56,7 +57,7 @@ class WorkerPool(Protocol):
         """The number of processes that work at a time."""
 
     def free(self) -> int:
-        """The number of processes that can start now."""
+        """Return the number of processes that can start now."""
 
     def start(self, kind: Callable[..., Any], *arguments: object) -> Any:
         """Make an object in a process of its own."""
@@ -65,16 +66,16 @@ class WorkerPool(Protocol):
         """Call a method of such an object after the earlier ones; the answer that it owes."""
 
     def share(self, value: object) -> Any:
-        """What to pass instead of a value that several calls take."""
+        """Return the object to pass instead of a value that several calls take."""
 
     def end(self, worker: Any) -> None:
         """End the process of such an object."""
 
     def wait(self, owed: Collection[Any], count: int = 1, timeout_s: float | None = None) -> Sequence[Any]:
-        """Wait for `count` answers, at most `timeout_s`; those that are ready."""
+        """Wait for `count` answers, at most `timeout_s`, and return those that are ready."""
 
     def answer(self, owed: Any) -> Any:
-        """An answer that is ready.
+        """Return an answer that is ready.
 
         Raises:
             WorkerLost: The worker ended before it answered.
@@ -99,16 +100,16 @@ class Calls(Protocol):
     """The calls of one `Executor.map` on an pool."""
 
     def submit(self, call: Call) -> Any:
-        """Begin a call; the answer that it owes, which is that of `perform`."""
+        """Begin a call and return the answer that it owes, which is that of `perform`."""
 
     def cancel(self, owed: Any) -> None:
         """End the process of a call."""
 
     def news(self, *, stop: bool) -> News:
-        """The news. With `stop`, the calls that have begun receive SIGTERM, each once."""
+        """Return the news. With `stop`, the calls that have begun receive SIGTERM, each once."""
 
     def leave_out(self) -> Sequence[str] | None:
-        """After a refusal: give no more work to what is unfit. Returns notes, None if everything is fit.
+        """Give no more work to unfit workers, after a refusal. Returns notes, None if all workers are fit.
 
         Raises:
             UsageError: Nothing is fit.
@@ -118,13 +119,13 @@ class Calls(Protocol):
         """End with calls."""
 
 
-# What a worker runs
+# Functions that a worker runs
 
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a worker must have: the working directory, the same files, and the same versions of deepbots and
-    its libraries."""
+    """The requirements of a worker: the working directory, the same files, and the same versions of deepbots
+    and its libraries."""
 
     folder: Path
     files: Mapping[Path, str]
@@ -135,7 +136,7 @@ class Requirements:
         return cls(Path.cwd(), {path.absolute(): _digest(path) for path in files}, library_versions())
 
     def unmet(self) -> str | None:
-        """What this process lacks, in a sentence."""
+        """Return a sentence with the requirement that this process does not meet."""
         worker, here = f"the worker on {socket.gethostname()}", library_versions()
         for name, version in self.versions.items():
             if here.get(name) != version:
@@ -178,7 +179,7 @@ class Call(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """Why a worker cannot do any call."""
+    """The reason why a worker cannot do any call."""
 
     reason: str
 
@@ -190,7 +191,7 @@ class Line(Protocol):
         """Send how far the call is."""
 
     def note(self, text: str) -> None:
-        """Send what the user should know."""
+        """Send a message for the user."""
 
 
 def perform(call: Call, line: AbstractContextManager[Line]) -> object:
@@ -221,7 +222,7 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
 
 @contextmanager
 def output_in(path: Path) -> Iterator[None]:
-    """Within, standard output and error of this process go into a file."""
+    """Write standard output and error of this process into a file within the block."""
     streams = (sys.stdout, sys.stderr)
     for stream in streams:
         stream.flush()

@@ -1,18 +1,16 @@
 """From a program to readable Python.
 
-    Program  ->  robot.py       a controller class per robot: use_message_data, create_message; its sensors
-                                and actuators
-             ->  supervisor.py  the supervisor class: what it binds, the paper's methods, hand-written
-             policies
-                   reset.py     what an episode draws and varies, and how it begins
+    Program  ->  robot.py       a controller class per robot: use_message_data, create_message, its devices
+             ->  supervisor.py  the supervisor class: bindings, the paper's methods, hand-written policies
+                   reset.py     the draws and variations of an episode, and its start
                    step.py      a step and its ticks, and `_observe`, which computes everything once per tick
-workspace.py   what the methods of a supervisor share; what is read from the engine
+workspace.py   names that the methods of a supervisor share; reads of the engine
 printer.py     numbers, vectors and the memories of stateful functions
 text.py        identifiers, constants, templates, long lines
 
 Bindings and imports are collected while the methods are printed, and written before them.
-Only scalar trees and checked names are printed; no text of the user's reaches the code but names that
-match `[a-z_][a-z0-9_]*`, quoted strings and comments.
+Only scalar trees and checked names are printed. The only texts of the user in the code are names that match
+`[a-z_][a-z0-9_]*`, quoted strings and comments.
 """
 
 from __future__ import annotations
@@ -69,13 +67,13 @@ calls `_advance`, which observes. `add` does not change worlds whose episode has
 of each single world in turn.
 """
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
-# The group is empty for what is no name: quotes, comments, numbers, attributes and the keywords of calls.
+# The group is empty for parts that are no names: quotes, comments, numbers, attributes and the keywords of calls.
 _NAME_IN_CODE = re.compile(r'"(?:[^"\\]|\\.)*"|#.*|[.\d]\w*|\w+=(?!=)|([A-Za-z_]\w*)')
 
 
 @lru_cache(maxsize=16)
 def generate_module(scenario: Program, target: str = "scalar") -> str:
-    """The module that runs `scenario`: one controller class per robot and the supervisor class.
+    """Return the module that runs `scenario`: one controller class per robot and the supervisor class.
 
     It is kept for the next copy of the environment: printing PandaReach takes 50 ms.
 
@@ -83,7 +81,7 @@ def generate_module(scenario: Program, target: str = "scalar") -> str:
         target: `scalar` for single worlds, or `batch` for many at once.
 
     Raises:
-        BatchError: A batch cannot hold the scenario; says why.
+        BatchError: A batch cannot run the scenario; the message gives the reasons.
         ValueError: A name is no identifier of the language, which is a fault of the compiler.
     """
     for name in _names(scenario):
@@ -147,7 +145,7 @@ def _imports(used: set[str], on_floats: bool) -> list[str]:
 
 
 def batch_obstacles(scenario: Program) -> list[str]:
-    """Why a batch cannot hold a scenario; nothing where it can."""
+    """Return the reasons why a batch cannot run a scenario; empty if it can."""
     agent = scenario.agent
     reasons = [
         (
@@ -166,7 +164,7 @@ def batch_obstacles(scenario: Program) -> list[str]:
 
 
 def _names(scenario: Program) -> Iterator[str]:
-    """The names that the scenario defines."""
+    """Yield the names that the scenario defines."""
     robots = scenario.robots
     parts: list[tuple[Any, ...]] = [
         part
@@ -186,14 +184,14 @@ def _names(scenario: Program) -> Iterator[str]:
 
 
 def _as_isort(name: str) -> tuple[int, str]:
-    """Constants, classes, functions."""
+    """Return the key for isort's order: constants, classes, functions."""
     if name.isupper():
         return 0, name
     return 1 if name[0].isupper() else 2, name
 
 
 def _without_gaps(lines: list[str]) -> list[str]:
-    """At most two blank lines in a row, and one inside of classes."""
+    """Return the lines with at most two blank lines in a row, and one inside of classes."""
     result: list[str] = []
     for index, line in enumerate(lines):
         if line or not result:
@@ -221,5 +219,5 @@ def load_module(code: str, name: str, filename: str) -> ModuleType:
 
 @lru_cache(maxsize=16)
 def _compiled(code: str, filename: str) -> CodeType:
-    """Copies of one environment share the compiled text."""
+    """Return the compiled code, which copies of one environment share."""
     return compile(code, filename, "exec", dont_inherit=True)

@@ -39,14 +39,14 @@ _VECTOR_FUNCTIONS = {
     "scalar": {"add": "total", "min": "min", "max": "max", "or": "any", "and": "all"},
     "batch": {"add": "total", "min": "minimum", "max": "maximum", "or": "any_of", "and": "all_of"},
 }
-"""By target, the function that an operation on many arguments of the same form is printed as; it takes one
+"""The function that an operation on many arguments of the same form is printed as, by target; it takes one
 vector."""
 _MIN_LOOP_ITEMS = 4
 _NEUTRAL_VALUES = {"add": 0.0, "sub": 0.0, "mul": 1.0}
 
 
 class Column(NamedTuple):
-    """The code of a sequence, and of what is taken from each of its items."""
+    """The code of a sequence, and of the part that is taken from each of its items."""
 
     code: str
     item: str = ""
@@ -87,7 +87,7 @@ class Printer:
         self._settable = settable
         self._renamed = renamed
         self._hoisted: dict[State, tuple[str, str]] = {}
-        """The local that holds the value of a memory, and what is taken from it, such as `[0]`."""
+        """The local that has the value of a memory, and the part that is taken from it, such as `[0]`."""
         self._newest_update: _Update | None = None
         self.reads_at = 0
 
@@ -99,22 +99,22 @@ class Printer:
         self.reads_at = len(self.lines)
 
     def method_lines(self, docstring: Sequence[str] = ()) -> list[str]:
-        """All lines, with the calls of readers."""
+        """Return all lines, with the calls of readers."""
         at, reads = self.reads_at, self.context.readers.call_lines(self.needs)
         return [*docstring, *self.lines[:at], *reads, *self.lines[at:]] or ["pass"]
 
     def value(self, tree: Scalar) -> str:
-        """The code of a number; what must happen first has been printed."""
+        """Return the code of a number; statements that must run first have been printed."""
         code = self.code(tree).text
         name = self._settable.get(id(tree))
         return code if name is None else f"self.episode_value({quoted(name)}, {code})"
 
     def vector_or_number(self, components: Sequence[object], trees: Sequence[Scalar]) -> str:
-        """The code of a vector with these components, or of a number without any."""
+        """Return the code of a vector with these components, or of a number without any."""
         return self.vector(trees) if components else self.value(trees[0])
 
     def assign(self, target: str, code: str, text: str = "") -> None:
-        """An assignment, with the text of the scenario that it was made from."""
+        """Print an assignment, with the text of the scenario that it was made from."""
         newest = self._newest_update
         if newest is not None and newest.place == len(self.lines) - 1 and newest.local == code:
             self._hoisted = {
@@ -126,11 +126,12 @@ class Printer:
         self.lines += with_comment(f"{target} = {code}", text)
 
     def add_in_place(self, target: str, code: str) -> None:
-        """Add to a kept value. A column is replaced, as others may hold the old one, in worlds that go on."""
+        """Add to a kept value. A column is replaced, since other code may still use the old one, in worlds
+        that go on."""
         self.line(f"{target} += {code}" if self.on_floats else f"{target} = self.add({target}, {code})")
 
     def operation(self, operation: str, args: Sequence[Code]) -> Code:
-        """The code of an operation on values with this code."""
+        """Return the code of an operation on values with this code."""
         return (
             operation_code(operation, args, (), self.context.target)
             if len(args) > 1 or operation == "not"
@@ -143,11 +144,11 @@ class Printer:
         return self.context.target is SCALAR
 
     def tuple(self, trees: Sequence[Scalar]) -> str:
-        """The code of a tuple with one item per tree."""
+        """Return the code of a tuple with one item per tree."""
         return tuple_code([self.value(tree) for tree in trees])
 
     def vector(self, trees: Sequence[Scalar]) -> str:
-        """The code of a sequence with one item per tree."""
+        """Return the code of a sequence with one item per tree."""
         names = [self._settable.get(id(tree)) for tree in trees]
         if not any(names) and (column := self._column(trees)) is not None:
             return column.elements
@@ -164,7 +165,8 @@ class Printer:
         return self.tuple(trees)
 
     def update_memories(self, trees: Sequence[Scalar]) -> None:
-        """Print only what keeps the memory of stateful functions, for values that are not needed here."""
+        """Print only the statements that update the memory of stateful functions, for values that are not
+        needed here."""
         groups: dict[tuple[str, tuple[str, str]], list[State]] = {}
         states = (
             state for tree in trees for state in outer_states(tree, without=self.context.begun_by_message)
@@ -209,7 +211,8 @@ class Printer:
         return f"self.streams.{distribution}({', '.join([stream, *args])})"
 
     def _pose_function_code(self, tree: Op) -> Code | None:
-        """A function of the poses of bodies, or a component of a vector as a body sees it."""
+        """Return the code of a function of the poses of bodies, or of a component of a vector as a body sees
+        it."""
         call = _of_poses(tree)
         if call is not None:
             poses = [self.context.readers.pose(body, self.needs) for body in call[1]]
@@ -225,7 +228,8 @@ class Printer:
         )
 
     def _reduction_code(self, tree: Op) -> Code | None:
-        """An operation on many arguments of the same form, as one operation on a vector."""
+        """Return the code of an operation on many arguments of the same form, as one operation on a
+        vector."""
         if tree.op == "hypot" and (column := self._column(tree.args)) is not None:
             return Code(f"hypot(*{column.elements})")
         joined = _VECTOR_FUNCTIONS[self.context.target.name].get(tree.op)
@@ -243,7 +247,7 @@ class Printer:
         return Code(f"{joined}({code[1:-1] if lazy else code})")
 
     def _column(self, trees: Sequence[Scalar]) -> Column | None:
-        """A vector that is there as a whole, or a constant one."""
+        """Return the code of a vector that is there as a whole, or of a constant one."""
         if not trees:
             return Column("()")
         if all(isinstance(tree, Const) for tree in trees):
@@ -280,7 +284,7 @@ class Printer:
         return "".join(self._hoisted[state])
 
     def _states(self, states: Sequence[State]) -> Column | None:
-        """A vector of memories; None where they differ in more than their component."""
+        """Return the code of a vector of memories; None if they differ in more than their component."""
         hoisted = [self._hoisted.get(state) for state in states]
         if hoisted[0] is not None:
             local = hoisted[0][0]
@@ -298,12 +302,12 @@ class Printer:
         return Column(name)
 
     def _update(self, name: str, arguments: str) -> None:
-        """The statement that updates a memory."""
+        """Print the statement that updates a memory."""
         self._newest_update = _Update(len(self.lines), name, f"self.{name}.update({arguments})")
         self.line(f"{name} = {self._newest_update.call}")
 
     def _memory(self, states: Sequence[State]) -> str:
-        """The attribute that holds memories, and the local that holds their values."""
+        """Return the attribute that has the memories, and the local that has their values."""
         first = states[0]
         owner = first.slot.partition("#")[0].rpartition(".")[2]
         name = self.names.identifier(f"memory {first.slot}", first.function, owner)
@@ -319,7 +323,7 @@ class Printer:
 
 
 def _alike_at_start(texts: Sequence[str]) -> int:
-    """How many characters all texts begin with."""
+    """Return the number of characters with which all texts begin."""
     return next(
         (index for index, signs in enumerate(zip(*texts, strict=False)) if len(set(signs)) > 1),
         min(map(len, texts)),
@@ -331,20 +335,20 @@ class _DifferentShapesError(Exception):
 
 
 class _Loop:
-    """The common body of several trees, and the columns of what differs between them."""
+    """The common body of several trees, and the columns of the parts in which they differ."""
 
     def __init__(self, printer: Printer) -> None:
         self._printer = printer
         self._columns: dict[str, str] = {}
 
     def variable(self, column: Column) -> str:
-        """The code of an item of the column."""
+        """Return the code of an item of the column."""
         if column.code not in self._columns and len(self._columns) == len(LOOP_VARIABLES):
             raise _DifferentShapesError
         return self._columns.setdefault(column.code, LOOP_VARIABLES[len(self._columns)]) + column.item
 
     def string(self, texts: Sequence[str]) -> str:
-        """The code of a text that differs in a part, such as a stream."""
+        """Return the code of a text that differs in a part, such as a stream."""
         start = _alike_at_start(texts)
         end = _alike_at_start([text[start:][::-1] for text in texts])
         start = max(texts[0].rfind(sign, 0, start) + 1 for sign in ".:#")
@@ -360,12 +364,12 @@ class _Loop:
         return f"f{around[0]}{{{self.variable(Column(self._printer.context.constants.strings(parts)))}}}{around[1]}"
 
     def code(self, body: str) -> str:
-        """The vector as a comprehension."""
+        """Return the vector as a comprehension."""
         variables, columns = ", ".join(self._columns.values()), ", ".join(self._columns)
         return f"[{body} for {variables} in {columns if len(self._columns) == 1 else f'zip({columns})'}]"
 
     def body(self, trees: Sequence[Scalar]) -> Code:
-        """The code of one of the trees.
+        """Return the code of one of the trees.
 
         Raises:
             _DifferentShapesError: They have no common body.
@@ -408,8 +412,8 @@ class _Loop:
 
 
 def _with_same_operation(operations: Sequence[Op], trees: Sequence[Scalar]) -> Sequence[Op]:
-    """The trees as the same operation; a constant that leaves a tree as it is stands where the others have
-    theirs.
+    """Return the trees as the same operation; a tree without the operation gets a constant that leaves it as
+    it is.
 
     Raises:
         _DifferentShapesError: They are no such.
@@ -439,7 +443,8 @@ def _with_same_operation(operations: Sequence[Op], trees: Sequence[Scalar]) -> S
 
 
 def outer_states(tree: Scalar, without: Container[tuple[str, str]] = ()) -> list[State]:
-    """Stateful functions in order of evaluation, without those inside others and without some calls."""
+    """Return the stateful functions in order of evaluation, without those inside others and without some
+    calls."""
     match tree:
         case State() if tree.call not in without:
             return [tree]
@@ -449,7 +454,7 @@ def outer_states(tree: Scalar, without: Container[tuple[str, str]] = ()) -> list
             return []
 
 
-# Functions of poses, which stand in a program as what they are made of
+# Functions of poses, which a program contains as the operations that they are made of
 
 
 class _BodyFrameComponent(NamedTuple):
@@ -464,7 +469,7 @@ _ONE, _OTHER = "one", "other"
 
 
 def _patterns() -> dict[str, list[tuple[str, Scalar]]]:
-    """The trees of functions of poses, by their outermost operation."""
+    """Return the trees of functions of poses, by their outermost operation."""
     patterns: dict[str, list[tuple[str, Scalar]]] = {}
     for function in FUNCTIONS.values():
         if function.family is Family.WORLD and function.tree is not None:
@@ -475,14 +480,15 @@ def _patterns() -> dict[str, list[tuple[str, Scalar]]]:
 
 
 _PATTERNS = _patterns()
+# The trees to which `lower` turns `to_body_frame`.
 _BODY_FRAME_PATTERNS = [
     Op("add", tuple(Op("mul", (rotation(_ONE, row, axis), Name(f"{row}"))) for row in range(3)))
     for axis in range(3)
-]  # what `lower` makes of `to_body_frame`
+]
 
 
 def _of_poses(tree: Op) -> tuple[str, list[str]] | None:
-    """The function of poses that a tree computes, and the bodies."""
+    """Return the function of poses that a tree computes, and the bodies."""
     for name, pattern in _PATTERNS.get(tree.op, ()):
         bodies: dict[str, str] = {}
         if _matches(pattern, tree, bodies, {}):
@@ -500,8 +506,8 @@ def _body_frame_component(tree: Scalar) -> _BodyFrameComponent | None:
 
 
 def _matches(pattern: Scalar, tree: Scalar, bodies: dict[str, str], others: dict[str, Scalar]) -> bool:
-    """Whether a tree has the form of the pattern; `bodies` and `others` receive the values of its subjects
-    and names."""
+    """Return whether a tree has the form of the pattern; `bodies` and `others` receive the values of its
+    subjects and names."""
     match pattern, tree:
         case Name(name), _:
             others[name] = tree

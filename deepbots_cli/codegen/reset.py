@@ -1,8 +1,8 @@
-"""Prints what happens at a reset: what an episode draws and varies, and the world as it begins; language
+"""Prints the methods of a reset: the draws and variations of an episode, and the start of the world; language
 reference, "Reset".
 
-Where everything has its place, the bodies are simply put there. Where something looks for a place, where the
-start is required to be some way, or where copies come and go, `_arrange` is one attempt at it.
+If every body has a fixed place, the bodies are simply put there. If a body needs a free place, if the start
+must meet a condition, or if copies come and go, the method `_arrange` is one attempt.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from deepbots_cli.program.values import Expression, Noise
 
 
 def begin_method(supervisor: SupervisorPrinter) -> list[str]:
-    """Draws in order of dependency, then variations, places, joints; the actuators hold until their first
-    commands."""
+    """Return the method that draws in order of dependency, then sets variations, places, joints; the
+    actuators hold until their first commands."""
     scenario, reset = supervisor.scenario, supervisor.scenario.reset
     printer = supervisor.printer()
     _print_first_draws(supervisor, printer)
@@ -73,7 +73,7 @@ def begin_method(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def needs_arrangement(scenario: Program) -> bool:
-    """Whether the places of an episode have to be found."""
+    """Return whether the places of an episode have to be found."""
     reset = scenario.reset
     drawn = reset.groups or reset.layouts or reset.require is not None
     pooled = any(thing.pooled for thing in scenario.world.objects)
@@ -86,7 +86,7 @@ def needs_arrangement(scenario: Program) -> bool:
 
 
 def _arrange(supervisor: SupervisorPrinter) -> list[str]:
-    """The method that is one attempt at a start."""
+    """Return the method `_arrange`, which is one attempt at a start."""
     reset = supervisor.scenario.reset
     printer = supervisor.printer()
     printer.line("bodies = self.bodies")
@@ -127,7 +127,7 @@ def _arrange(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _releasing(scenario: Program) -> list[str]:
-    """Statements after which no actuator remembers the episode before."""
+    """Return statements after which no actuator remembers the episode before."""
     return [
         f"self.{generated.robot(robot.name)}.release()"
         for robot in scenario.robots
@@ -136,17 +136,17 @@ def _releasing(scenario: Program) -> list[str]:
 
 
 def _reset_paths_lines(supervisor: SupervisorPrinter) -> list[str]:
-    """Statements after which no chart shows the episode before."""
+    """Return statements after which no map of paths remembers the episode before."""
     return ["self.ways.reset()"] if supervisor.readers.needs_paths else []
 
 
 def _varied(supervisor: SupervisorPrinter, index: int) -> str:
-    """The attribute that holds the values of a randomized parameter while places are looked for."""
+    """Return the attribute that has the values of a randomized parameter while places are looked for."""
     return f"self.{supervisor.names(f'varied {index}')}"
 
 
 def _placing(place: Placement, printer: Printer) -> str:
-    """The statement that places a body whose place is known."""
+    """Return the statement that places a body whose place is known."""
     xyz, rpy = printer.tuple(place.xyz), printer.tuple(place.rpy)
     turn = "(0.0, 0.0, 0.0, 1.0)" if _all_zero(place.rpy) else f"quaternion{rpy}"
     moving = "".join(f", {name}={printer.tuple(values)}" for name, values in place.velocities)
@@ -177,14 +177,15 @@ def _all_zero(values: tuple[Scalar, ...]) -> bool:
 
 
 def _place_lines(places: Sequence[Placement], supervisor: SupervisorPrinter, printer: Printer) -> list[str]:
-    """The statements of one layout: bodies with coordinates, then bodies in cells, then bodies at free
+    """Return the statements of one layout: bodies with coordinates, then bodies in cells, then bodies at free
     positions."""
     groups = {group.name: group for group in supervisor.scenario.reset.groups}
     return [line for place in _ordered(places) for line in _place(place, groups.get(place.body), printer)]
 
 
 def _ordered(places: Sequence[Placement]) -> list[Placement]:
-    """Places by how they are found, then in file order; a body that stands on another comes after it."""
+    """Return places by how they are found, then in file order; a body that stands on another comes after
+    it."""
     ranks = {Region: 2, Top: 2, Cells: 1}
     waiting = sorted(places, key=lambda place: ranks.get(type(place.spot), 0))
     ordered: list[Placement] = []
@@ -239,11 +240,12 @@ def _options(place: Placement, printer: Printer) -> str:
     return "".join(parts)
 
 
-# What varies
+# Variations
 
 
 def _is_vector(variation: RandomizedParameter) -> bool:
-    """Whether its values are set together, one for each part of an actuator or each component of a sensor."""
+    """Return whether its values are set together, one for each part of an actuator or each component of a
+    sensor."""
     return isinstance(variation.of, OfSensor) or (
         isinstance(variation.of, OfActuator) and variation.what not in _OF_RESPONSE
     )
@@ -253,7 +255,7 @@ _OF_RESPONSE = ("actuator_delay", "actuator_time_constant")
 
 
 def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str]) -> str:
-    """The statement that sets a randomized parameter to a vector or to values."""
+    """Return the statement that sets a randomized parameter to a vector or to values."""
     of = variation.of
     match of:
         case OfActuator():
@@ -279,11 +281,11 @@ def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str])
 # Draws
 
 _ROUNDING = 1e-9
-"""In s: a period of a whole number of steps must not become one more by rounding."""
+"""The tolerance in s with which a period of a whole number of steps does not become one more by rounding."""
 
 
 def _print_first_draws(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """Parameters and values of routes, as they are at the beginning of an episode."""
+    """Print the parameters and values of routes, as they are at the beginning of an episode."""
     for entry in supervisor.scenario.parameters:
         _print_first_period(supervisor, printer, entry, entry.name)
         printer.assign(
@@ -301,9 +303,8 @@ def print_redraws(supervisor: SupervisorPrinter, printer: Printer) -> list[tuple
     """Print the values that a step draws or computes anew before it sends messages; the step is not counted
     yet.
 
-    Returns:
-        For each value the attribute with the time of its next draw, or "" where every step has one, and the
-        attribute that holds it.
+    Returns: For each value the attribute with the time of its next draw, or "" where every step has one, and
+    the attribute that has it.
     """
     changing: set[str] = set()
     redrawn = []
@@ -334,14 +335,14 @@ def print_redraws(supervisor: SupervisorPrinter, printer: Printer) -> list[tuple
 
 
 def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None:
-    """The values of a route that are drawn for each message, before one is sent."""
+    """Print the values of a route that are drawn for each message, before one is sent."""
     for name, value in route.settings:
         if _of_message(value):
             printer.assign(f"{channel}.{name}", printer.value(value.scalar))
 
 
 def _settings(supervisor: SupervisorPrinter) -> Iterator[tuple[str, Expression]]:
-    """Every value of every route, with the attribute that holds it."""
+    """Yield every value of every route, with its attribute."""
     for robot in supervisor.scenario.robots:
         routes: dict[Direction, Route] = {"to_robot": robot.to_route, "from_robot": robot.from_route}
         for direction, route in routes.items():
@@ -354,7 +355,7 @@ def _of_message(value: Expression) -> bool:
 
 
 def _due(supervisor: SupervisorPrinter, name: str) -> str:
-    """The attribute that holds the time (s) from which a value is drawn again."""
+    """Return the attribute with the time (s) from which a value is drawn again."""
     return supervisor.attribute(supervisor.names("due", name))
 
 
@@ -368,7 +369,7 @@ def _print_first_period(
 def _print_when_due(
     supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str, line: str
 ) -> str:
-    """The attribute with the time of the next draw, if there is one."""
+    """Return the attribute with the time of the next draw, if there is one."""
     if value.period is None:
         printer.line(line)
         return ""
@@ -399,7 +400,7 @@ def _print_stds(supervisor: SupervisorPrinter, printer: Printer) -> None:
 
 
 def std_attribute(supervisor: SupervisorPrinter, stream: str) -> str:
-    """The attribute that holds the standard deviations of a noise which every episode draws."""
+    """Return the attribute with the standard deviations of a noise that every episode draws."""
     return supervisor.attribute(supervisor.names.identifier(f"std {stream}", "std", stream.partition(".")[2]))
 
 
@@ -407,7 +408,7 @@ def std_attribute(supervisor: SupervisorPrinter, stream: str) -> str:
 
 
 def bind_pushes(supervisor: SupervisorPrinter) -> list[str]:
-    """Statements that take what pushes from `engine`."""
+    """Return statements that bind the pushers of `engine`."""
     substep = supervisor.scenario.world.timestep / supervisor.scenario.world.substeps
     return [
         f"self.{generated.push(push.name)} = Push(engine, ({quoted(push.body)},"
@@ -418,7 +419,7 @@ def bind_pushes(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _print_first_pushes(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """Statements of a reset that say when the first push of each disturbance begins."""
+    """Print the statements of a reset that set when the first push of each disturbance begins."""
     settling = (
         round(supervisor.scenario.reset.settle / supervisor.scenario.world.timestep)
         * supervisor.scenario.world.substeps
@@ -428,7 +429,7 @@ def _print_first_pushes(supervisor: SupervisorPrinter, printer: Printer) -> None
 
 
 def push_methods(supervisor: SupervisorPrinter) -> list[str]:
-    """The methods that draw a push."""
+    """Return the methods that draw a push."""
     return [line for push in supervisor.scenario.disturbances for line in _drawing(supervisor, push)]
 
 

@@ -89,12 +89,12 @@ class ControllerPrinter(ClassPrinter):
 
     @property
     def _keeps_state(self) -> bool:
-        """Whether what the robot emits has a memory, which advances once per timestep."""
+        """Whether the robot emits a value with a memory, which advances once per timestep."""
         return any(outer_states(value) for values in self._emitted for value in values)
 
     def _reset(self) -> list[str]:
-        """Actions are zeros at a reset. What begins with another received value waits for the first
-        message."""
+        """Return the reset method: actions are zeros, and a memory that begins with another received value
+        waits for the first message."""
         applied = [value for values in self._applied for value in values]
         if not (
             self._keeps_state or any(outer_states(value, without=self.begun_by_message) for value in applied)
@@ -106,7 +106,7 @@ class ControllerPrinter(ClassPrinter):
         return block("def reset(self) -> None:", [*lines, "self.compute()"] if self._keeps_state else lines)
 
     def _observe(self) -> list[str]:
-        """Sampling, and what advances once per timestep."""
+        """Return the method that samples, and advances memories once per timestep."""
         sampling = [f"self.{generated.sense(name)}()" for name in self._devices]
         if not self._keeps_state:
             return (
@@ -158,14 +158,14 @@ class ControllerPrinter(ClassPrinter):
     def _stored(self, name: str) -> str:
         return f"self.{generated.emitted(self.names(name))}"
 
-    # What names mean
+    # Meanings of names
 
     def _printer(self, renamed: dict[str, str] | None = None) -> Printer:
         self._read: dict[str, str] = {}
         return Printer(self, renamed=renamed or {})
 
     def _finished(self, printer: Printer, doc: Sequence[str]) -> list[str]:
-        """The lines of a method; what devices delivered last is taken where engines are read."""
+        """Return the lines of a method; the last results of devices are taken where engines are read."""
         lines = [f"{local} = self.{generated.sense(name)}.reading" for name, local in self._read.items()]
         printer.lines[printer.reads_at : printer.reads_at] = lines
         return printer.method_lines(doc) if printer.lines or printer.needs or not doc else [*doc]
@@ -200,7 +200,7 @@ class ControllerPrinter(ClassPrinter):
         return self._read[sensor]
 
     def _resolved(self, tree: Scalar) -> Scalar:
-        """The tree with the name of each direct sensor replaced by its world function."""
+        """Return the tree with the name of each direct sensor replaced by its world function."""
         match tree:
             case Name(name, component) if name not in self._received and name not in self._devices:
                 return self._sensors[name].world_value(self._robot.name, component)
@@ -215,7 +215,7 @@ class ControllerPrinter(ClassPrinter):
 
 
 def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
-    """The sensors that are sampled once per timestep, by name: those that something reads, and that are no
+    """Return the sensors that are sampled once per timestep, by name: those that are read and are no
     facts."""
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
     computed = [value for entry in scenario.computed_expressions for value in entry.scalars]
@@ -233,7 +233,8 @@ def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
 
 
 def observes_each_timestep(scenario: Program, robot: Robot) -> bool:
-    """Whether anything on board happens once per timestep: a device is sampled, or a memory advances."""
+    """Return whether anything on board happens once per timestep: a device is sampled, or a memory
+    advances."""
     return bool(sampled_sensors(scenario, robot)) or any(
         outer_states(value) for entry in robot.emitted for value in entry.scalars
     )
@@ -261,8 +262,8 @@ class ActuatorBindings:
         self.actuators = [actuator for actuator in robot.actuators if actuator.name in commanded]
 
     def bind_lines(self, *, on_columns: bool = False) -> list[str]:
-        """Statements that take each motor from `engine`; for a batch (`on_columns`), devices from the single
-        worlds."""
+        """Return statements that take each motor from `engine`; for a batch (`on_columns`), devices from the
+        single worlds."""
         names = [generated.drive(actuator.name) for actuator in self.actuators]
         apart = [on_columns and self._is_device(actuator) for actuator in self.actuators]
         parts = zip(names, self.actuators, apart, strict=True)
@@ -341,7 +342,7 @@ class ActuatorBindings:
         )
 
     def _acts_each_substep(self, actuator: Motor | Cartesian) -> bool:
-        """Whether it follows its commands in every substep, rather than at once."""
+        """Return whether it follows its commands in every substep, rather than at once."""
         response = actuator.response
         late = (
             response.delay > 0.0
@@ -352,7 +353,7 @@ class ActuatorBindings:
         return late or bool(_rates(actuator))
 
     def _response_arguments(self, actuator: Motor | Cartesian) -> list[str]:
-        """The arguments that say how strongly and promptly it answers."""
+        """Return the arguments for the strength and the response of the actuator."""
         if not self._acts_each_substep(actuator):
             return _strength(actuator)
         rates = _rates(actuator)
@@ -363,7 +364,8 @@ class ActuatorBindings:
         return (actuator.name, f"actuator_{what}") in self._varied
 
     def _rotor(self, link: str, moment_constant: float) -> str:
-        """The link that carries a rotor, where on it the rotor sits, its axis and its moment constant."""
+        """Return the link that carries a rotor, where on it the rotor sits, its axis and its moment
+        constant."""
         carrier, (position, turned) = rigid_root(self._model, link)
         axis = frames.rotate(turned, (0.0, 0.0, 1.0))
         return f"({quoted(carrier)}, {position!r}, {axis!r}, {moment_constant!r})"
@@ -379,7 +381,7 @@ def _late(actuator: Actuator) -> list[str]:
 
 
 def _rates(motor: Motor | Cartesian) -> Sequence[float | None]:
-    """How fast the targets of each joint may change; empty where at once."""
+    """Return the rates at which the targets of each joint may change; empty if at once."""
     if isinstance(motor, Motor) and motor.kind == "velocity_motor" and motor.max_acceleration is not None:
         return (motor.max_acceleration,) * len(motor.joints)
     if (isinstance(motor, Cartesian) or motor.kind == "position_motor") and any(

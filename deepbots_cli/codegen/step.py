@@ -1,9 +1,9 @@
-"""Prints what a step does, and what is computed in each timestep of it.
+"""Prints the method of a step, and the computation in each timestep of it.
 
 A step of the agent decodes its action, sends one message to each robot, and goes on for `action_repeat` ticks
-or until the episode ends. `_observe` computes what follows from the world and the messages, in the order of
-the language: signals and the goal once, then terminations, truncation, rewards (which see the endings), then
-the observation. Failure beats success; terminated beats truncated.
+or until the episode ends. `_observe` computes all values from the world and the messages, in the order of the
+language: signals and the goal once, then terminations, truncation, rewards (which see the endings), then the
+observation. Failure beats success; terminated beats truncated.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SUMMANDS = 100
 
 
 def start_method(supervisor: SupervisorPrinter) -> list[str]:
-    """The method that runs right after a reset."""
+    """Return the method that runs right after a reset."""
     lines = ['"""Observe the first moment of an episode."""', *supervisor.readers.start_lines()]
     lines += _zeroed(_terms(supervisor))
     lines.append(
@@ -37,7 +37,7 @@ def start_method(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def advance_methods(supervisor: SupervisorPrinter) -> list[str]:
-    """The method of a step, and that of a timestep where a step has several."""
+    """Return the method of a step, and the method of a timestep if a step has several."""
     printer = supervisor.printer()
     _print_acting(supervisor, printer)
     result = "Iterator[None]" if supervisor.is_of_copy else "None"
@@ -70,7 +70,7 @@ def advance_methods(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def observe_method(supervisor: SupervisorPrinter) -> list[str]:
-    """The method that computes everything, once per timestep and right after a reset."""
+    """Return the method that computes everything, once per timestep and right after a reset."""
     printer = supervisor.printer()
     for robot in supervisor.scenario.robots:
         _print_receiving(supervisor, printer, robot)
@@ -108,7 +108,7 @@ def _parameters(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _zeroed(targets: list[str]) -> list[str]:
-    """Statements that set these to 0, as many in one as fit."""
+    """Return statements that set these to 0, as many in one as fit."""
     lines: list[str] = []
     for target in targets:
         if lines and len(lines[-1]) + len(target) < 90:
@@ -126,8 +126,8 @@ def _terms(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def choice_tables(supervisor: SupervisorPrinter) -> list[str]:
-    """The values that each option sets, as one dictionary per choice; and the one-hot vector of the choice
-    where it is read."""
+    """Return the values that each option sets, as one dictionary per choice; and the one-hot vector of the
+    choice where it is read."""
     lines = []
     hot = ("1.0", "0.0") if supervisor.ranges else ("True", "False")
     for part in supervisor.choices:
@@ -174,7 +174,7 @@ def _print_acting(supervisor: SupervisorPrinter, printer: Printer) -> None:
 
 
 def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """Statements that set the action variables from `action`, which holds `choices` and `ranges` where there
+    """Print statements that set the action variables from `action`, which has `choices` and `ranges` if there
     are both."""
     chosen = ranged = "action"
     if supervisor.choices and supervisor.ranges:
@@ -235,7 +235,8 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
 
 
 def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """For a batch: single worlds draw anew what is due, and the columns of what changed are taken over."""
+    """Print for a batch the draws that are due in single worlds, and the update of the columns that
+    changed."""
     one = supervisor.of_one_world()
     drawing = one.printer()
     if not (changes := print_redraws(one, drawing)):
@@ -270,7 +271,7 @@ def _print_draws_of_message(
 
 
 def _delivers_in_ticks(supervisor: SupervisorPrinter, robot: Robot) -> bool:
-    """Whether a message to this robot may arrive in another timestep than the one that follows its
+    """Return whether a message to this robot may arrive in another timestep than the one that follows its
     sending."""
     late = supervisor.scenario.timing == "delayed" and supervisor.repeats_actions
     return supervisor.scenario.format != "none" and (late or not robot.to_route.perfect)
@@ -287,7 +288,8 @@ def _print_delivering(supervisor: SupervisorPrinter, printer: Printer, robot: Ro
 
 
 def _print_receiving(supervisor: SupervisorPrinter, printer: Printer, robot: Robot) -> None:
-    """The message of one robot into local variables; the first of an episode arrives at once."""
+    """Print statements that put the message of one robot into local variables; the first of an episode
+    arrives at once."""
     controller = f"self.{generated.robot(robot.name)}"
     channel = f"self.{generated.channel(robot.name, 'from_robot')}"
     targets = [supervisor.local(f"{robot.name}.{entry.name}") for entry in robot.emitted]
@@ -372,7 +374,7 @@ def _print_noise(
     """Add noise to the local variable of a value; nothing where the scenario gives it none."""
     if noise is None:
         return
-    # one number or one per component: constants, or what the episode drew
+    # one number or one per component: constants, or draws of the episode
     fixed = all(isinstance(value, Const) for value in noise.std.scalars)
     std = (
         printer.vector_or_number(noise.std.scalars[1:], noise.std.scalars)
@@ -398,7 +400,8 @@ def _print_noise(
 
 
 def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """Conditions in order of dependency; `ended_by` is the first in file order, failures before successes."""
+    """Print the conditions in order of dependency; `ended_by` is the first in file order, failures before
+    successes."""
     endings = supervisor.scenario.endings
     for ending in _after_what_they_use(endings):
         code = (
@@ -435,15 +438,15 @@ def _success(
     failures: Sequence[Expression],
     successes: Sequence[Expression],
 ) -> str:
-    """The code of whether a success holds, and no failure."""
+    """Return the code of whether a success holds, and no failure."""
     reached = printer.operation("or", [Code(supervisor.local(ending.name)) for ending in successes])
     refused = [printer.operation("not", [Code(supervisor.local(ending.name))]) for ending in failures]
     return printer.operation("and", [reached, *refused]).text
 
 
 def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
-    """The number of timesteps at which an episode is cut short, and the name of that limit; a step is cut
-    short only by an ending."""
+    """Return the number of timesteps at which an episode is cut short, and the name of that limit; a step is
+    cut short only by an ending."""
     limits = supervisor.scenario.truncation
     ticks = []
     if limits.max_steps is not None:
@@ -457,7 +460,8 @@ def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
 
 
 def _after_what_they_use(endings: tuple[Expression, ...]) -> list[Expression]:
-    """Endings may name each other; the compiler has refused circles."""
+    """Return the endings in order of dependency: they may name each other, and the compiler has refused
+    circles."""
     by_name = {ending.name: ending for ending in endings}
     order: dict[str, Expression] = {}
 
@@ -474,7 +478,7 @@ def _after_what_they_use(endings: tuple[Expression, ...]) -> list[Expression]:
 
 
 def bind_foreign(supervisor: SupervisorPrinter) -> list[str]:
-    """Statements that import the functions of Python which the scenario names."""
+    """Return statements that import the functions of Python that the scenario names."""
     items = [("reward term", term.name, term.foreign, False) for term in supervisor.agent.reward]
     items += [("ending", ending.name, ending.foreign, True) for ending in supervisor.scenario.endings]
     lines = []
@@ -486,7 +490,7 @@ def bind_foreign(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def function_attribute(supervisor: SupervisorPrinter, what: str, name: str) -> str:
-    """The attribute that holds the function of an ending or a reward term."""
+    """Return the attribute with the function of an ending or a reward term."""
     return f"self.{supervisor.names(f'function of {what}', name)}"
 
 
@@ -494,7 +498,7 @@ def function_attribute(supervisor: SupervisorPrinter, what: str, name: str) -> s
 
 
 def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    """The terms and their sum, but right after a reset; what they remember begins there."""
+    """Print the terms and their sum, except right after a reset, where their memories begin."""
     terms = supervisor.agent.reward
     for flag in ("terminated", "truncated"):
         if supervisor.uses(flag):
@@ -565,7 +569,7 @@ def _print_observation(supervisor: SupervisorPrinter, printer: Printer) -> None:
 
 
 def _observed(supervisor: SupervisorPrinter, printer: Printer, entry: Observation) -> str:
-    """The code of one or several numbers, as the policy sees them."""
+    """Return the code of one or several numbers, as the policy sees them."""
     components = entry.value.components
     # the reward of this step is known here; everywhere else the name means that of the step before
     code = (

@@ -1,4 +1,4 @@
-"""Prints the supervisor class: what it binds, the methods of resets and steps, the paper's methods and
+"""Prints the supervisor class: its bindings, the methods of resets and steps, the paper's methods and
 hand-written policies."""
 
 from __future__ import annotations
@@ -77,7 +77,8 @@ class {name}Batch(BatchSupervisor):
 
 
 def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
-    """The lines of the class for a batch: what happens in each step; episodes begin in the single worlds."""
+    """Return the lines of the class for a batch: only the steps are printed; episodes begin in the single
+    worlds."""
     supervisor = SupervisorPrinter(scenario, constants, BATCH)
     observing, acting = observe_method(supervisor), advance_methods(supervisor)
     methods = [*acting, *observing]
@@ -101,9 +102,9 @@ def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]
 
 
 def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
-    """The lines of the class."""
+    """Return the lines of the class."""
     supervisor = SupervisorPrinter(scenario, constants)
-    # What the other methods read says what a reset has to begin anew.
+    # Printed before `begin_method`, which initializes everything that these methods read.
     observing = observe_method(supervisor)
     acting = advance_methods(supervisor)
     pushing = push_methods(supervisor)
@@ -157,7 +158,7 @@ def _bind(supervisor: SupervisorPrinter) -> list[str]:
     return [*lines, *supervisor.bind_lines(), *bind_pushes(supervisor), *bind_foreign(supervisor)] or ["pass"]
 
 
-# The paper's methods, which read what `_observe` left and change nothing
+# The paper's methods, which read the results of `_observe` and change nothing
 
 
 def _observation_text(supervisor: SupervisorPrinter) -> str:
@@ -170,7 +171,7 @@ def _observation_text(supervisor: SupervisorPrinter) -> str:
 
 
 def _observation(supervisor: SupervisorPrinter) -> str:
-    """The code of each part of an observation, under its key where there are several."""
+    """Return the code of each part of an observation, under its key where there are several."""
     agent = supervisor.agent
     parts = {"observation": "self.seen()"} if agent.numbers or not agent.images else {}
     parts |= {
@@ -196,7 +197,8 @@ def _ends(scenario: Program) -> list[str]:
 
 
 def _allowed(supervisor: SupervisorPrinter) -> list[str]:
-    """The method that returns the options that may be chosen next; nothing if no option is ever forbidden."""
+    """Return the method that returns the options that may be chosen next; nothing if no option is ever
+    forbidden."""
     if not supervisor.forbids_options:
         return []
     rows = [
@@ -212,7 +214,7 @@ def _allowed(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _compute_reward(supervisor: SupervisorPrinter) -> list[str]:
-    """The method that hindsight replay calls; nothing without a goal."""
+    """Return the method that hindsight replay calls; nothing without a goal."""
     if supervisor.agent.goal is None:
         return []
     doc = docstring("The reward for other goals, as the policy sees them: arrays (n, k) or (k,).")
@@ -224,7 +226,7 @@ def _compute_reward(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _between_steps(supervisor: SupervisorPrinter) -> list[str]:
-    """Methods that read the values of the last timestep. They are called between two steps, on request
+    """Return methods that read the values of the last timestep. They are called between two steps, on request
     only."""
     lines = [line for script in supervisor.agent.scripts for line in _script(supervisor, script)]
     for test in supervisor.scenario.tests:
@@ -241,7 +243,7 @@ def _between_steps(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _printer_after(supervisor: SupervisorPrinter, scalars: tuple[Scalar, ...]) -> Printer:
-    """A printer for these values, which stands after the last timestep: the reward of that one is known."""
+    """Return a printer for these values after the last timestep: the reward of that timestep is known."""
     printer = Printer(supervisor, settable=supervisor.settable, renamed={"previous_reward": "self.reward"})
     used = supervisor.names_read(scalars)
     kept = [supervisor.local(name) for name in supervisor.stored_names() if name in used]
@@ -251,7 +253,7 @@ def _printer_after(supervisor: SupervisorPrinter, scalars: tuple[Scalar, ...]) -
 
 
 def _script(supervisor: SupervisorPrinter, script: Script) -> list[str]:
-    """The method that computes the next action."""
+    """Return the method that computes the next action."""
     printer = _printer_after(supervisor, script.scalars)
     choices, ranges = [], []
     for part, decided in zip(supervisor.agent.action, script.parts, strict=True):
@@ -270,7 +272,7 @@ def _script(supervisor: SupervisorPrinter, script: Script) -> list[str]:
 
 
 def _print_pick(supervisor: SupervisorPrinter, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
-    """The local that holds the number of the option."""
+    """Print the choice of an option, and return the local with its number."""
     target, names = supervisor.names(f"{part.name} pick"), [option.name for option in part.options]
     for index, option in enumerate(pick.options):
         setting = f"{target} = {names.index(option)}  # {option}"
@@ -284,7 +286,7 @@ def _print_pick(supervisor: SupervisorPrinter, printer: Printer, part: Choices, 
 
 
 def _normalized_code(printer: Printer, part: ActionRange, value: Scalar) -> str:
-    """The code of the number in [-1, 1] that stands for the value; a constant is clamped here."""
+    """Return the code of the number in [-1, 1] that represents the value; a constant is clamped here."""
     half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
     share = fold_operation("div", fold_operation("sub", value, Const(middle)), Const(half))
     if isinstance(share, Const):

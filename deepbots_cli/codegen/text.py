@@ -40,7 +40,7 @@ RUNTIME_NAMES = (
     *sorted(FORMULA_NAMES),
     *("clip", "foreign", "to_body_frame", "quaternion", "scale", "scale_each", "scale_freely", "total"),
 )
-"""What a printed module may import from `deepbots_cli.runtime`."""
+"""The names that a printed module may import from `deepbots_cli.runtime`."""
 COLUMN_NAMES = (
     *(
         "all_of",
@@ -60,7 +60,7 @@ COLUMN_NAMES = (
     *("scale_freely", "sin", "tan", "to_body_frame", "total"),
     *sorted(FORMULA_NAMES),
 )
-"""What a module for a batch may import from `deepbots_cli.runtime.columns`."""
+"""The names that a module for a batch may import from `deepbots_cli.runtime.columns`."""
 
 LOOP_VARIABLES = "abcdefgh"
 """The variables of comprehensions."""
@@ -93,11 +93,11 @@ class Names:
         self._used: set[str] = set(_RESERVED_NAMES)
 
     def __call__(self, *parts: str | None) -> str:
-        """The identifier of a dotted name, such as `cart_pole_angle` for ("cart.pole_angle",)."""
+        """Return the identifier of a dotted name, such as `cart_pole_angle` for ("cart.pole_angle",)."""
         return self.identifier(parts, *parts)
 
     def identifier(self, key: Hashable, *parts: str | None) -> str:
-        """The identifier for `key`, made of these parts."""
+        """Return the identifier for `key`, made of these parts."""
         if key not in self._given:
             wanted = generated.identifier(*parts)
             self._given[key] = _unused(f"_{wanted}" if wanted[0].isdigit() else wanted, self._used)
@@ -122,7 +122,7 @@ class Constants:
 
     @property
     def lines(self) -> list[str]:
-        """The statements that define those that were asked for."""
+        """The statements that define the constants that are used."""
         return list(self._lines.values())
 
     def name_strings(self, name: str, items: tuple[str, ...]) -> None:
@@ -130,11 +130,11 @@ class Constants:
         self._known.setdefault(items, name)
 
     def number(self, value: NamedFloat) -> str:
-        """The constant of a fixed parameter."""
+        """Return the constant of a fixed parameter."""
         return self._defined(value.name, repr(float(value)), value.text)
 
     def vector(self, values: Sequence[float | bool]) -> str:
-        """The code of a tuple of numbers: a constant where a fixed parameter names them."""
+        """Return the code of a tuple of numbers: a constant where a fixed parameter names them."""
         code = constants_tuple_code([number_code(value).text for value in values])
         named = [value for value in values if isinstance(value, NamedFloat)]
         if len({value.name for value in named}) != 1 or len(values) < 3:
@@ -142,7 +142,7 @@ class Constants:
         return self._defined(named[0].name, code, named[0].text)
 
     def strings(self, items: tuple[str, ...]) -> str:
-        """The code of a tuple of names: a constant where it is known and not short."""
+        """Return the code of a tuple of names: a constant where it is known and not short."""
         code = tuple_code([quoted(item) for item in items])
         return (
             self._defined(self._known[items], code, "") if items in self._known and len(items) > 2 else code
@@ -159,7 +159,7 @@ class Constants:
 
 
 def class_name(text: str) -> str:
-    """`line_follower` or `Line follower` to `LineFollower`."""
+    """Return the class name of a robot: `LineFollower` for `line_follower` or `Line follower`."""
     words = re.findall(r"[A-Za-z0-9]+", text)
     name = "".join(word[:1].upper() + word[1:] for word in words) or "Scenario"
     return f"S{name}" if name[0].isdigit() else name
@@ -175,7 +175,7 @@ def indent(lines: Iterable[str], depth: int = 1) -> list[str]:
 
 
 def block(head: str, body: Sequence[str]) -> list[str]:
-    """A function or class with its body, and an empty line after it."""
+    """Return a function or class with its body, and an empty line after it."""
     return [head, *indent(body), ""]
 
 
@@ -184,22 +184,22 @@ def tuple_code(items: Sequence[str]) -> str:
 
 
 def targets_code(names: Sequence[str]) -> str:
-    """The left side of an assignment that takes a sequence apart."""
+    """Return the left side of an assignment that takes a sequence apart."""
     return ", ".join(names) if len(names) > 1 else tuple_code(names)
 
 
 def quoted(text: str) -> str:
-    """A string literal in double quotes and ASCII.
+    """Return a string literal in double quotes and ASCII.
 
-    The escapes of JSON are a subset of Python's, but for what lies beyond 16 bits: there JSON writes two
+    The escapes of JSON are a subset of Python's, except for characters beyond 16 bits: JSON writes two
     halves, which Python does not join.
     """
     return json.dumps(text, ensure_ascii=False).encode("ascii", "backslashreplace").decode()
 
 
 def docstring(text: str) -> list[str]:
-    """A string in triple quotes, over as many lines as it needs; the escapes leave no quote and no backslash
-    of its own."""
+    """Return a string in triple quotes, over as many lines as it needs; the escapes leave no quote and no
+    backslash of its own."""
     lines = textwrap.wrap(quoted(text)[1:-1], 100, break_long_words=False, break_on_hyphens=False) or [""]
     return [f'"""{lines[0]}"""'] if len(lines) == 1 else [f'"""{lines[0]}', *lines[1:], '"""']
 
@@ -209,13 +209,13 @@ def quoted_tuple(names: Sequence[str]) -> str:
 
 
 def sentence_list(words: Sequence[str], last: str = "and") -> str:
-    """`a`, `a and b`, `a, b and c`."""
+    """Return a list in words: `a`, `a and b`, `a, b and c`."""
     return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def fill_template(template: str, **gaps: str | Sequence[str]) -> list[str]:
-    """The lines of a template; `{name}` alone on a line is replaced by lines, which take its indent, and
-    vanishes for none."""
+    """Return the lines of a template; `{name}` alone on a line is replaced by lines, which take its indent,
+    and vanishes for none."""
     lines: list[str] = []
     for line in template.strip("\n").split("\n"):
         alone = re.fullmatch(r"( *)\{(\w+)\}", line)
@@ -228,12 +228,12 @@ def fill_template(template: str, **gaps: str | Sequence[str]) -> list[str]:
 
 
 def comment(text: str) -> str:
-    """A text of the scenario as a comment: on one line, in ASCII."""
+    """Return a text of the scenario as a comment: on one line, in ASCII."""
     return "# " + " ".join(text.split()).encode("ascii", "backslashreplace").decode()
 
 
 def with_comment(line: str, text: str) -> list[str]:
-    """A statement of a method with a text of the scenario beside it, or above it where it is long."""
+    """Return a statement of a method with a text of the scenario beside it, or above it where it is long."""
     note = comment(text)
     if not note[2:] or not note.isprintable() or line.partition(" = ")[2] == note[2:]:
         return [line]
@@ -243,7 +243,7 @@ def with_comment(line: str, text: str) -> list[str]:
 
 
 def constants_tuple_code(items: Sequence[str]) -> str:
-    """A tuple of constants; runs of equal ones are written as a product where that is shorter."""
+    """Return a tuple of constants; runs of equal ones are written as a product where that is shorter."""
     runs: list[list[str]] = []
     for item in items:
         if runs and runs[-1][0] == item:
@@ -275,7 +275,7 @@ _STATEMENT = re.compile(
 
 
 def wrap_line(line: str) -> list[str]:
-    """The line, as several where it is longer than `WIDTH` and can be broken."""
+    """Return the line, as several where it is longer than `WIDTH` and can be broken."""
     code = line.lstrip()
     pad = line[: len(line) - len(code)]
     if len(line) <= WIDTH or code.startswith(("#", '"')):
@@ -322,8 +322,8 @@ def wrap_line(line: str) -> list[str]:
 
 
 def _ends_in_long_brackets(body: str, operators: tuple[str, ...], width: int) -> bool:
-    """Whether a line has one operator of arithmetic within a width, and brackets behind it, inside which it
-    is broken."""
+    """Return whether a line has one operator of arithmetic within a width, and brackets behind it, inside
+    which it is broken."""
     places = [place for sign in operators for place in _places(body, sign)]
     groups = list(_groups(body))
     if " if " in operators or len(places) != 1 or not groups:
@@ -333,7 +333,7 @@ def _ends_in_long_brackets(body: str, operators: tuple[str, ...], width: int) ->
 
 
 def _at_brackets(pad: str, code: str) -> list[str]:
-    """Broken inside the last brackets that stand in no others; for a definition, those around its
+    """Return the line broken inside the last outermost brackets; for a definition, inside those around its
     arguments."""
     groups = list(_groups(code))
     if not groups:
@@ -361,7 +361,7 @@ def _one_each(pad: str, items: list[str]) -> list[str]:
 
 
 def _broken(code: str, operators: tuple[str, ...]) -> list[str]:
-    """The operands, each but the first with its operator before it."""
+    """Return the operands, each but the first with its operator before it."""
     places = sorted(place for sign in operators for place in _places(code, sign))
     return [code[a:b].strip() for a, b in zip([0, *places], [*places, len(code)], strict=True)]
 
@@ -371,7 +371,7 @@ def _split(code: str, sign: str) -> list[str]:
 
 
 def _places(code: str, sign: str) -> Iterator[int]:
-    """The offsets of `sign` outside of brackets and quotes."""
+    """Return the offsets of `sign` outside of brackets and quotes."""
     return (
         (match.start() for match in re.finditer(re.escape(sign), _outside(code)))
         if sign in code
@@ -381,7 +381,7 @@ def _places(code: str, sign: str) -> Iterator[int]:
 
 @lru_cache(maxsize=16)
 def _outside(code: str) -> str:
-    """The code with a zero for each character in brackets or quotes: a line is searched for about ten
+    """Return the code with a zero for each character in brackets or quotes: a line is searched for about ten
     signs."""
     pieces, depth, end = [], 0, 0
     for match in _BRACKET_OR_QUOTED.finditer(code):
@@ -392,7 +392,7 @@ def _outside(code: str) -> str:
 
 
 def _groups(code: str) -> Iterator[tuple[int, int]]:
-    """The offsets at which outermost brackets open and close."""
+    """Yield the offsets at which outermost brackets open and close."""
     start = depth = 0
     for match in _BRACKET_OR_QUOTED.finditer(code):
         deeper = _DEEPER.get(match[0], 0)

@@ -1,8 +1,8 @@
-"""What the parts of a printed class share: its scenario, the names in its code, and what it reads from the
-engine.
+"""The names and readers that the methods of a printed class share: its scenario, the names in its code, and
+its reads of the engine.
 
-Every `EngineRead` leaf becomes an item of what one bound reader returned. A reader is bound when printed code
-first asks for it, and is called once in each method that needs it, however many numbers are taken from it.
+Every `EngineRead` leaf becomes an item of the result of a bound reader. A reader is bound when printed code
+first needs it, and is called once in each method that needs it, however many numbers are taken from it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _RESULT_INDEX = {
 """The index of a fact in the result of its reader, or in the result for a joint."""
 _XYZ = "xyzw"
 CHANNEL_VALUES = ("age", "message_received")
-"""Values that the channel has, not the engine."""
+"""The values of the channel, not of the engine."""
 _SCALAR_READERS = {
     "clearance": "engine.clearance({0}, {1})",
     "contact": "engine.contact({0}, ({1},))",
@@ -60,7 +60,7 @@ _SCALAR_READERS = {
     "reachable": "self.ways.reachable({0}, {1})",
     "visible": "self.{robot}.sees({sensor}, {body})",
 }
-"""Facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the
+"""The facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the
 world."""
 _READER_ORDER = (*_KINDS, *_SCALAR_READERS, "line")
 
@@ -71,23 +71,23 @@ class Readers:
     def __init__(
         self, names: Names, constants: Constants, roots: Mapping[str, str], *, on_columns: bool = False
     ) -> None:
-        """`roots` has the full name of the root link of each robot, whose readers are named after the robot
-        alone.
+        """Create readers. `roots` has the full name of the root link of each robot, whose readers are named
+        after the robot alone.
 
-        For a batch (`on_columns`), what no engine gives as columns is read from the single worlds.
+        For a batch (`on_columns`), facts that no engine gives as columns are read from the single worlds.
         """
         self._on_columns = on_columns
         self._names = names
         self._constants = constants
         self._short = {link: robot for robot, link in roots.items()}
         self._joints: dict[ReaderKey, list[str]] = {}
-        """Those that are read together, by their reader."""
+        """The joints that are read together, by their reader."""
         self._bound: ReaderKeys = {}
 
-    # What printed code asks for
+    # Reads of printed code
 
     def code(self, leaf: EngineRead, needs: ReaderKeys) -> str:
-        """The code of one number."""
+        """Return the code of one number."""
         what, item = leaf.function, _RESULT_INDEX.get(leaf.function)
         if what in _POSES:
             return f"{self._need(_POSES[what], leaf.subjects[:1], needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
@@ -100,11 +100,12 @@ class Readers:
         return f"{code}[{index}]" if what == "joint_torque" else f"{code}[{index}][{item}]"
 
     def pose(self, subject: str, needs: ReaderKeys) -> str:
-        """The code of the position and the orientation of a body."""
+        """Return the code of the position and the orientation of a body."""
         return self._need("pose", (subject,), needs)
 
     def vector(self, leaves: Sequence[EngineRead], needs: ReaderKeys) -> tuple[str, str] | None:
-        """The code of a sequence and of what is taken from each item; None where the facts are read apart."""
+        """Return the code of a sequence and of the part that is taken from each item; None if the facts are
+        read separately."""
         what, subjects = leaves[0].function, [leaf.subjects for leaf in leaves]
         if any(leaf.function != what for leaf in leaves):
             return None
@@ -147,17 +148,17 @@ class Readers:
         self._bound[key] = needs[key] = None
         return self._local(key)
 
-    # What it comes to
+    # The resulting code
 
     def bind_lines(self) -> list[str]:
-        """Statements that take the readers from `engine`."""
+        """Return statements that take the readers from `engine`."""
         return [
             f"self.{generated.reader(self._local(key))} = {self._reader(key)}"
             for key in self._sorted(self._bound)
         ]
 
     def call_lines(self, needs: ReaderKeys) -> list[str]:
-        """Statements that read once what a method needs."""
+        """Return statements that read once the facts that a method needs."""
         lines = []
         for key in self._sorted(needs):
             local = self._local(key)
@@ -168,7 +169,7 @@ class Readers:
         return lines
 
     def start_lines(self) -> list[str]:
-        """Statements that begin an episode."""
+        """Return statements that begin an episode."""
         return [
             f"self.{generated.reader(self._local(key))}.reset()"
             for key in self._sorted(self._bound)
@@ -224,22 +225,22 @@ class Readers:
 
 
 def _of_joints(leaf: EngineRead, names: Sequence[str]) -> ReaderKey:
-    """The reader of certain joints that are read as a vector, or of all that are read one by one."""
+    """Return the reader of certain joints that are read as a vector, or of all that are read one by one."""
     kind = "torques" if leaf.function == "joint_torque" else "joints"
     return ReaderKey(kind, (leaf.subjects[0].partition(".")[0], *names))
 
 
 def _part(name: str) -> str:
-    """A body or one of its links, as the port takes it."""
+    """Return a body or one of its links, as the port takes it."""
     body, _, link = name.partition(".")
     return f"({quoted(body)}, {quoted(link) if link else None})"
 
 
-# What the methods of a class share
+# Names shared by the methods of a class
 
 
 class ClassPrinter(ABC):
-    """A class that is printed: what its names mean, and what its methods share."""
+    """A printed class: the meanings of its names, and the parts that its methods share."""
 
     begun_by_message: Container[tuple[str, str]] = ()
     """The calls of stateful functions whose memories begin with the first message, and not at the reset."""
@@ -248,21 +249,22 @@ class ClassPrinter(ABC):
         self.scenario, self.constants, self.target = scenario, constants, target
         self.names = Names()
         self.memories: dict[str, str] = {}
-        """How each memory is made, by its attribute."""
+        """The code that makes each memory, by its attribute."""
         roots = {body.name: f"{body.name}.{body.model.root}" for body in scenario.world.robots}
         self.readers = Readers(self.names, constants, roots, on_columns=target is not SCALAR)
 
     @abstractmethod
     def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
-        """The code of one number."""
+        """Return the code of one number."""
 
     @abstractmethod
     def vector(self, leaves: Sequence[Name]) -> str | None:
-        """The code of a vector that consists of these components; None where they are of no one vector."""
+        """Return the code of a vector that consists of these components; None where they are of no one
+        vector."""
 
     def bind_lines(self, *others: str) -> list[str]:
-        """Statements that bind readers, the `others`, and statements that make the memories of stateful
-        functions."""
+        """Return statements that bind readers, the `others`, and statements that make the memories of
+        stateful functions."""
         return [
             *self.readers.bind_lines(),
             *others,
@@ -274,20 +276,20 @@ _GOAL = ("achieved", "desired", "goal_reached")
 
 
 class SupervisorPrinter(ClassPrinter):
-    """One per printed supervisor.
+    """The printer of one supervisor class.
 
-    `evaluated` are the expressions of every timestep; `sent` are those of messages to robots, with values of
-    the timestep before; `scripted` are those of hand-written policies and of tests, which are called between
-    two steps.
+    `evaluated` are the expressions of every timestep; `sent` are the expressions of messages to robots, with
+    values of the timestep before; `scripted` are the expressions of hand-written policies and of tests, which
+    are called between two steps.
     """
 
     def __init__(self, scenario: Program, constants: Constants, target: Target = SCALAR) -> None:
         super().__init__(scenario, constants, target)
         self.agent = scenario.agent
         self.per_world: dict[str, list[str]] = {}
-        """For a batch: the lines of methods that draw values in a single world, by their names."""
+        """The lines of methods that draw values in a single world, by their names, for a batch."""
         self.state: dict[str, None] = {}
-        """The attributes that hold drawn values and values of the timestep before, in order of first use."""
+        """The attributes with drawn values and values of the timestep before, in order of first use."""
         self.repeats_actions = scenario.action_repeat > 1
         """Whether a step of the agent has several timesteps, which are then a method of their own."""
         self.has_history = self.agent.frame_stack > 1 or any(
@@ -331,7 +333,7 @@ class SupervisorPrinter(ClassPrinter):
         self._components = self._named_components()
 
     def _values_of_timesteps(self) -> Iterator[Scalar]:
-        """The expressions of every timestep, without conditions that forbid options."""
+        """Yield the expressions of every timestep, without conditions that forbid options."""
         agent, goal = self.agent, self.agent.goal
         for entry in self.scenario.signals:
             yield from entry.scalars
@@ -343,7 +345,7 @@ class SupervisorPrinter(ClassPrinter):
             yield from (*goal.achieved.scalars, *goal.targets)
 
     def _named_components(self) -> dict[str, Sequence[str]]:
-        """The components of signals, emitted values, parts of the action, and goals."""
+        """Return the components of signals, emitted values, parts of the action, and goals."""
         named: dict[str, Sequence[str]] = {entry.name: entry.components for entry in self.scenario.signals}
         named |= {
             f"{robot.name}.{entry.name}": entry.components
@@ -376,35 +378,35 @@ class SupervisorPrinter(ClassPrinter):
         )
 
     def uses(self, name: str) -> bool:
-        """Whether an expression of every timestep, or a script after it, reads the named value."""
+        """Return whether an expression of every timestep, or a script after it, reads the named value."""
         return name in self._used
 
     def local(self, name: str) -> str:
-        """The local variable that holds a named value during a timestep."""
+        """Return the local variable with a named value during a timestep."""
         return self.names(name)
 
     def parameter(self, name: str) -> str:
-        """The attribute that holds a drawn parameter."""
+        """Return the attribute with a drawn parameter."""
         return self.attribute(self.names.identifier(f"parameter {name}", "parameter", name))
 
     def present_count(self, group: str) -> str:
-        """The attribute that counts the copies of a group that take part in the episode."""
+        """Return the attribute that counts the copies of a group that take part in the episode."""
         return self.attribute(self.names.identifier(f"present {group}", "present", group))
 
     def attribute(self, name: str) -> str:
-        """The code of an attribute that holds a drawn value, or a value of the timestep before."""
+        """Return the code of an attribute with a drawn value, or a value of the timestep before."""
         self.state[name] = None
         return f"self.{name}"
 
     def sent_names(self) -> list[str]:
-        """Locals of one timestep that the messages of the next one contain: signals, and fields that robots
-        sent."""
+        """Return the locals of one timestep that the messages of the next one contain: signals, and fields
+        that robots sent."""
         named = self.names_read(self.sent)
         return [self.local(name) for name in self._results() if name in named]
 
     def stored_names(self) -> list[str]:
-        """Names of the values that a timestep stores: those in messages, in `stored_signals` and in scripts,
-        with parts of the action."""
+        """Return the names of the values that a timestep stores: those in messages, in `stored_signals` and
+        in scripts, with parts of the action."""
         sent = self.names_read(self.sent)
         read = (
             {*self.names_read(self.scripted), *self.scenario.stored_signals}
@@ -418,20 +420,20 @@ class SupervisorPrinter(ClassPrinter):
         return [*(name for name in self._results() if name in sent or name in read), *acted, *ended]
 
     def storing_statements(self) -> list[str]:
-        """Statements that store the values of this timestep that the next message to a robot, or a script,
-        uses."""
+        """Return statements that store the values of this timestep that the next message to a robot, or a
+        script, uses."""
         return [
             f"{self.attribute(generated.last(local))} = {local}"
             for local in map(self.local, self.stored_names())
         ]
 
     def _results(self) -> list[str]:
-        """The results of a timestep: signals, and the fields that robots sent."""
+        """Return the results of a timestep: signals, and the fields that robots sent."""
         sent = (f"{robot.name}.{entry.name}" for robot in self.scenario.robots for entry in robot.emitted)
         return [*(entry.name for entry in self.scenario.signals), *sent]
 
     def names_read(self, expressions: Iterable[Scalar]) -> set[str]:
-        """The names that expressions read, with the fields that carry the ages of readings."""
+        """Return the names that expressions read, with the fields that carry the ages of readings."""
         nodes = [node for value in expressions for node in walk(value)]
         asked = {
             node.subjects[0] for node in nodes if isinstance(node, EngineRead) and node.function == "age"
@@ -441,7 +443,7 @@ class SupervisorPrinter(ClassPrinter):
         }
 
     def of_one_world(self) -> SupervisorPrinter:
-        """The printer of code that runs in one world."""
+        """Return the printer of code that runs in one world."""
         other = copy(self)
         other.target, other.state = SCALAR, {}
         return other
@@ -449,7 +451,7 @@ class SupervisorPrinter(ClassPrinter):
     def printer(self) -> Printer:
         return Printer(self, settable=self.settable)
 
-    # What the names in expressions mean
+    # Meanings of the names in expressions
 
     def scalar(self, leaf: Name | EngineRead, needs: ReaderKeys) -> str:
         if isinstance(leaf, EngineRead):
@@ -482,8 +484,8 @@ class SupervisorPrinter(ClassPrinter):
         return self.parameter(name) if name in self._parameters else self.local(name)
 
     def _channel_value(self, leaf: EngineRead) -> str:
-        """Values of the channel of a robot: the age of the message that the supervisor uses, and whether it
-        arrived in this timestep."""
+        """Return values of the channel of a robot: the age of the message that the supervisor uses, and
+        whether it arrived in this timestep."""
         name = leaf.subjects[0]
         if leaf.function == "age" and name in self._ages:
             return (
@@ -502,8 +504,8 @@ class SupervisorPrinter(ClassPrinter):
 def whole_vector(
     leaves: Sequence[Name], components: Mapping[str, Sequence[str]], code: Callable[[str], str]
 ) -> str | None:
-    """The code of a vector that is read as a whole, or of a slice of it; None for components that are no row
-    of one vector."""
+    """Return the code of a vector that is read as a whole, or of a slice of it; None for components that are
+    no row of one vector."""
     first = leaves[0]
     names = list(components.get(first.name, ()))
     if (
@@ -520,7 +522,7 @@ def whole_vector(
 
 
 def zeros(components: Sequence[str]) -> str:
-    """The code of 0, once for each component."""
+    """Return the code of 0, once for each component."""
     if components:
         if len(components) == 1:
             return "(0.0,)"

@@ -3,18 +3,15 @@
     nodes ─▶ Scenario (models) ─▶ names ─▶ typed expressions ─▶ Program
 
 values.py       texts to typed trees, findings at their places
-namespace.py    one flat namespace, each name typed when first asked for; what an expression may see from its
-                place
-fields.py       fields of the scenario, read as their annotations say; values that every episode draws anew
+namespace.py    one flat namespace, each name typed on first use; the names that an expression may use
+fields.py       fields of the scenario, read by their annotations; values that every episode draws anew
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
-robots.py       robot files and their changes, patterns and groups, what joints measure, limits of the robot
-                file
+robots.py       robot files and their changes, patterns and groups, quantities of joints, limits of the file
 controllers.py  actuators and their limits, poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
 places.py       placements, layouts, maps, and whether there is room
-episodes.py     what an episode draws: parameters, channels, disturbances; how it begins; signals, reward,
-                endings, limits
+episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
 search.py       the search of `tune`
@@ -80,11 +77,12 @@ _SPELLING_CODES = frozenset({"DB003", "DB004"})  # warnings about how a value is
 
 @dataclass(frozen=True, eq=False)
 class CheckedScenario:
-    """A document that was checked; `program` is None where findings at error level left nothing to compile.
+    """The result of checking a document; `program` is None if findings at error level left nothing to
+    compile.
 
-    `variants` are the same for the scenario under the settings of each case and stage. `tests` are those of
-    the file, each compiled under its own case or stage. `search` is the search space of each key under
-    `tune`. `learner` are the reasons for the learner that deepbots chose where the scenario names no
+    `variants` are the results for the scenario under the settings of each case and stage. `tests` are the
+    tests of the file, each compiled under its own case or stage. `search` is the search space of each key
+    under `tune`. `learner` are the reasons for the learner that deepbots chose where the scenario names no
     algorithm; the document has it under `train`.
     """
 
@@ -108,9 +106,9 @@ class CheckedScenario:
         )
 
     def release_names(self) -> None:
-        """Forget what names mean, once all is known that was asked. Names and their definitions hold each
-        other, and would be left to Python's search for garbage, which took a fifth of the time of linting a
-        folder.
+        """Forget the definitions of names, after all questions about them. Names and their definitions refer
+        to each other, and would be left to Python's search for garbage, which took a fifth of the time of
+        linting a folder.
         """
         for checked in (self, *self.variants):
             if checked.namespace is not None:
@@ -158,8 +156,8 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
 
 
 def _check(document: Document, sent: frozenset[str] = frozenset()) -> CheckedScenario:
-    """As `check`, without cases and stages. Robots send the fields `sent`, whether the supervisor uses them
-    or not."""
+    """Like `check`, but without cases and stages. Robots send the fields `sent`, whether the supervisor uses
+    them or not."""
     findings = document.findings
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
@@ -186,8 +184,8 @@ def _check(document: Document, sent: frozenset[str] = frozenset()) -> CheckedSce
 
 
 def _program(namespace: Namespace) -> Program:
-    """Define all names, then ask for everything once: names are typed as they are needed, whatever their
-    order in the file."""
+    """Define all names, then read everything once: names are typed as they are needed, whatever their order
+    in the file."""
     spec = namespace.scenario
     parameters = Parameters(namespace)
     define_bodies(namespace)
@@ -209,7 +207,7 @@ def _program(namespace: Namespace) -> Program:
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.robot.name: builder.poses for builder in builders}
     agent = _agent(namespace, goals, limits, timestep, action, rewards, each)
-    ordered = signals.ordered()  # as the observation, the reward and the goal have asked for them
+    ordered = signals.ordered()  # in the order in which observation, reward and goal use them
     program = Program(
         name=spec.name,
         summary=spec.summary,
@@ -257,7 +255,8 @@ def _agent(
     rewards: tuple[Expression, ...],
     each: RobotCopies | None,
 ) -> Agent:
-    """What the agent sees, does and is rewarded for, without its robots and the conditions on its action."""
+    """Return the observation, action and reward of the agent, without its robots and the conditions on its
+    action."""
     spec = namespace.scenario
     period = timestep * spec.agent.action_repeat
     return Agent(
@@ -279,8 +278,8 @@ def _agent(
 
 
 def _joined(findings: Findings) -> Findings:
-    """A warning about a value that is in error anyway, or about how such a value is spelled, becomes a note
-    of the error."""
+    """Return the findings with each warning about a value that is in error anyway, or about its spelling, as
+    a note of the error."""
     errors = findings.errors
     kept: list[Finding] = []
     absorbed: dict[int, list[Finding]] = {}
@@ -303,7 +302,7 @@ def _joined(findings: Findings) -> Findings:
 
 
 def _absorbs(error: Finding, warning: Finding) -> bool:
-    """Whether both stand at one place, or, for a warning about spelling, the error within it."""
+    """Return whether both are at one place, or, for a warning about spelling, the error is within it."""
     inner, outer = error.span, warning.span
     if inner.source.name != outer.source.name:
         return False

@@ -60,21 +60,21 @@ from deepbots_cli.scenario.base import kind_parameters
 Limits = tuple[float | None, ...]
 
 _BEGIN_AT_ZERO = frozenset({"integral", "duration"})
-"""Functions that begin at 0, whatever the first message holds."""
+"""The functions that begin at 0, whatever the first message contains."""
 
 
 class ResolvedActuator(NamedTuple):
-    """An actuator, and what its command is: of a dimension, with components or (None) a single number."""
+    """An actuator, and its command: of a dimension, with components or (None) a single number."""
 
     actuator: Actuator
     dimension: Dimension
     components: Components | None
     opening: tuple[float, float] | None = None
-    """Of a gripper: the position of its joints at a command of 0, and at 1."""
+    """The position of the joints of a gripper at a command of 0, and at 1."""
 
 
 def driven_parts(robot: ResolvedRobot, spec: specs.Actuator) -> Components | None:
-    """The components of a command to the actuator, without findings; None where there are none."""
+    """Return the components of a command to the actuator, without findings; None where there are none."""
     if spec.components:
         return spec.components
     key, names = (
@@ -94,7 +94,7 @@ class Actuators(NamespaceReader):
         self._robot = robot
 
     def read(self, name: str) -> ResolvedActuator | None:
-        """The actuator called `name`; None after a finding. One without a command varies nothing."""
+        """Return the actuator called `name`; None after a finding. One without a command varies nothing."""
         spec = self._robot.spec.actuators[name]
         varied = len(self._fields.variations)
         match spec:
@@ -164,7 +164,7 @@ class Actuators(NamespaceReader):
     def _gains(
         self, spec: specs.PositionMotor, names: tuple[str, ...], dimension: Dimension
     ) -> tuple[float | None, float | None]:
-        """Stiffness and damping of a position motor; `dimension` is that of the stiffness."""
+        """Return stiffness and damping of a position motor; `dimension` is that of the stiffness."""
         stiffness = self._scalar_or_randomized(
             spec, "stiffness", None, dimension=dimension, per_component=names
         )
@@ -198,7 +198,7 @@ class Actuators(NamespaceReader):
         )
 
     def _gripper(self, name: str, spec: specs.Gripper) -> ResolvedActuator | None:
-        """A servo whose command is how far it is open."""
+        """Return a servo whose command is how far it is open."""
         joints = self._robot.joints_of(spec, self._values)
         if not joints:
             return None
@@ -238,7 +238,7 @@ class Actuators(NamespaceReader):
         )
 
     def _spin(self, spec: specs.Thrust, links: tuple[str, ...]) -> tuple[float, ...] | None:
-        """The sense of each link, from one number for all or from patterns; None after a finding."""
+        """Return the sense of each link, from one number for all or from patterns; None after a finding."""
         if not isinstance(spec.spin, dict):
             spin = self._fields.fixed(spec, "spin") if "spin" in spec.model_fields_set else 1.0
             return None if spin is None else (spin,) * len(links)
@@ -264,7 +264,8 @@ class Actuators(NamespaceReader):
     # Limits and response
 
     def _response(self, spec: specs.Actuator, parts: tuple[str, ...]) -> Response:
-        """Strength is drawn for each of the parts, delay and time constant for all of them together."""
+        """Return the response. Strength is drawn for each of the parts, delay and time constant for all of
+        them together."""
         strength = self._scalar_or_randomized(spec, "strength", 1.0, per_component=parts)
         return Response(
             strength,
@@ -273,8 +274,8 @@ class Actuators(NamespaceReader):
         )
 
     def _max_torque(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
-        """The largest torque or force of each joint: the tighter of the scenario's and that of the robot
-        file."""
+        """Return the largest torque or force of each joint: the tighter of the scenario's and that of the
+        robot file."""
         own = tuple(joint.limit.effort for joint in joints)
         variations = len(self._fields.variations)
         effort = effort_dimension(joints[0])
@@ -291,11 +292,11 @@ class Actuators(NamespaceReader):
         return _tighter(own, max_torque)
 
     def _max_velocity(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
-        """The largest velocity of each joint, which is not drawn: the tighter limit of scenario and robot
-        file."""
+        """Return the largest velocity of each joint, which is not drawn: the tighter limit of scenario and
+        robot file."""
         own = tuple(joint.limit.velocity for joint in joints)
         if getattr(spec, "max_velocity", None) is None:
-            # A spring pulls as it is said to, and its torque is what bounds it.
+            # A spring has the given stiffness, and only its torque is limited.
             return (
                 (None,) * len(joints)
                 if isinstance(spec, specs.PositionMotor) and spec.stiffness is not None
@@ -311,7 +312,7 @@ class Actuators(NamespaceReader):
     def _scalar_or_randomized(
         self, spec: specs.Actuator, key: str, default: Default, **context: Unpack[FieldContext]
     ) -> float | Default:
-        """A value that an episode may draw."""
+        """Return a value that an episode may draw."""
         of = OfActuator(self._robot.name, str(spec.path[-1]))
         what = f"actuator_{key}"
         return self._fields.scalar_or_randomized(spec, key, what, of, default, **context)  # type: ignore[arg-type]
@@ -319,7 +320,7 @@ class Actuators(NamespaceReader):
     def _compare(
         self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits
     ) -> None:
-        """DB304 for a limit that the robot file undercuts for every joint."""
+        """Report DB304 for a limit that the robot file undercuts for every joint."""
         limits = [each for each in own if each is not None]
         if len(limits) == len(own) and limit > max(limits) * (1 + 1e-9):
             text, allowed = self._values.field(spec, key), Interval(-math.inf, max(limits))
@@ -336,7 +337,8 @@ def _tighter(own: Limits, written: float) -> Limits:
 
 
 def poses(robot: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
-    """Each pose as a vector by joint: patterns in the order of the file, each in that of the robot file."""
+    """Return each pose as a vector by joint: patterns in the order of the file, the joints of each in the
+    order of the robot file."""
     return {name: _pose(name, robot, namespace) for name in robot.spec.poses}
 
 
@@ -374,8 +376,8 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
 
 @dataclass(eq=False)
 class RobotBuilder:
-    """Builds the `Robot` of a program: defines its names, types what it emits, receives and applies, and
-    `finish` returns it."""
+    """The builder of the `Robot` of a program: it defines the names, types the values that the robot emits,
+    receives and applies, and `finish` returns the robot."""
 
     robot: ResolvedRobot
     namespace: Namespace
@@ -391,10 +393,10 @@ class RobotBuilder:
         self._check_names()
         self._define_fields()
 
-    # What it knows
+    # Names on board
 
     def _check_names(self) -> None:
-        """No name on board may mean two things, also not one here and another in the scenario."""
+        """Check that no name on board means two things, also not one here and another in the scenario."""
         spec = self.robot.spec
         taken: dict[str, tuple[str, NodePath]] = {}
         for name in self.namespace.names_of(Origin.PARAMETER, Origin.ACTION):
@@ -410,7 +412,7 @@ class RobotBuilder:
             if name in spec.poses or name in spec.sensors:
                 self.values.report_duplicate((*self.path, "receive", name), name, *taken[name])
 
-    # What it sends
+    # Sent values
 
     def _define_fields(self) -> None:
         emit, entries = self.robot.spec.emit, list[tuple[str, NodePath]]()
@@ -426,8 +428,8 @@ class RobotBuilder:
             self.namespace.define(f"{self.robot.name}.{name}", Origin.FIELD, place, make)
 
     def sent(self) -> tuple[Expression, ...]:
-        """The values that it sends; without an `emit`, the sensors that the supervisor uses: ask once
-        everything is typed."""
+        """Return the values that the robot sends; without an `emit`, the sensors that the supervisor uses,
+        which are known once everything is typed."""
         is_listed = self.robot.spec.emit is not None
         return tuple(
             field
@@ -436,7 +438,7 @@ class RobotBuilder:
         )
 
     def _sensor_field(self, name: str, place: NodePath) -> Symbol:
-        """The field of a sensor that no `emit` lists."""
+        """Return the field of a sensor that no `emit` lists."""
         full, sensor = f"{self.robot.name}.{name}", self.own[name]
         if sensor.type is None:
             return Symbol(full, None)
@@ -464,10 +466,10 @@ class RobotBuilder:
         self.fields[name] = Expression(name, text.span, text.text, typed, f"{self.robot.name}.emit.{name}")
         return Symbol(full, typed.type._replace(known=Known.STEP))
 
-    # What it receives and does
+    # Received values and commands
 
     def _receive(self) -> dict[str, Symbol]:
-        """Action variables, and what `receive` adds to them."""
+        """Return the action variables, and the fields of `receive`."""
         spec = self.robot.spec
         symbols = {
             name: self.namespace.resolve(name) or Symbol(name, None)
@@ -486,10 +488,10 @@ class RobotBuilder:
         return symbols
 
     def finish(self, timestep: float, action: Sequence[ActionPart], routes: tuple[Route, Route]) -> Robot:
-        """Type everything that is left; the world's timestep is `timestep` s, `routes` are those to and from
-        robots.
+        """Type everything that is left; the world's timestep is `timestep` s, `routes` are the routes to and
+        from robots.
 
-        What the robot sends is added later (`sent`).
+        The fields that the robot sends are added later (`sent`).
         """
         received = self._receive()
         scope = RobotScope(self.namespace, Context.APPLY, self.robot.name, {**self.own, **received})
@@ -527,8 +529,7 @@ class RobotBuilder:
         return robot
 
     def _report_lost_starts(self, robot: Robot) -> None:
-        """A finding for each memory whose start is received, where zeros replace a first message that is
-        lost."""
+        """Report each memory whose start is received, where zeros replace a first message that is lost."""
         for command in robot.commands:
             for node in walk(command.target.typed):
                 if not isinstance(node, Invocation) or node.function in _BEGIN_AT_ZERO:
@@ -577,8 +578,8 @@ class RobotBuilder:
 def commanded(
     robots: Iterable[Robot], action: Sequence[ActionPart], signals: Iterable[Expression]
 ) -> Iterator[str]:
-    """The names of the robots whose messages depend on the action; the `signals` stand after those that they
-    are made of."""
+    """Yield the names of the robots whose messages depend on the action; each of the `signals` comes after
+    those that it is made of."""
     moved = {name for part in action for name in part.variables}
     for signal in signals:
         if moved.intersection(referenced_names(signal.typed)):
@@ -593,8 +594,8 @@ def commanded(
 def _used_variables(
     action: Sequence[ActionPart], commands: Iterable[Command], received: Container[str]
 ) -> Iterator[MessageField]:
-    """The action variables that commands use, in the order of the action; `received` names of the robot hide
-    them."""
+    """Yield the action variables that commands use, in the order of the action; `received` names of the robot
+    hide them."""
     used = {
         node.symbol.name
         for command in commands

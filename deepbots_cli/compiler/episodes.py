@@ -1,5 +1,5 @@
-"""An episode: what it draws (parameters, channels, disturbances), how it begins, its signals, reward and
-endings, its limits."""
+"""An episode: its draws (parameters, channels, disturbances), its start, its signals, reward and endings, its
+limits."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ from deepbots_cli.scenario.scenario import Route as RouteSpec
 
 
 class Parameters(NamespaceReader):
-    """The parameters: those that are fixed are folded into expressions, the others are drawn."""
+    """The parameters: fixed ones are folded into expressions, the others are drawn."""
 
     def __init__(self, namespace: Namespace) -> None:
         super().__init__(namespace)
@@ -61,7 +61,7 @@ class Parameters(NamespaceReader):
             namespace.define(name, Origin.PARAMETER, ("parameters", name), partial(self._parameter, name))
 
     def drawn(self) -> tuple[Expression, ...]:
-        """Each after those that it is made of."""
+        """Return the drawn parameters, each after those that it is made of."""
         return tuple(self._drawn[name] for name in self._namespace.order if name in self._drawn)
 
     def _parameter(self, name: str) -> Symbol:
@@ -79,7 +79,7 @@ class Parameters(NamespaceReader):
 
 
 def route(direction: Direction, namespace: Namespace) -> Route:
-    """The route that `messages.to_robot` or `messages.from_robot` describes."""
+    """Return the route that `messages.to_robot` or `messages.from_robot` describes."""
     spec: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:
@@ -107,12 +107,12 @@ def route(direction: Direction, namespace: Namespace) -> Route:
 
 
 def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | None:
-    """A setting of a route, where the file gives it. One that may be new in every step may say how often its
-    draws are repeated."""
+    """Return a setting of a route, if the file has it. The expression of a setting that may be new in every
+    step may contain how often its draws are repeated."""
     if name not in spec.model_fields_set or getattr(spec, name) is None:
         return None
     values, text, what = namespace.values, namespace.values.field(spec, name), f"`{name}`"
-    assert isinstance(text.kind, Quantity)  # as in the model
+    assert isinstance(text.kind, Quantity)  # the fields of the model
     if text.kind.known == "step" and text.kind.si is not None:
         typed, redraw = values.redrawn(text, what, namespace.scope(Context.FIELD), text.kind.si)
     else:
@@ -127,7 +127,8 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
 def is_repeated_as_a_whole(
     typed: Typed, redraw: Redraw | None, text: SourceText, values: ValueReader
 ) -> bool:
-    """Whether a value that changes within an episode says how often its own draws are repeated."""
+    """Return whether a value that changes within an episode determines how often its own draws are
+    repeated."""
     if redraw is not None or typed.type.known is not Known.STEP or not contains_draw(typed):
         return redraw is None or redraw.period is None or _is_positive(redraw.period, text, values)
     help = "add `every 5 s` or `each step` to repeat the draw, or define the random value under `parameters`"
@@ -156,7 +157,7 @@ _PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
 
 
 def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
-    """The entries of `disturbances`, in the order of the file."""
+    """Return the entries of `disturbances`, in the order of the file."""
     compiled = [_disturbance(name, spec, namespace) for name, spec in namespace.scenario.disturbances.items()]
     return tuple(push for push in compiled if push is not None)
 
@@ -183,7 +184,7 @@ def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Dist
 
 
 def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | None] | None:
-    """Body and link that are pushed; None after a finding."""
+    """Return body and link that are pushed; None after a finding."""
     called, values = spec.body, namespace.values
     span = values.field(spec, "body").span
     subject = namespace.subject(called, frozenset({Kind.LINK}))
@@ -211,7 +212,7 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
 
 
 def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
-    """Whether it never moves: a fixed object, a mark, the root link of a robot that is bolted down."""
+    """Return whether it never moves: a fixed object, a mark, the root link of a robot that is bolted down."""
     robot = namespace.robots.get(body)
     if robot is not None:
         return robot.spec.base == "fixed" and link in ("", robot.model.root)
@@ -225,14 +226,14 @@ _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
 
 
 def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
-    """The entries of `reset.joints`: joints and groups of joints of robots; `poses` are those of each
-    robot."""
+    """Return the entries of `reset.joints`: joints and groups of joints of robots; `poses` are the poses of
+    each robot."""
     starts = [_joint_start(key, namespace, poses) for key in namespace.scenario.reset.joints]
     return tuple(start for start in starts if start is not None)
 
 
 def _pose_help(robot: ResolvedRobot, pose_name: str, poses: Mapping[str, Symbol]) -> str | None:
-    """How to start a robot in one of its poses: by the group of the joints of the pose."""
+    """Return how to start a robot in one of its poses: by the group of the joints of the pose."""
     pose = poses.get(pose_name)
     if pose is None or pose.type is None or not pose.type.components:
         return None
@@ -252,13 +253,13 @@ def _pose_help(robot: ResolvedRobot, pose_name: str, poses: Mapping[str, Symbol]
 
 
 def _movable_parts(robot: ResolvedRobot) -> list[str]:
-    """The groups of joints of a robot, and its joints that a start can set."""
+    """Return the groups of joints of a robot, and its joints that a start can set."""
     groups = [name for name, (kind, _) in robot.groups.items() if kind in _JOINTS]
     return [*groups, *robot.drivable_joints]
 
 
 def _report_missing_robot(key: str, text: SourceText, namespace: Namespace) -> None:
-    """The robot in the key of a start is unknown: a joint without its robot, or another name."""
+    """Report an unknown robot in the key of a start: a joint without its robot, or another name."""
     name = key.partition(".")[0]
     parts = [f"{robot.name}.{part}" for robot in namespace.resolved_robots for part in _movable_parts(robot)]
     if any(whole.partition(".")[2] == key for whole in parts):
@@ -271,7 +272,7 @@ def _report_missing_robot(key: str, text: SourceText, namespace: Namespace) -> N
 def _report_whole_robot(
     robot: ResolvedRobot, text: SourceText, namespace: Namespace, poses: Mapping[str, Symbol]
 ) -> None:
-    """A start names a robot where it must name a joint."""
+    """Report a start that names a robot where it must name a joint."""
     key = robot.name
     movable = [f"{key}.{part}" for part in _movable_parts(robot)]
     help = choices_help(key, movable) if movable else "no joint of this robot can move"
@@ -330,7 +331,7 @@ def _start_value(
     scope: ParameterScope,
     joints: Components,
 ) -> Expression | None:
-    """A draw that is written once is drawn anew for each joint of a group."""
+    """Return the start of joints. A draw that is written once is drawn anew for each joint of a group."""
     namespace, values = scope.namespace, scope.namespace.values
     typed = namespace.fields.typed(
         text, "the start of a joint", dimension=dimension, components=subject.components, scope=scope
@@ -362,10 +363,10 @@ _HELP_BEFORE_FIRST_STEP = {
 
 
 def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
-    """How bodies are arranged, and the walls that only maps put up.
+    """Return the arrangement of bodies, and the walls that only maps put up.
 
-    Bodies stand in the order of the file; one that a layout does not place stands at its own `pose`, and of a
-    group no copy is there.
+    Bodies are in the order of the file; a body that a layout does not place is at its own `pose`, and a group
+    that it does not place has no copy.
     """
     spec = namespace.scenario
     room = PlacementChecker(namespace, world)
@@ -394,7 +395,7 @@ def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple
 
 
 def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Namespace) -> list[Placement]:
-    """Bodies at home that other layouts place."""
+    """Return the bodies at home that other layouts place."""
     here = {placement.body for placement in layout.placements}
     bodies = {*namespace.names_of(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
     return [
@@ -403,7 +404,7 @@ def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Names
 
 
 def _require_places(namespace: Namespace) -> None:
-    """DB102 for a group that no layout places: its copies would never be there."""
+    """Report DB102 for a group that no layout places: its copies would never be there."""
     layouts = namespace.scenario.reset.layouts.values()
     mentioned = {
         *namespace.scenario.reset.place,
@@ -426,7 +427,8 @@ def _require_places(namespace: Namespace) -> None:
 
 
 def _requirement(namespace: Namespace) -> Expression | None:
-    """The condition that a start must meet, which may ask for whatever is so before the first step."""
+    """Return the condition that a start must meet, which may use every value that exists before the first
+    step."""
     if namespace.scenario.reset.require is None:
         return None
     values = namespace.values
@@ -454,7 +456,7 @@ def _requirement(namespace: Namespace) -> Expression | None:
 
 
 def settling_time(namespace: Namespace, timestep: float) -> float:
-    """Seconds, in whole timesteps of `timestep` s."""
+    """Return the time in s, in whole timesteps of `timestep` s."""
     values, settle = namespace.values, namespace.fields.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
     if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid(
@@ -475,7 +477,7 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
 
 
 def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
-    """A term of which nothing is known but whether it is a truth value."""
+    """Return a term of which nothing is known but whether it is a truth value."""
     values, text = namespace.values, namespace.values.field(given, "python")
     if namespace.document.permissions.code:
         headline = f"`{name}` runs Python code: {given.python}"
@@ -499,12 +501,12 @@ def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: 
 
 _MAX_SHOWN_CHARACTERS = 60
 MAX_ENDINGS = 200
-"""Whatever is paid is held against every one of them."""
+"""The maximum number of endings: every reward term is compared with each of them."""
 NO_SUCCESS_DEFINED = "a success rate needs a success, but the scenario does not define one"
 
 
 class Signals(NamespaceReader):
-    """Augmentation, signals and endings: named values of the supervisor, typed when first asked for."""
+    """Augmentation, signals and endings: named values of the supervisor, typed on first use."""
 
     def __init__(self, namespace: Namespace) -> None:
         super().__init__(namespace)
@@ -545,7 +547,7 @@ class Signals(NamespaceReader):
         return name in self._spec.parameters or name in self._spec.signals
 
     def _check_augmented(self, names: Sequence[str]) -> None:
-        """A list under `augment` names values that exist, which the policy may see."""
+        """Check that a list under `augment` names values that exist, which the policy may see."""
         kinds = (Origin.PARAMETER, Origin.SIGNAL)
         for index, name in enumerate(names):
             self._namespace.mark_used(name)
@@ -580,7 +582,7 @@ class Signals(NamespaceReader):
         )
 
     def ordered(self) -> tuple[Expression, ...]:
-        """Augmentation and signals, each after those that it is made of."""
+        """Return augmentation and signals, each after those that it is made of."""
         for name in self._namespace.names_of(Origin.AUGMENT, Origin.SIGNAL):
             self._namespace.resolve(name)
         wanted = (Origin.AUGMENT, Origin.SIGNAL)
@@ -591,7 +593,7 @@ class Signals(NamespaceReader):
         )
 
     def endings(self) -> tuple[Expression, ...]:
-        """The endings, successes first, each kind in file order."""
+        """Return the endings, successes first, each kind in file order."""
         names = self._namespace.names_of(Origin.ENDING)
         for name in names:
             self._namespace.resolve(name)
@@ -599,7 +601,7 @@ class Signals(NamespaceReader):
 
 
 def reward_terms(namespace: Namespace) -> tuple[Expression, ...]:
-    """The summands of the reward: single plain numbers."""
+    """Return the summands of the reward: single plain numbers."""
     terms = []
     for name, term in namespace.scenario.reward.items():
         if isinstance(term, PythonTerm):
@@ -627,7 +629,7 @@ def _reward_value(text: SourceText, namespace: Namespace) -> Typed | None:
 
 
 def truncation(namespace: Namespace) -> Truncation:
-    """The limits; without any, nothing is sure to end an episode."""
+    """Return the limits; without any, nothing is sure to end an episode."""
     values, limits = namespace.values, namespace.scenario.truncation
     if limits is None:
         if not values.is_invalid("truncation"):
@@ -642,8 +644,8 @@ def truncation(namespace: Namespace) -> Truncation:
 
 
 def success_help(limits: Truncation, timestep: float, instead: str, has_failures: bool) -> str:
-    """How to define a success of episodes of at most `limits` and a control step of `timestep` s, or to write
-    `instead`."""
+    """Return how to define a success of episodes of at most `limits` and a control step of `timestep` s, or
+    to write `instead`."""
     seconds = limits.max_time or (limits.max_steps or 0) * timestep
     if has_failures and seconds:
         lasting = f"success: {{lasted: time > {0.95 * seconds:.3g} s}}"
@@ -654,8 +656,8 @@ def success_help(limits: Truncation, timestep: float, instead: str, has_failures
 
 
 def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved | None:
-    """When the training has solved the task, whose episodes end at `limits` and whose control step takes
-    `timestep` s."""
+    """Return the criterion by which the training has solved the task, whose episodes end at `limits` and
+    whose control step takes `timestep` s."""
     spec = namespace.scenario
     values = namespace.values
     if spec.solved is None:
@@ -675,8 +677,8 @@ def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved 
 
 
 def with_reading_ages(program: Program) -> Program:
-    """The program with a further field in the messages of robots for each sensor whose age the supervisor
-    asks for.
+    """Return the program with a further field in the messages of robots for each sensor whose age the
+    supervisor uses.
 
     A sensor that is read when the message is written, as perfect ones are, is as old as the message.
     """

@@ -1,8 +1,7 @@
-"""How a policy is trained, evaluated and tested: the training section, cases, stages of the curriculum, tests
-of the scenario.
+"""The training section, cases of the evaluation, stages of the curriculum, and tests of the scenario.
 
 Each case and stage is the same file with its `set` made, as `--set` would make it, and checked as a whole. A
-policy has to fit all of them, so what it sees, does and sends must be the same.
+policy has to fit all of them, so its observation, action and messages must be the same.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ Action = tuple[Choices | ActionRange, ...]
 def training(
     namespace: Namespace, action: Action, copies: RobotCopies | None, longest_episode: int | None
 ) -> Training | None:
-    """The training section; no episode has more than `longest_episode` steps. None where it names no
+    """Return the training section; no episode has more than `longest_episode` steps. None where it names no
     algorithm.
 
     An algorithm that cannot act in this action space is a finding, and so is hindsight without a goal, or
@@ -124,7 +123,7 @@ def training(
 
 
 def _hyperparameters(own: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:
-    """Those with a single value or a schedule; an unusual learning rate is a finding."""
+    """Return the hyperparameters with a single value or a schedule; an unusual learning rate is a finding."""
     read = []
     for name, value in own.items():
         if name == "replay" or not (isinstance(value, (bool, int, float, str)) or value is None):
@@ -213,7 +212,8 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
 
 
 def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> str:
-    """What to write for an algorithm of ranges where an action has choices: another algorithm, or ranges."""
+    """Return the help for an algorithm of ranges where an action has choices: another algorithm, or
+    ranges."""
     written, also = entries_at(namespace.values.root, "train"), ""
     foreign = [
         key
@@ -230,10 +230,10 @@ def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> s
 
 
 MAX_VARIANTS = 64
-"""Cases and stages of one scenario; each is compiled."""
+"""The maximum number of cases and stages of one scenario; each is compiled."""
 MAX_VALUES = 40_000
-"""Of all of them together. The largest scenario that comes with deepbots has 500, of which all 64 would take
-32 000."""
+"""The maximum number of values of all of them together. The largest scenario that comes with deepbots has
+500, of which all 64 would take 32 000."""
 
 _FIXED_SECTIONS = frozenset(
     (
@@ -260,8 +260,8 @@ VariantKind = Literal["case", "stage"]
 def compile_variants(
     document: Document, spec: Scenario, program: Program, findings: Findings, check: Check
 ) -> tuple[tuple[CheckedScenario, ...], Program]:
-    """Check every case and stage of a scenario that is sound itself: what came of each, and the task with
-    those that are sound too."""
+    """Check every case and stage of a scenario that has no errors itself. Returns the results, and the task
+    with the cases and stages that have no errors."""
     if document.root is None:
         return (), program
     values = ValueReader(document.root, findings, {})
@@ -322,7 +322,7 @@ class _VariantCompiler:
         self._check = check
 
     def check_order(self, spec: Scenario) -> None:
-        """Every stage but the last says when it ends, and no two are called the same."""
+        """Check that every stage but the last has an end, and that no two have the same name."""
         values, first = self._values, dict[str, NodePath]()
         for index, stage in enumerate(spec.curriculum):
             path: NodePath = ("curriculum", index)
@@ -354,13 +354,13 @@ class _VariantCompiler:
                 values.add_at_key("DB407", (*path, "until"), "the last stage has an `until`", help)
 
     def program(self, word: VariantKind, name: str, path: NodePath) -> Program | None:
-        """The task under the `set` at `path`; None after a finding."""
+        """Return the task under the `set` at `path`; None after a finding."""
         entries = entries_at(self._values.root, *path, "set").values()
         if [entry for entry in entries if self._is_fixed(entry, word)]:
             return None
         findings = Findings(self._document.findings.limit)
         root = without_paths(self._values.root, (*_VARIANT_SECTIONS, *self._tests(word, name)))
-        assert isinstance(root, MappingNode)  # as it was
+        assert isinstance(root, MappingNode)  # the root stays a mapping
         for entry in entries:
             root = apply_setting(root, entry, findings)
         checked = self._check(replace(self._document, root=root, findings=findings))
@@ -388,7 +388,7 @@ class _VariantCompiler:
         )
 
     def _tests(self, word: VariantKind, name: str) -> Iterator[NodePath]:
-        """The paths that a variant leaves out of `tests`: all other tests, and the keys that name the
+        """Yield the paths that a variant leaves out of `tests`: all other tests, and the keys that name the
         variant."""
         tests = self._values.root.get("tests")
         for test, entry in tests.entries.items() if isinstance(tests, MappingNode) else ():
@@ -400,7 +400,7 @@ class _VariantCompiler:
             )
 
     def _is_fixed(self, entry: Entry, word: VariantKind) -> bool:
-        """Whether a setting speaks of what a policy is made for, after a finding that says so."""
+        """Return whether a setting changes a property that a policy is made for, after a finding about it."""
         steps, _, rest = follow_dotted(self._values.root, entry.key.text.strip())
         head = str(steps[0]) if steps else rest.split(".")[0]
         parameters = self._values.root.get("parameters")
@@ -416,7 +416,7 @@ class _VariantCompiler:
         return True
 
     def _admits_same_policy(self, program: Program, word: VariantKind, name: str, here: Span) -> bool:
-        """Whether a policy for the scenario itself can act in this one, else after a finding."""
+        """Return whether a policy for the scenario itself can act in this one, else after a finding."""
         lines = identity.differences(self._base, program, words=("in the scenario", f"in this {word}"))
         if word == "stage" and program.world.timestep != self._base.world.timestep:
             lines.append(
@@ -456,17 +456,17 @@ class _VariantCompiler:
 
 MAX_TESTS = 200
 MAX_STEPS = 1_000_000
-"""Timesteps of a test: a few minutes in a light world."""
+"""The maximum number of timesteps of a test: a few minutes in a light world."""
 PLAIN_DRIVERS = ("random", "zero")
 _COMPARISONS = frozenset({"less", "less_equal", "greater", "greater_equal", "equal", "not_equal"})
 _RATE_KEYS: tuple[ExpectedKey, ...] = ("success_rate", "failure_rate", "mean_return")
 _CONDITIONS: tuple[ExpectedKey, ...] = ("always", "eventually")
 _MAX_SHOWN_VALUES = 4
-"""Values that a failed condition shows."""
+"""The number of values that a failed condition shows."""
 
 
 def scenario_tests(namespace: Namespace, program: Program) -> tuple[ScenarioTest, ...]:
-    """The tests without findings, compiled in the namespace of `program`."""
+    """Return the tests without findings, compiled in the namespace of `program`."""
     written, values = namespace.scenario.tests, namespace.values
     if len(written) > MAX_TESTS:
         values.add_at_key(
@@ -486,7 +486,7 @@ class _Reader(NamespaceReader):
         self._scope = SupervisorScope(namespace, Context.TEST)
 
     def test(self, name: str, spec: TestSpec) -> ScenarioTest | None:
-        """The test; None after an error."""
+        """Return the test; None after an error."""
         errors_before = len(self._values.findings.errors)
         driver = self._actions(spec) if spec.actions is not None else self._driver(spec)
         cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.curriculum]
@@ -561,8 +561,8 @@ class _Reader(NamespaceReader):
         return None if decided is None else FixedAction(tuple(choices), tuple(ranges), ":".join(words))
 
     def _steps(self, spec: TestSpec, driver: str | tuple[FixedAction, ...] | None) -> int:
-        """The largest number of steps of an episode; a finding if all episodes of the test may take too
-        many."""
+        """Return the largest number of steps of an episode; a finding if all episodes of the test may take
+        too many."""
         period = self._program.period
         own = Truncation(spec.max_steps, self._fields.fixed(spec, "max_time")).max_episode_steps(period)
         steps = min(
@@ -578,7 +578,7 @@ class _Reader(NamespaceReader):
             )
         return steps
 
-    # What is expected
+    # Expected results
 
     def _expected(self, spec: Expectation) -> Iterator[ExpectedResult]:
         ends = self._spec.termination
@@ -613,7 +613,7 @@ class _Reader(NamespaceReader):
                 yield from self._condition(key, (*spec.path, key))
 
     def _bounds(self, spec: Expectation, key: str) -> tuple[float, float] | None:
-        """The smallest and the largest expected value; None after a finding."""
+        """Return the smallest and the largest expected value; None after a finding."""
         text, scope = self._values.field(spec, key), self._namespace.scope(Context.FIXED)
         report, called = self._values.report(text), f"`{key}`"
         if ".." in text.text:
@@ -677,7 +677,7 @@ class _Reader(NamespaceReader):
 
 
 def _compared(tree: Typed) -> Iterator[Typed]:
-    """The single values that comparisons of a condition compare, except constants."""
+    """Yield the single values that comparisons of a condition compare, except constants."""
     seen: set[tuple[int, int]] = set()
     for node in walk(tree):
         for part in node.args if isinstance(node, Operation) and node.operator in _COMPARISONS else ():

@@ -60,7 +60,7 @@ class FieldContext(TypedDict, total=False):
 
 
 class FieldReader:
-    """Reads fields of a scenario, each as its annotation says.
+    """Reads fields of a scenario, each by its annotation.
 
     Attributes:
         variations: Values that are drawn anew in every episode, in the order in which they were found.
@@ -68,7 +68,8 @@ class FieldReader:
     """
 
     def __init__(self, values: ValueReader, scope: Callable[[Context], Scope]) -> None:
-        """`scope` gives the names that a field may use unless its reader knows better."""
+        """Create a reader. `scope` is the default for the names that a field may use; a caller can pass
+        another one."""
         self._values, self._scope = values, scope
         self.variations: list[RandomizedParameter] = []
         self.colors: list[RandomizedParameter] = []
@@ -76,14 +77,14 @@ class FieldReader:
     def typed(
         self, text: SourceText, what: str | None = None, **context: Unpack[FieldContext]
     ) -> Typed | None:
-        """The tree of a quantity; None after a finding, which calls the field `what`."""
+        """Return the tree of a quantity; None after a finding, in which the field is called `what`."""
         return self._values.quantity(text, what or f"`{text.path[-1]}`", *self._expected_type(text, context))
 
     def expression(
         self, section: Section, *steps: str | int, **context: Unpack[FieldContext]
     ) -> Expression | None:
-        """A field that is computed anew in an episode or in a step; None where none is given, and after a
-        finding."""
+        """Return a field that is computed anew in an episode or in a step; None where none is given, and
+        after a finding."""
         text = self._text_of(section, steps)
         typed = self.typed(text, **context) if text else None
         return text.expression(typed) if text and typed else None
@@ -91,9 +92,10 @@ class FieldReader:
     def numbers(
         self, section: Section, *steps: str | int, **context: Unpack[FieldContext]
     ) -> tuple[float, ...] | None:
-        """The SI values of a fixed field; None where none is given, and after a finding.
+        """Return the SI values of a fixed field; None if none is given, and after a finding.
 
-        With a later `known` the language lets the field vary, and a finding says that this does not run yet.
+        With a later `known` the language lets the field vary, and a finding reports that this does not run
+        yet.
         """
         text = self._text_of(section, steps)
         if text is None:
@@ -112,24 +114,24 @@ class FieldReader:
         return self._si_values(typed, text, len(components or ("",))) if typed else None
 
     def _si_values(self, typed: Typed, text: SourceText, count: int) -> tuple[float, ...] | None:
-        """The values of a fixed tree; a single one stands for all of `count`."""
+        """Return the SI values of a fixed tree; a single one is used for all of `count`."""
         fixed = self._values.fixed(typed, text, f"`{text.path[-1]}`")
         return None if fixed is None else tuple(map(float, fixed * count if len(fixed) == 1 else fixed))
 
     def fixed(self, section: Section, *steps: str | int, **context: Unpack[FieldContext]) -> float | None:
-        """The SI value of a fixed field that is a single number; None as in `numbers`."""
+        """Return the SI value of a fixed field that is a single number; None as in `numbers`."""
         numbers = self.numbers(section, *steps, **context)
         return numbers[0] if numbers else None
 
     def pair(self, section: Section, *steps: str | int) -> tuple[float, float] | None:
-        """The two SI values of a fixed field in the plane; None as in `numbers`."""
+        """Return the two SI values of a fixed field in the plane; None as in `numbers`."""
         numbers = self.numbers(section, *steps)
         return (numbers[0], numbers[1]) if numbers else None
 
     def triple(
         self, section: Section, *steps: str | int, **context: Unpack[FieldContext]
     ) -> tuple[float, float, float] | None:
-        """The three SI values of a fixed field in space; None as in `numbers`."""
+        """Return the three SI values of a fixed field in space; None as in `numbers`."""
         numbers = self.numbers(section, *steps, **context)
         return (numbers[0], numbers[1], numbers[2]) if numbers else None
 
@@ -142,7 +144,7 @@ class FieldReader:
         default: Default,
         **context: Unpack[FieldContext],
     ) -> float | Default:
-        """The SI value of a field that an episode may draw; `default` where none is given, and after a
+        """Return the SI value of a field that an episode may draw; `default` where none is given, and after a
         finding.
 
         A drawn value becomes a randomized parameter, and the middle of its interval is returned. With
@@ -154,7 +156,7 @@ class FieldReader:
     def vector_or_randomized(
         self, section: Section, key: str, what: Randomizable, of: Owner, **context: Unpack[FieldContext]
     ) -> tuple[float, ...] | None:
-        """The SI values of a vector that an episode may draw; None where none is given, and after a
+        """Return the SI values of a vector that an episode may draw; None where none is given, and after a
         finding."""
         text = self._text_of(section, (key,))
         if text is None:
@@ -166,7 +168,7 @@ class FieldReader:
         if typed is None or not self._is_bounded(typed, text):
             return None
         count = len(components or ("",))
-        # A value that is given again, as for a link that two patterns mean, replaces what was to be drawn.
+        # A value that is given again, as for a link that two patterns match, replaces the earlier draw.
         self.variations[:] = [each for each in self.variations if (each.what, each.of) != (what, of)]
         if typed.type.known is Known.FIXED:
             return self._si_values(typed, text, count)
@@ -176,7 +178,7 @@ class FieldReader:
         return (sum(ends) / len(ends) if ends else 0.0,) * count
 
     def _is_bounded(self, typed: Typed, text: SourceText) -> bool:
-        """Whether a drawn value keeps the bounds of its field: a normal distribution has none."""
+        """Return whether a drawn value keeps the bounds of its field: a normal distribution has none."""
         reach, kind = typed.type.interval, text.kind
         if not isinstance(kind, Quantity) or typed.type.known is Known.FIXED:
             return True
@@ -196,7 +198,7 @@ class FieldReader:
         falling: bool = False,
         **context: Unpack[FieldContext],
     ) -> RangeEnds | None:
-        """The ends of a fixed range, in any order where it may be `falling`; None after a finding."""
+        """Return the ends of a fixed range, in any order where it may be `falling`; None after a finding."""
         text = self._values.field(section, *steps)
         dimension = context.get("dimension") or (
             measure_dimension(text.kind.dimension) if isinstance(text.kind, Range) else None
@@ -214,7 +216,7 @@ class FieldReader:
     def parameters(
         self, spec: Section, wanted: Iterable[tuple[str, FieldType]], own: Dimension, *, slides: bool = False
     ) -> tuple[tuple[str, Parameter], ...] | None:
-        """The `wanted` fields of a sensor or actuator in SI units; None after a finding.
+        """Return the `wanted` fields of a sensor or actuator in SI units; None after a finding.
 
         `own` is the dimension of its readings or commands. Of a measure such as `torque or force`, joints
         that slide have the second.
@@ -252,8 +254,8 @@ class FieldReader:
         return float(numbers[0])
 
     def noise(self, section: Section, of: Typed) -> Noise | None:
-        """The `noise` of a section on the value `of`: its standard deviation in the unit of the value, or
-        relative to it with `%`.
+        """Return the `noise` of a section on the value `of`: its standard deviation in the unit of the value,
+        or relative to it with `%`.
 
         None where none is given, for a standard deviation of 0, and after a finding.
         """
@@ -280,7 +282,7 @@ class FieldReader:
         return Noise(text.expression(std, per_component=components), relative) if std else None
 
     def color(self, section: Section, of: OfLink | None = None) -> Color | None:
-        """The `color` of a section, None where none is given.
+        """Return the `color` of a section, None where none is given.
 
         Of several to draw from it is the first, and the draw becomes a randomized parameter of a body and
         link, `of`; without them, a draw is a finding.
@@ -290,9 +292,8 @@ class FieldReader:
             return None
         text, options = self._values.field(section, "color"), [_rgba(word) for word in color_options(color)]
         if of is not None:
-            self.colors[:] = [
-                each for each in self.colors if each.of != of
-            ]  # as for a link that two patterns mean
+            # A link that two patterns match has the color of the later one.
+            self.colors[:] = [each for each in self.colors if each.of != of]
         if len(options) > 1 and of is None:
             help = "write one color for all episodes"
             self._values.add("DB407", text.span, "this color must be fixed, but the value is random", help)
@@ -312,7 +313,7 @@ class FieldReader:
         self, text: SourceText, context: FieldContext
     ) -> tuple[Scope, Dimension | None, Components | None, Known]:
         kind = text.kind
-        assert isinstance(kind, (Quantity, Column))  # of nothing else numbers are asked for
+        assert isinstance(kind, (Quantity, Column))  # other fields have no numbers
         axes, own = (kind.axes, kind.known) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
         known = context.get("known", Known[own.upper()])
         scope = context.get("scope") or self._scope(Context.FIELD if known else Context.FIXED)
@@ -324,7 +325,7 @@ class FieldReader:
         )
 
     def is_randomized(self, what: Randomizable, of: Owner) -> bool:
-        """Whether an episode draws this value."""
+        """Return whether an episode draws this value."""
         return any((variation.what, variation.of) == (what, of) for variation in self.variations)
 
 

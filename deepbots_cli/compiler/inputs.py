@@ -19,17 +19,17 @@ from deepbots_cli.files import unwritable_message
 
 RESOLVED_NAME = "resolved.yaml"
 INPUTS_FOLDER = "inputs"
-"""Where the copies lie, beside the resolved scenario."""
+"""The folder of the copies, beside the resolved scenario."""
 
 _SETTINGS = (("evaluation",), ("curriculum",))
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """The files of one scenario: texts, robots, meshes and pictures; `files` are those of the world, by where
-    they are named.
+    """The files of one scenario: texts, robots, meshes and pictures; `files` maps the path of each file name
+    in the scenario to the file.
 
-    `variants` are the same for the scenario under the settings of each case and stage, which may name other
+    `variants` has the inputs of the scenario under the settings of each case and stage, which may name other
     files.
     """
 
@@ -42,9 +42,8 @@ class Inputs:
     def names(self) -> dict[Path, str]:
         """A relative path for the copy of each file, the scenario first."""
         meshes = [Path(mesh) for robot in self._all_robots for mesh in robot.file.meshes]
-        packages = [
-            robot.path.parent for robot in self._all_robots
-        ]  # one from a package has its meshes below it
+        # A robot from an installed package keeps its meshes below its own folder.
+        packages = [robot.path.parent for robot in self._all_robots]
         files = [file for each in (self, *self.variants) for file in each.files.values()]
         return copy_names(
             [*self._texts, *meshes, *files], (shipped.data_dir(), *self.document.roots, *packages)
@@ -64,12 +63,12 @@ class Inputs:
         return {first: main.text, **{path: source.text for path, source in files.items()}, **robots}
 
     def write(self, folder: Path) -> None:
-        """Write the resolved scenario and the copies into `folder`; what is compiled from there is the
-        same."""
+        """Write the resolved scenario and the copies into `folder`. Compiling that folder gives the same
+        program."""
         write_copies(folder, self.resolved(), self.contents())
 
     def contents(self) -> dict[str, bytes]:
-        """The bytes of every file by the name of its copy.
+        """Return the bytes of every file by the name of its copy.
 
         Raises:
             UsageError: A mesh has gone since it was checked.
@@ -80,8 +79,8 @@ class Inputs:
         }
 
     def resolved(self) -> str:
-        """The merged scenario as YAML, with the copies as its files. It has no `tune`, whose check takes
-        longer than all others."""
+        """Return the merged scenario as YAML, with the copies as its files. It has no `tune`, whose check
+        takes longer than all others."""
         if self.document.root is None:
             return ""
         root = without_paths(self.document.root, [(TUNE,)])
@@ -100,7 +99,7 @@ class Inputs:
         )
 
     def _set(self) -> dict[NodePath, Path]:
-        """The files that only the settings of a case or a stage name, by their place in the text."""
+        """Return the files that only the settings of a case or a stage name, by their place in the text."""
         assert self.document.root is not None
         files: dict[Span, Path] = {}
         for variant in self.variants:
@@ -133,9 +132,10 @@ def write_copies(folder: Path, resolved: str, contents: Mapping[str, bytes]) -> 
 
 
 def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str]:
-    """Names under which files of one home stand to each other as they did, so that a robot finds its meshes.
+    """Return names for the copies that keep the relative paths of files below the same folder of `homes`, so
+    that a robot finds its meshes.
 
-    Those of the first file's home are at the top, the others in folders of their own.
+    The files of the first file's home are at the top, the others in folders of their own.
     """
     groups: dict[Path, list[Path]] = {}
     for file in dict.fromkeys(files):

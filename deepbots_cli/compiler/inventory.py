@@ -31,7 +31,7 @@ _OF_ROBOTS = {
     "body or link": ("links",),
     "body": (),
 }
-"""Which parts of a robot each kind may name."""
+"""The parts of a robot that each kind may name."""
 _ORIGINS = {
     "robot": (Origin.ROBOT,),
     "line": (Origin.LINE,),
@@ -42,8 +42,8 @@ _ORIGINS = {
 
 
 class NameEntry(NamedTuple):
-    """A name, what it stands for (`a revolute joint`), and where it is defined; None for what the language
-    gives."""
+    """A name, its meaning (`a revolute joint`), and the place of its definition; None for a name that is part
+    of the language."""
 
     name: str
     description: str
@@ -51,8 +51,8 @@ class NameEntry(NamedTuple):
 
 
 def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[NameEntry]:
-    """The names that a `Reference` or a `Pattern` of this kind may take at `path` of the scenario; none if
-    they are unknown.
+    """Return the names that a `Reference` or a `Pattern` of this kind may take at `path` of the scenario;
+    none if they are unknown.
 
     Inside of a robot its parts go by their short names, elsewhere by full ones, as `cart.pole_hinge`.
     """
@@ -75,14 +75,14 @@ def _of_robots(namespace: Namespace, kind: str, path: NodePath) -> Iterator[Name
     if kind.startswith(("body", "bodies")):
         yield from _bodies(namespace)
         robot = None
-    if kind == "bodies or links":  # what a touch sensor feels
+    if kind == "bodies or links":  # the parts that a touch sensor feels
         yield NameEntry("ground", "the ground")
         yield from _defined(namespace, namespace.walls)
     yield from _parts(namespace, robot, _OF_ROBOTS[kind])
 
 
 def _keys(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
-    """Names that are keys of one section."""
+    """Return the names that are keys of one section."""
     if kind == "action":
         return [_keyed(namespace, ("action", name), "an action") for name in namespace.scenario.action]
     if kind == "layout":
@@ -110,8 +110,8 @@ def _keys(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
 
 
 def action_at(path: NodePath) -> str:
-    """The action that a place of a script, of an action of a test or of the section `action` belongs to;
-    empty for none."""
+    """Return the action that a place of a script, of an action of a test or of the section `action` belongs
+    to; empty for none."""
     place = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
     return str(path[place]) if len(path) > place else ""
 
@@ -120,7 +120,7 @@ _OF_TESTS = ("driver", "case", "stage", "ending")
 
 
 def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
-    """The names that a test may use."""
+    """Return the names that a test may use."""
     spec = namespace.scenario
     limits = spec.truncation.model_fields_set if spec.truncation else ()
     places: dict[str, list[tuple[NodePath, str, str]]] = {
@@ -141,7 +141,8 @@ def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
 
 
 def definition(checked: CheckedScenario, name: str, robot: str | None = None) -> NameEntry | None:
-    """What the dotted `name` of an expression, or the longest part of it that means something, leads to.
+    """Return the entry of the dotted `name` of an expression, or of the longest part of it that has a
+    meaning.
 
     On board of `robot` its own sensors, poses and received fields come first.
     """
@@ -185,7 +186,7 @@ def _anywhere(namespace: Namespace, name: str) -> NameEntry | None:
 
 
 def _defined(namespace: Namespace, names: Iterable[str]) -> list[NameEntry]:
-    """Names of the namespace; those that the language gives stand nowhere."""
+    """Return the names of the namespace; those of the language have no place."""
     return [_one_defined(namespace, name) for name in dict.fromkeys(names)]
 
 
@@ -219,7 +220,7 @@ def _bodies(namespace: Namespace) -> list[NameEntry]:
 
 
 def _parts(namespace: Namespace, robot: str | None, sections: tuple[str, ...]) -> Iterator[NameEntry]:
-    """The parts of robots, by short names of one `robot`, or by full names of all."""
+    """Yield the parts of robots, by short names of one `robot`, or by full names of all."""
     for resolved in [namespace.robots.get(robot)] if robot else namespace.robots.values():
         for part in _parts_of(namespace, resolved, sections) if resolved is not None else ():
             yield part if robot or resolved is None else part._replace(name=f"{resolved.name}.{part.name}")
@@ -242,7 +243,7 @@ def _parts_of(namespace: Namespace, robot: ResolvedRobot, sections: tuple[str, .
         yield NameEntry(link, "a link", robot.file.link_spans.get(link))
 
 
-# What is listed stands in the schema once for each key that takes it, and for each robot.
+# The schema has a list once for each key that takes it, and for each robot.
 _MAX_NAMES = 500
 _MAX_ROBOTS = 12
 
@@ -274,7 +275,7 @@ _SUPERVISED = {
 
 
 def scenario_names(checked: CheckedScenario) -> ScenarioNames:
-    """The names of a scenario; none if its text could not be read."""
+    """Return the names of a scenario; none if its text could not be read."""
     namespace, spec = checked.namespace, checked.spec
     if namespace is None or spec is None:
         return ScenarioNames()
@@ -298,7 +299,7 @@ def _offer(descriptions: Mapping[str, str], *, only: bool = False) -> OfferedNam
 
 
 def _expressions(namespace: Namespace) -> Names:
-    """The names that an expression of the supervisor may use, by kind of expression."""
+    """Return the names that an expression of the supervisor may use, by kind of expression."""
     scopes = {word: SupervisorScope(namespace, context).names() for word, context in _SUPERVISED.items()}
     parameters = dict.fromkeys(("require", "parameter"), namespace.names_of(Origin.PARAMETER))
     return {
@@ -308,7 +309,7 @@ def _expressions(namespace: Namespace) -> Names:
 
 
 def _describe_names(namespace: Namespace, names: Iterable[str]) -> dict[str, str]:
-    """Each name with what it stands for, and a parameter with its value."""
+    """Return each name with its meaning, and a parameter with its value."""
     origins = {name: origin.value if (origin := namespace.origin(name)) else "built in" for name in names}
     return {
         name: f"{what}: {namespace.scenario.parameters[name]}"
@@ -319,8 +320,8 @@ def _describe_names(namespace: Namespace, names: Iterable[str]) -> dict[str, str
 
 
 def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot, spec: Scenario) -> Names:
-    """The parts of one robot by their short names; those of its file are checked, and patterns over them
-    never are."""
+    """Return the parts of one robot by their short names; those of its file are checked, and patterns over
+    them never are."""
     home: NodePath = ("robots", robot.name)
     groups = dict.fromkeys(robot.spec.groups, "a group")
     joints = (
@@ -351,7 +352,7 @@ def _named(checked: CheckedScenario, kind: str, path: NodePath = ()) -> dict[str
 
 
 def _described(joint: Joint) -> str:
-    """A joint in a few words: `revolute, -0.5 .. 0.5 rad`."""
+    """Return a joint in a few words: `revolute, -0.5 .. 0.5 rad`."""
     lower, upper = joint.limit.lower, joint.limit.upper
     unit = "m" if joint.type == "prismatic" else "rad"
     return (

@@ -19,11 +19,11 @@ from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.program import Program
 
 SHORT_EPISODE = 256
-"""Steps up to which a rollout of 512 steps holds two episodes."""
+"""The number of steps up to which a rollout of 512 steps contains two episodes."""
 FEW_NUMBERS = 32
-"""Numbers that the policy sees, up to which two layers of 64 units are enough."""
+"""The count of numbers in the observation up to which two layers of 64 units are enough."""
 LONG_STEP_S = 0.1
-"""Time between two actions (s) from which on an off-policy algorithm needs far fewer steps."""
+"""The time between two actions (s) from which on an off-policy algorithm needs far fewer steps."""
 CHOSEN = "train, as chosen"
 """The name of the source of chosen values."""
 _SAC: dict[str, Any] = {
@@ -53,8 +53,8 @@ class Choice:
 
 
 def choose(program: Program, *, has_teacher: bool = False) -> Choice:
-    """The learner for a scenario: the first row that fits. With a teacher it is PPO, which imitates in the
-    least CPU time."""
+    """Return the learner for a scenario: the first row that fits. With a teacher it is PPO, which imitates in
+    the least CPU time."""
     row = _first_row(program, has_teacher=has_teacher)
     settings, reasons = dict(row.settings), dict(row.reasons)
     agent, steps = program.agent, program.truncation.max_episode_steps(program.period)
@@ -88,7 +88,7 @@ def _observed_numbers(program: Program) -> int:
 
 
 def _first_row(program: Program, *, has_teacher: bool) -> Choice:
-    """The first row of the table that fits."""
+    """Return the first row of the table that fits."""
     agent = program.agent
     steps, numbers = program.truncation.max_episode_steps(program.period), _observed_numbers(program)
     may_be_off_policy = not agent.choices and not has_teacher
@@ -119,8 +119,8 @@ def _first_row(program: Program, *, has_teacher: bool) -> Choice:
 
 
 def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[str, ...]]:
-    """The document with these settings under `train`, as far as it does not give them itself, and the reasons
-    for these."""
+    """Return the document with these settings under `train`, as far as it does not give them itself, and the
+    reasons for these."""
     text = "".join(f"{key}: {json.dumps(value)}\n" for key, value in choice.settings.items())
     section, root = parse(Source(CHOSEN, text), document.findings), document.root
     assert isinstance(section, MappingNode)
@@ -128,7 +128,7 @@ def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[st
     written = root.entries.get(
         _TRAIN, Entry(ScalarNode(section.span, _TRAIN, _TRAIN), replace(section, entries={}))
     )
-    assert isinstance(written.value, MappingNode)  # as it was validated
+    assert isinstance(written.value, MappingNode)  # the validation has checked it
     hyperparameters = {key: entry for key, entry in written.value.entries.items() if key != _ALGORITHM}
     section = merge(section, replace(written.value, entries=hyperparameters), _TRAIN)
     root = replace(root, entries=root.entries | {_TRAIN: Entry(written.key, section)})

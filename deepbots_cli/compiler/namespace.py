@@ -1,8 +1,8 @@
-"""The names of a scenario: one flat namespace, each name typed when it is first asked for.
+"""The names of a scenario: one flat namespace, each name typed on first use.
 
-Parameters, action variables, augmentation, signals and endings live here, with the fields that robots
-send (`cart.pole_angle`). Typing on demand makes the order of the file irrelevant; what is asked for
-while it is itself being typed closes a cycle, which is a finding.
+The namespace has parameters, action variables, augmentation, signals and endings, with the fields that robots
+send (`cart.pole_angle`). Typing on demand makes the order of the file irrelevant; a name that is used while
+it is itself being typed closes a cycle, which is a finding.
 """
 
 from __future__ import annotations
@@ -76,18 +76,19 @@ class Namespace:
         self.fields = FieldReader(values, self.scope)
         self._sent = sent  # fields that robots send although nothing here may use them
         self.files: dict[NodePath, FilePath] = {}
-        """Files that the world is made from, by where the scenario names them."""
+        """The files that the world is made from, by the path of their name in the scenario."""
         self.definitions: dict[str, Definition] = {}
         self.robots: dict[str, ResolvedRobot | None] = {}
         self.lengths: dict[str, float] = {}
-        """Of painted lines, m."""
+        """The lengths of painted lines, in m."""
         self.walls: dict[str, tuple[str, ...]] = {}
-        """The bodies that each wall consists of; those of `arena` among them, where there is one."""
+        """The bodies that each wall consists of, including those of `arena`, if there is one."""
         self.groups: dict[str, ObjectGroup] = {}
         self.order: list[str] = []
-        """Names in the order in which their values can be computed: each after those it is made of."""
+        """The names in the order in which their values can be computed: each after those that it is made
+        of."""
         self.built_in: dict[str, Callable[[Context], Symbol]] = {}
-        """Names that the language gives, and whose type the scenario decides."""
+        """The names of the language whose type depends on the scenario."""
         self._being_resolved: list[Definition] = []
 
     def release(self) -> None:
@@ -95,7 +96,7 @@ class Namespace:
         self.definitions.clear()
         self.built_in.clear()
         self.values.readings.clear()
-        del self.fields  # which refers to this namespace
+        del self.fields  # `fields` refers to this namespace
 
     def scope(self, context: Context, own: Mapping[str, Symbol] | None = None) -> ParameterScope:
         return ParameterScope(self, context, own or {})
@@ -111,7 +112,7 @@ class Namespace:
         self.values.report_duplicate(path, name, first.origin.value, first.path)
 
     def symbol(self, name: str) -> Symbol | None:
-        """The symbol of a name that an expression uses; None where there is no such value."""
+        """Return the symbol of a name that an expression uses; None where there is no such value."""
         self.mark_used(name)
         return self.resolve(name) or (Symbol(name, None) if self.is_invalid(name) else None)
 
@@ -121,7 +122,7 @@ class Namespace:
             self.definitions[name].uses += 1
 
     def resolve(self, name: str) -> Symbol | None:
-        """Type a name if it is not typed yet; None where there is no such value. This does not count as a
+        """Type a name if it is not typed yet; None if there is no such value. This does not count as a
         use."""
         definition = self.definitions.get(name)
         if definition is None or definition.make_symbol is None:
@@ -156,7 +157,7 @@ class Namespace:
         definition.symbol = Symbol(definition.name, None)
 
     def _report_too_deep(self, definition: Definition) -> None:
-        """More names build on each other than can be followed: none of them is looked at again."""
+        """Report that more names build on each other than can be followed: none of them is typed again."""
         headline = (
             f"`{definition.name}` depends on a chain of more than {len(self._being_resolved) // 2}"
             " definitions"
@@ -169,7 +170,7 @@ class Namespace:
         self._being_resolved.clear()
 
     def is_sent(self, name: str) -> bool:
-        """Whether the supervisor uses this message field, or the robot sends it anyway."""
+        """Return whether the supervisor uses this message field, or the robot sends it anyway."""
         return name in self._sent or (name in self.definitions and self.definitions[name].uses > 0)
 
     def origin(self, name: str) -> Origin | None:
@@ -185,7 +186,8 @@ class Namespace:
         return [name for name, definition in self.definitions.items() if definition.origin in origins]
 
     def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        """The part of the world called `name`: a robot, one of its parts, an object, a wall, the ground."""
+        """Return the part of the world called `name`: a robot, one of its parts, an object, a wall, the
+        ground."""
         if name == "ground":
             return Subject(name, Kind.GROUND)
         if self.is_invalid(name):
@@ -223,7 +225,7 @@ class Namespace:
         yield from self.walls
 
     def is_invalid(self, name: str) -> bool:
-        """Whether the definition of `name` had a finding, or that of the robot it belongs to."""
+        """Return whether the definition of `name` had a finding, or that of the robot it belongs to."""
         head = name.partition(".")[0]
         return (
             self.values.is_invalid(name)
@@ -245,7 +247,7 @@ class NamespaceReader:
 HIDDEN_ORIGINS = (Origin.PARAMETER, Origin.SIGNAL)
 """Definitions that the policy does not see unless `augment` lists them."""
 AFTER_SIGNALS = (Context.REWARD, Context.ENDING, Context.TEST)
-"""Where endings and the goal have a value."""
+"""The contexts in which endings and the goal have a value."""
 _NON_NEGATIVE = Interval(0.0, float("inf"))
 _END_FLAGS = ("terminated", "truncated", "ended")
 _PAST_REWARDS = ("previous_reward", "episode_return")
@@ -348,8 +350,8 @@ class SupervisorScope(_Scope):
         return self.namespace.symbol(name)
 
     def _instead(self, text: str) -> str:
-        """Where to write the text of a definition that has no value here."""
-        named = self.context in (Context.OBSERVATION, Context.FORBID)  # which use values of `augment` by name
+        """Return where to write the text of a definition that has no value here."""
+        named = self.context in (Context.OBSERVATION, Context.FORBID)  # these use values of `augment` by name
         return (
             f"write the {text} under `augment`, and use its name here" if named else f"write the {text} here"
         )
@@ -398,7 +400,7 @@ class SupervisorScope(_Scope):
 
 @dataclass(frozen=True)
 class RobotScope(_Scope):
-    """The names that one robot knows on board. `own` holds its sensors, received fields and poses by name."""
+    """The names on board of one robot. `own` has its sensors, received fields and poses by name."""
 
     robot: str
     own: dict[str, Symbol]
@@ -437,8 +439,8 @@ class RobotScope(_Scope):
         return self.namespace.symbol(name)
 
     def _instead(self, name: str) -> str:
-        """Where to define a value that only the supervisor knows; a robot cannot send back what it
-        receives."""
+        """Return where to define a value that only the supervisor has; a robot cannot send back the values
+        that it receives."""
         if self.context is Context.EMIT:
             return "define the value under `augment` instead"
         return f"to send `{name}` to the robot, write `receive: {{{name}: {name}}}`"

@@ -1,4 +1,4 @@
-"""Where bodies stand at the start: placements, regions, layouts and maps, and whether there is room for
+"""The places of bodies at the start: placements, regions, layouts and maps, and checks that there is room for
 them."""
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from deepbots_cli.scenario.scenario import Region as RegionSpec
 from deepbots_cli.scenario.world import Pose
 
 _MAX_AREA_RATIO = 16.0
-"""Times the area of a top that a body covers whose unit has slipped."""
+"""The multiple of the area of a top from which on the unit of a body on it is probably wrong."""
 
 
 def has_top(thing: ObjectBody) -> bool:
-    """Whether other bodies can stand on an object: a single one with a level top that is solid."""
+    """Return whether other bodies can stand on an object: a single one with a level top that is solid."""
     return (
         thing.solid and not thing.pooled and not thing.variants and isinstance(thing.shape, (Box, Cylinder))
     )
@@ -55,8 +55,8 @@ class PlacementChecker(NamespaceReader):
         self._world = world
 
     def check_region(self, place: Placement, region: Region, path: NodePath) -> None:
-        """DB105 where the region is too small or beyond the walls: for one body with its clearance, the grid,
-        all copies together."""
+        """Report DB105 if the region is too small or beyond the walls: for one body with its clearance, the
+        grid, all copies together."""
         kinds = self._footprints(place)
         if not kinds:
             return
@@ -104,8 +104,8 @@ class PlacementChecker(NamespaceReader):
             self._values.add("DB105", span, headline, "use a larger arena, or fewer copies")
 
     def check_surroundings(self, common: Sequence[Placement], layouts: Sequence[Layout]) -> None:
-        """What stands around leaves no room in any layout: the top that a body shall stand on, or a body that
-        covers its region."""
+        """Report a body that has no free spot in any layout, with the cause: the top that it should stand on
+        is too small, or another body covers its region."""
         for layout in layouts or (Layout("", 1.0, ()),):
             standing = {place.body: place for place in (*common, *layout.placements)}
             for place in standing.values():
@@ -119,8 +119,8 @@ class PlacementChecker(NamespaceReader):
     def _check_top(
         self, place: Placement, spot: Top, standing: Mapping[str, Placement], path: NodePath
     ) -> None:
-        """DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one that is
-        too small or elsewhere."""
+        """Report DB207 for bodies that stand on each other, DB203 for a top that is not level, DB105 for one
+        that is too small or elsewhere."""
         span = self._values.span((*path, "on"))
         if self._check_stack(place, standing, span):
             return
@@ -147,8 +147,8 @@ class PlacementChecker(NamespaceReader):
             )
 
     def _check_stack(self, place: Placement, standing: Mapping[str, Placement], span: Span) -> bool:
-        """Whether a body stands on itself, or on bodies that stand on each other: DB207 once for each
-        cycle."""
+        """Return whether a body stands on itself, or on bodies that stand on each other, with DB207 once for
+        each cycle."""
         stack: list[str] = []
         below: Placement | None = place
         while below is not None and below.body not in stack:
@@ -165,7 +165,7 @@ class PlacementChecker(NamespaceReader):
         return not is_first or below.body == place.body
 
     def _check_room(self, place: Placement, support: Placement, top: Footprint, span: Span) -> bool:
-        """Whether a body, or all its copies, are too large for the top of another one: DB105."""
+        """Return whether a body, or all its copies, are too large for the top of another one: DB105."""
         kinds, copies = self._footprints(place), self.copies(place)
         if not kinds or _is_tilted(place):
             return False
@@ -199,8 +199,8 @@ class PlacementChecker(NamespaceReader):
     def _check_covered(
         self, place: Placement, region: Region, standing: Mapping[str, Placement], path: NodePath
     ) -> None:
-        """DB105 where a body that stands at known coordinates covers the whole region, so that no spot of it
-        is ever free.
+        """Report DB105 if a body at known coordinates covers the whole region, so that no spot of it is ever
+        free.
 
         The distance from a convex patch is greatest at a corner of the region: it is enough to look there.
         """
@@ -228,7 +228,7 @@ class PlacementChecker(NamespaceReader):
                 return
 
     def copies(self, place: Placement) -> int:
-        """How many copies are placed at most."""
+        """Return how many copies are placed at most."""
         group = self._namespace.groups.get(place.body)
         return (
             1
@@ -244,7 +244,7 @@ class PlacementChecker(NamespaceReader):
         )
 
     def _footprints(self, place: Placement) -> list[Footprint]:
-        """The footprint of each form that a body may take; a mesh has none."""
+        """Return the footprint of each form that a body may take; a mesh has none."""
         group = self._namespace.groups.get(place.body)
         first = group.copies[0] if group else place.body
         for robot in self._world.robots:
@@ -262,8 +262,8 @@ class PlacementChecker(NamespaceReader):
 
 
 def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
-    """The patch of an object that rises above level ground; None if it does not, or if its place is not
-    fixed."""
+    """Return the patch of an object that rises above level ground; None if it does not, or if its place is
+    not fixed."""
     low, high = footprint.bounds_of_shape(thing.shape)
     if place is None:  # a piece of a wall
         (x, y, z), rpy = thing.pose.xyz, thing.pose.rpy
@@ -275,7 +275,7 @@ def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
 
 
 def _patch(place: Placement, covered: Footprint) -> Patch | None:
-    """The patch of a body that stands upright at fixed coordinates; None if they are drawn."""
+    """Return the patch of a body that stands upright at fixed coordinates; None if they are drawn."""
     x, y, yaw = (_coordinate(place, key) for key in ("x", "y", "yaw"))
     yaw = 0.0 if covered.half is None else yaw
     return (
@@ -286,7 +286,7 @@ def _patch(place: Placement, covered: Footprint) -> Patch | None:
 
 
 def _coordinate(place: Placement, key: str) -> float | None:
-    """A coordinate in m or rad; None where it is drawn."""
+    """Return a coordinate in m or rad; None where it is drawn."""
     coordinate = place.coordinates.get(key)
     if coordinate is None:
         return 0.0
@@ -299,13 +299,13 @@ def _is_tilted(place: Placement) -> bool:
 
 
 def _turn_between(place: Placement, support: Placement) -> float | None:
-    """The angle (rad) between a body and its support about the vertical; None if it is drawn."""
+    """Return the angle (rad) between a body and its support about the vertical; None if it is drawn."""
     yaw, below = _coordinate(place, "yaw"), _coordinate(support, "yaw")
     return None if yaw is None or below is None else yaw + place.heading - below - support.heading
 
 
 def _fits(top: Footprint, kind: Footprint, turn: float | None, margin: float) -> bool:
-    """Whether a body fits on a top: in the middle, at this turn, or as far as is known at any."""
+    """Return whether a body fits on a top: in the middle, at this turn, or as far as is known at any."""
     if turn is not None or top.half is None or kind.half is None:
         middle = kind._replace(middle=(0.0, 0.0))
         return top.at(0.0, 0.0, 0.0).contains(middle.at(0.0, 0.0, turn or 0.0), margin - 1e-6)
@@ -332,7 +332,7 @@ _ROTATION_KEYS = ("roll", "pitch", "yaw")
 
 
 def _fixed(value: float, dimension: Dimension) -> Constant:
-    """A number in SI units that stands nowhere in the text."""
+    """Return a number in SI units that is not written in the text."""
     return Constant(Type(dimension, interval=single(value)), 0, 0, (value,))
 
 
@@ -345,7 +345,7 @@ _ANY_ANGLE = Invocation(
     (_fixed(-pi, ANGLE), _fixed(pi, ANGLE)),
     0,
 )
-"""`any`: a turn drawn from the whole circle."""
+"""The expression `any`: a turn drawn from the whole circle."""
 
 
 class Places(NamespaceReader):
@@ -358,8 +358,8 @@ class Places(NamespaceReader):
         self._scope = namespace.scope(Context.RESET)
 
     def placements(self, spec: Mapping[str, Pose], path: NodePath, *, used: bool = True) -> list[Placement]:
-        """Those of one layout, or of `reset.place`; whether there is room is asked of layouts that are
-        used."""
+        """Compile the placements of a layout, or of `reset.place`. Free room is checked only for layouts that
+        are `used`."""
         placements = []
         for body, pose in spec.items():
             if self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
@@ -372,12 +372,12 @@ class Places(NamespaceReader):
         return placements
 
     def at_own_pose(self, body: str) -> Placement:
-        """At the body's own `pose`."""
+        """Return the placement at the body's own `pose`."""
         thing = self._spec.robots[body] if body in self._spec.robots else self._spec.objects[body]
         return self.placement(body, thing.pose)
 
     def placement(self, body: str, pose: Pose, *, used: bool = True) -> Placement:
-        """The placement of a known body; what had findings is left out of it."""
+        """Return the placement of a known body, without the parts that had findings."""
         place = Placement(body, self.coordinates(pose), owner=draws_owner(pose.path))
         if not isinstance(pose, PlacementSpec):
             return self.resting_placement(place)
@@ -406,8 +406,8 @@ class Places(NamespaceReader):
         return self.resting_placement(place)
 
     def coordinates(self, pose: Pose) -> dict[str, Expression]:
-        """The coordinates x, y, z, roll, pitch and yaw of a pose, given singly or as components of `xyz` or
-        `rpy`."""
+        """Return the coordinates x, y, z, roll, pitch and yaw of a pose, given singly or as components of
+        `xyz` or `rpy`."""
         coordinates: dict[str, Expression | None] = {}
         for whole, parts in (("xyz", SPACE), ("rpy", _ROTATION_KEYS)):
             for part in parts:
@@ -429,8 +429,8 @@ class Places(NamespaceReader):
         return {part: coordinate for part, coordinate in coordinates.items() if coordinate is not None}
 
     def resting_placement(self, place: Placement) -> Placement:
-        """The placement of a body that lies on the ground where no height is given; a robot with a fixed base
-        is built in at 0."""
+        """Return the placement of a body that lies on the ground where no height is given; a robot with a
+        fixed base is built in at 0."""
         robot = self._spec.robots.get(place.body)
         is_built_in = robot is not None and robot.base == "fixed"
         shapes = {thing.name: thing.shape for thing in self._world.objects if not thing.pooled}
@@ -439,7 +439,7 @@ class Places(NamespaceReader):
         return replace(place, rests=not is_built_in and "z" not in place.coordinates, lying=lying)
 
     def _on_line(self, place: Placement, pose: PlacementSpec, line: str) -> Placement:
-        """The beginning of a painted line, heading along it."""
+        """Return the beginning of a painted line, heading along it."""
         span = self._values.field(pose, "line").span
         stroke = next((stroke for stroke in self._world.lines if stroke.name == line), None)
         if stroke is None:
@@ -514,7 +514,7 @@ class Places(NamespaceReader):
             self._values.add("DB005", (*path, "grid"), headline, "write a larger `grid`")
 
     def _check_copies(self, place: Placement, path: NodePath, *, used: bool) -> None:
-        """Keys that only groups know; copies of a group that would stand within each other."""
+        """Report keys that only a group may have, and copies of a group that would overlap."""
         group = self._namespace.groups.get(place.body)
         if group is not None:
             if used:
@@ -528,7 +528,7 @@ class Places(NamespaceReader):
                 )
 
     def _check_spread(self, place: Placement, copies: int, path: NodePath) -> None:
-        """DB105 where up to so many `copies` stand at the same coordinates."""
+        """Report DB105 if up to so many `copies` are placed at the same coordinates."""
         if any(self._values.is_present((*path, way)) for way in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
         plane = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
@@ -544,7 +544,7 @@ class Places(NamespaceReader):
 
 
 def draws_owner(path: NodePath) -> str:
-    """The place of an item in the scenario, after which its draws are named."""
+    """Return the place of an item in the scenario, after which its draws are named."""
     return ".".join(map(str, path))
 
 
@@ -554,8 +554,7 @@ _MAX_CELLS = 250_000
 
 
 class Layouts(NamespaceReader):
-    """The layouts that episodes use. `walls` are the bodies that stand in cells of walls, absent in other
-    layouts."""
+    """The layouts that episodes use. `walls` are the bodies in cells of walls, absent in other layouts."""
 
     def __init__(self, namespace: Namespace, places: Places, world: WorldModel) -> None:
         super().__init__(namespace)
@@ -564,7 +563,7 @@ class Layouts(NamespaceReader):
         self.walls: list[ObjectBody] = []
 
     def weighted_layouts(self) -> tuple[Layout, ...]:
-        """Each layout with its share; all others are read for their findings alone."""
+        """Return each layout with its share; all others are read for their findings alone."""
         spec, layouts = self._spec.reset.layout, self._spec.reset.layouts
         if isinstance(spec, dict):
             shares = self._shares()
@@ -595,7 +594,7 @@ class Layouts(NamespaceReader):
 
     def _shares(self) -> dict[str, float]:
         spec = self._spec.reset.layout
-        assert isinstance(spec, dict)  # as the caller found
+        assert isinstance(spec, dict)  # the caller has checked it
         read = {name: self._fields.fixed(self._spec.reset, "layout", name) for name in spec}
         shares = {name: share for name, share in read.items() if share is not None}
         if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
@@ -606,8 +605,8 @@ class Layouts(NamespaceReader):
     # Maps
 
     def _map(self, name: str, layout: MapLayout, *, used: bool) -> list[Placement]:
-        """Each letter's body on the cells that bear it; the first row is the farthest along y, the middle is
-        the origin."""
+        """Return each letter's body on the cells with this letter; the first row is the farthest along y, the
+        middle is the origin."""
         cell, text = self._fields.fixed(layout, "cell"), self._values.field(layout, "map")
         rows = _rows(text) if self._is_small(text) else []
         if cell is None or not rows or not self._is_even(rows):
@@ -633,7 +632,7 @@ class Layouts(NamespaceReader):
         ]
 
     def _legend(self, layout: MapLayout) -> dict[str, str]:
-        """The letters whose bodies are known."""
+        """Return the letters whose bodies are known."""
         legend = {}
         for letter, body in layout.legend.items():
             if body == _WALL_CELL or self._namespace.origin(body) in (Origin.ROBOT, Origin.OBJECT):
@@ -685,7 +684,7 @@ class Layouts(NamespaceReader):
         *,
         used: bool,
     ) -> Placement:
-        """The body on the spots of its letters, in the attitude of its own `pose`."""
+        """Return the body on the spots of its letters, in the attitude of its own `pose`."""
         if body == _WALL_CELL and self._namespace.origin(_WALL_CELL) not in (Origin.ROBOT, Origin.OBJECT):
             name = f"{layout} wall"
             if used:
@@ -722,7 +721,7 @@ class Layouts(NamespaceReader):
 
 
 def _rows(text: SourceText) -> list[list[tuple[str, Span]]]:
-    """The cells of each row that is not empty, with their places in the file."""
+    """Return the cells of each row that is not empty, with their places in the file."""
     rows = (
         re.compile(r"\S+").finditer(text.text, *line.span()) for line in re.finditer(r"[^\n]+", text.text)
     )

@@ -1,5 +1,5 @@
-"""The policy: what the agent decides and sees, its goal, hand-written policies, and copies of a robot under
-one policy."""
+"""The policy: the action and observation of the agent, its goal, hand-written policies, and copies of a robot
+under one policy."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ _UNSUPPORTED_WITH_COPIES: tuple[tuple[NodePath, str], ...] = (
 
 
 def copies(namespace: Namespace) -> RobotCopies | None:
-    """The copies that `agent.each` and the `count` of its robot ask for; None for a single robot, and after a
-    finding."""
+    """Return the copies requested by `agent.each` and the `count` of its robot; None for a single robot, and
+    after a finding."""
     spec = namespace.scenario
     name, values = spec.agent.each, namespace.values
     for robot, written in spec.robots.items():
@@ -108,7 +108,7 @@ def copies(namespace: Namespace) -> RobotCopies | None:
 
 
 def _refuse_others(name: str, namespace: Namespace) -> None:
-    """DB108 for what would have to be agreed upon between the copies."""
+    """Report DB108 for settings that the copies would have to agree on."""
     values, paths = namespace.values, list(_UNSUPPORTED_WITH_COPIES)
     paths += [
         (("robots", other), f"the robot `{other}`") for other in namespace.scenario.robots if other != name
@@ -146,8 +146,8 @@ class Actions(NamespaceReader):
         return tuple(part for part in self._parts.values() if part is not None)
 
     def with_conditions(self, action: tuple[ActionPart, ...]) -> tuple[ActionPart, ...]:
-        """The action with the conditions that forbid options, which may use only values that the policy may
-        see."""
+        """Return the action with the conditions that forbid options, which may use only values that the
+        policy may see."""
         conditions = {(part, option): condition for part, option, condition in self._forbidden()}
         return tuple(
             replace(
@@ -194,7 +194,7 @@ class Actions(NamespaceReader):
         return forbidden
 
     def _last_action_symbol(self, context: Context) -> Symbol:
-        """The last action as the agent gave it: numbers in [-1, 1], and each choice as one-hot."""
+        """Return the last action as the agent gave it: numbers in [-1, 1], and each choice as one-hot."""
         name = "previous_action"
         if context is Context.RECEIVE:
             variable = next(iter(self._namespace.names_of(Origin.ACTION)), None)
@@ -206,7 +206,7 @@ class Actions(NamespaceReader):
             )
         parts = self.parts()
         if not parts:
-            written = self._values.root.get("action")  # of which findings may have left nothing
+            written = self._values.root.get("action")  # findings may have left nothing of it
             has_some = (isinstance(written, MappingNode) and written.entries) or self._values.is_invalid(
                 "action"
             )
@@ -219,7 +219,8 @@ class Actions(NamespaceReader):
         return Symbol(name, Type(NUMBER, components, interval=Interval(-1.0, 1.0), known=Known.STEP))
 
     def _define_choices(self, name: str, part: DiscreteAction) -> None:
-        """Each option sets the variable called like the action, or the variables that it lists."""
+        """Define the variables of an action: each option sets the variable called like the action, or the
+        variables that it lists."""
         named = [
             variable for values in part.choices.values() if isinstance(values, dict) for variable in values
         ]
@@ -242,7 +243,7 @@ class Actions(NamespaceReader):
     def _numbers(
         self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool
     ) -> tuple[float, ...]:
-        """The value of each variable under one option; 0 after a finding."""
+        """Return the value of each variable under one option; 0 after a finding."""
         written, place = part.choices[option], (*part.path, "choices", option)
         number = partial(self._fields.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(written, dict):
@@ -278,7 +279,8 @@ class Actions(NamespaceReader):
         )
 
     def _group(self, reference: str, place: NodePath) -> Components | None:
-        """The members of a group of joints or links, or the joints of an actuator; None after a finding."""
+        """Return the members of a group of joints or links, or the joints of an actuator; None after a
+        finding."""
         robot_name, _, rest = reference.partition(".")
         robot = self._namespace.robots.get(robot_name)
         subject = self._namespace.subject(reference)
@@ -298,7 +300,8 @@ class Actions(NamespaceReader):
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
 MIN_IMAGE_SIDE = 36
-"""Pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one of them."""
+"""The smallest side of a picture in pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one
+pixel."""
 
 
 class Observations(NamespaceReader):
@@ -357,7 +360,7 @@ class Observations(NamespaceReader):
         return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
 
     def _report_hidden(self, name: str, text: SourceText) -> None:
-        """DB609: the policy sees signals and parameters only under `augment`."""
+        """Report DB609: the policy sees signals and parameters only under `augment`."""
         root, augment = self._values.root, self._spec.augment
         if self._namespace.origin(name) is Origin.SIGNAL:
             fix = move_fix(root, name, "signals", "augment")
@@ -430,9 +433,10 @@ class Observations(NamespaceReader):
                 )
 
     def _check_pictures(self, entries: tuple[Observation, ...]) -> None:
-        """Whether the network that is trained can see the pictures: its three layers of filters must fit in.
+        """Check that the network can process the pictures, that is that its three layers of filters fit.
 
-        It tells the channels, which histories and stacks add to, from the sides by their being fewest.
+        The network takes the smallest dimension of a picture for its channels, which histories and stacks
+        multiply.
         """
         for entry in entries if self._spec.train is not None else ():
             picture = entry.value.typed.type.picture
@@ -460,7 +464,7 @@ class Observations(NamespaceReader):
                 )
 
     def _check_keys(self, entries: tuple[Observation, ...]) -> None:
-        """Pictures stand under keys of their own, in which a dot is an underscore."""
+        """Check that pictures have keys of their own, in which a dot is an underscore."""
         taken = {"observation", "achieved_goal", "desired_goal"}
         for entry in entries:
             key = entry.value.name.replace(".", "_")
@@ -493,8 +497,8 @@ class Goals(NamespaceReader):
                 )
 
     def goal(self, rewards: Iterable[Expression]) -> Goal | None:
-        """The goal; None without one, and after a finding. The terms of the reward must be such as hindsight
-        can recompute."""
+        """Return the goal; None without one, and after a finding. The terms of the reward must be such as
+        hindsight can recompute."""
         spec = self._spec.goal
         if spec is None:
             return None
@@ -526,7 +530,7 @@ class Goals(NamespaceReader):
         return Goal(achieved, desired, ends.low, ends.high, within)
 
     def _part(self, spec: GoalSpec, name: str) -> Symbol:
-        """The achieved or the desired goal; both have the same dimension and components."""
+        """Return the achieved or the desired goal; both have the same dimension and components."""
         text = self._values.field(spec, name)
         typed = self._values.expression(text, SupervisorScope(self._namespace, Context.GOAL), boolean=False)
         wanted = None
@@ -564,7 +568,7 @@ class Goals(NamespaceReader):
 
 
 def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
-    """A finding for each term that hindsight cannot recompute."""
+    """Report each term that hindsight cannot recompute."""
     for term in terms:
         if term.foreign is not None:
             help = "write the reward as an expression of `achieved` and `desired`"
@@ -583,7 +587,7 @@ def _check_rewards(terms: Iterable[Expression], namespace: Namespace) -> None:
 
 
 def _parts_besides_goal(value: Typed) -> Iterator[Typed]:
-    """The parts of a value that are not made of the goal and of fixed values."""
+    """Yield the parts of a value that are not made of the goal and of fixed values."""
     match value:
         case Reference(symbol=symbol) if symbol.value is None and symbol.name not in _RECOMPUTED:
             yield value
@@ -598,7 +602,7 @@ _WORD = re.compile(r"\w+", re.ASCII)
 
 
 def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
-    """The scripts without findings, which decide every part of the `action`."""
+    """Return the scripts without findings, which choose every part of the `action`."""
     reader = Decisions(namespace, action, SupervisorScope(namespace, Context.SCRIPT))
     decisions = (
         (name, reader.read(("scripts", name), written, f"the script `{name}`"))
@@ -608,8 +612,8 @@ def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> 
 
 
 class Decisions(NamespaceReader):
-    """Reads decisions for every part of an action; `action` has the parts without findings, `scope` is that
-    of the expressions."""
+    """Reads the decisions for every part of an action; `action` has the parts without findings, `scope` is
+    that of the expressions."""
 
     def __init__(self, namespace: Namespace, action: tuple[ActionPart, ...], scope: Scope) -> None:
         super().__init__(namespace)
@@ -621,7 +625,8 @@ class Decisions(NamespaceReader):
     def read(
         self, place: NodePath, given: Mapping[str, object], description: str
     ) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
-        """The decisions at `place`, which findings call `description`; None after a finding."""
+        """Return the decisions at `place`, which is called `description` in findings; None after a
+        finding."""
         self._called = description
         strange = [part for part in given if part not in self._names]
         for part in strange:
@@ -640,7 +645,7 @@ class Decisions(NamespaceReader):
         return tuple(part for part in parts if part is not None) if all(parts) else None
 
     def _example(self, name: str) -> str | None:
-        """How a part may be decided."""
+        """Return an example of a decision for a part."""
         match self._parts.get(name):
             case Choices(options=options) if options:
                 return f"name an option, as in `{name}: {options[0].name}`"
@@ -666,7 +671,7 @@ class Decisions(NamespaceReader):
     def _aims(
         self, place: NodePath, part: ActionRange, written: Mapping[str, object]
     ) -> ScriptedRange | None:
-        """A value for each component by its name."""
+        """Return a value for each component by its name."""
         key = self._values.key_span(place)
         if not part.components:
             self._values.add(
@@ -703,7 +708,7 @@ class Decisions(NamespaceReader):
     def _aim(
         self, place: NodePath, part: ActionRange, written: object, components: Components | None
     ) -> Expression | None:
-        """A value of the dimension of the range, which may be a vector of these components."""
+        """Return a value of the dimension of the range, which may be a vector of these components."""
         symbol = self._namespace.resolve(part.name)
         text = self._values.text(place, written)
         typed = self._values.expression(text, self._scope, boolean=False)
@@ -730,8 +735,8 @@ class Decisions(NamespaceReader):
         return None
 
     def _pick(self, place: NodePath, part: Choices, written: Mapping[str, object]) -> ScriptedChoice | None:
-        """The first option whose condition holds; one of the conditions must hold always, and nothing stands
-        behind it."""
+        """Return the first option whose condition holds; one of the conditions must hold always, and must be
+        the last."""
         if len(written) > MAX_CONDITIONS:
             self._values.add_at_key(
                 "DB005",

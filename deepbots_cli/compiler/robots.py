@@ -1,5 +1,5 @@
-"""Robot files with the changes of the scenario: names, patterns and groups of links and joints, and what
-joints measure."""
+"""Robot files with the changes of the scenario: names, patterns and groups of links and joints, and the
+quantities of joints."""
 
 from __future__ import annotations
 
@@ -61,24 +61,24 @@ if TYPE_CHECKING:
 
 
 def joint_dimension(joint: Joint) -> Dimension:
-    """The dimension of a joint's position: a length for a sliding joint, else an angle."""
+    """Return the dimension of a joint's position: a length for a sliding joint, else an angle."""
     return LENGTH if joint.type == "prismatic" else ANGLE
 
 
 def effort_dimension(joint: Joint) -> Dimension:
-    """The dimension of a joint's effort: a force for a sliding joint, else a torque."""
+    """Return the dimension of a joint's effort: a force for a sliding joint, else a torque."""
     return FORCE if joint.type == "prismatic" else TORQUE
 
 
 def joint_interval(joint: Joint) -> Interval:
-    """The positions that the limits of the joint leave."""
+    """Return the positions that the limits of the joint leave."""
     if joint.limit.lower is None or joint.limit.upper is None:
         return EVERYTHING
     return Interval(joint.limit.lower, joint.limit.upper)
 
 
 def joint_moves_link(model: RobotModel, joint: Joint, link: str) -> bool:
-    """Whether the link moves when the joint does."""
+    """Return whether the link moves when the joint does."""
     above = {other.child: other for other in model.joints}
     while link in above:
         if above[link].name == joint.name:
@@ -88,11 +88,11 @@ def joint_moves_link(model: RobotModel, joint: Joint, link: str) -> bool:
 
 
 def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:
-    """The link that carries another by fixed joints alone, farthest towards the root; and the other's frame
-    in its frame."""
+    """Return the link that carries another by fixed joints alone, farthest towards the root; and the other's
+    frame in its frame."""
     above = {joint.child: joint for joint in model.joints if not joint.moves}
     frame = IDENTITY_FRAME
-    for _ in model.joints:  # no more than there are, whatever circle a forged model may hold
+    for _ in model.joints:  # ends for a forged model with a cycle, too
         joint = above.get(link)
         if joint is None:
             break
@@ -107,7 +107,8 @@ NameGroup = tuple[Kind, tuple[str, ...]]
 def expand_patterns(
     names: Sequence[str], patterns: str | Iterable[str], groups: Mapping[str, NameGroup]
 ) -> tuple[tuple[str, ...], list[str]]:
-    """The names that patterns and groups stand for, in order, without repeats; and what stood for nothing."""
+    """Return the names that match patterns and groups, in order, without repeats; and the patterns without a
+    match."""
     matching: dict[str, None] = {}
     missing = []
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
@@ -123,8 +124,8 @@ def expand_patterns(
 
 
 def matching_names(names: Iterable[str], pattern: str) -> tuple[str, ...]:
-    """The one of this name; or those that fit `pattern` (`*`, `?`, `[abc]`; upper and lower case differ), in
-    their given order."""
+    """Return the one of this name; or those that fit `pattern` (`*`, `?`, `[abc]`; upper and lower case
+    differ), in their given order."""
     candidates = tuple(names)
     return (
         (pattern,)
@@ -134,7 +135,7 @@ def matching_names(names: Iterable[str], pattern: str) -> tuple[str, ...]:
 
 
 def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:
-    """DB206 for a pattern, DB302 or DB201 for a plain name, with what there is."""
+    """Report DB206 for a pattern, DB302 or DB201 for a plain name, with the existing names."""
     if not set(pattern) & set("*?["):
         values.report_unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
     else:
@@ -144,8 +145,8 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, n
 def report_missing_joint(
     values: ValueReader, span: Span, pattern: str, model: RobotModel, known: Sequence[str]
 ) -> None:
-    """A joint where one of the `known` is needed: it does not exist, it cannot move, or it follows another
-    one."""
+    """Report a joint where one of the `known` is needed: it does not exist, it cannot move, or it follows
+    another one."""
     matched = matching_names((joint.name for joint in model.joints), pattern)
     if matched and matched[0] in model.followers:
         report_follower(values, span, matched[0], model)
@@ -159,7 +160,7 @@ def report_missing_joint(
 
 
 def report_follower(values: ValueReader, span: Span, joint: str, model: RobotModel) -> None:
-    """DB303 for a joint that follows another one where one is moved on its own."""
+    """Report DB303 for a joint that follows another one where one is moved on its own."""
     leader = model.followers[joint].joint
     help = f"use `{leader}`, which moves both joints; patterns and groups skip `{joint}`"
     values.add("DB303", span, f"the joint `{joint}` follows `{leader}` and cannot be moved on its own", help)
@@ -186,8 +187,8 @@ def warn_beyond_limits(
     found: Interval,
     help: str,
 ) -> None:
-    """DB304: `what` is `found`, which is not all within what the robot file allows for the value that is
-    written in `text`."""
+    """Report DB304: `what` is `found`, which is not all within the range that the robot file allows for the
+    value that is written in `text`."""
     tree = values.parsed(text)
     numbers = list(_numbers(tree)) if tree else []
     units = [
@@ -210,8 +211,8 @@ def warn_beyond_limits(
 
 
 def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
-    """Each number at the limit that it is beyond; None where they stand for something else, or none would be
-    left to draw from."""
+    """Return the fix that puts each number at the limit that it exceeds; None if the numbers have another
+    meaning, or none would be left to draw from."""
     kept = [_clamped(number, allowed) for number in numbers]
     if not kept or (len(kept) > 1 and kept[0] >= kept[1]):
         return None
@@ -239,7 +240,7 @@ def _clamped(number: syntax.Number, allowed: Interval) -> float:
 
 
 def _numbers(tree: syntax.Node) -> Iterator[syntax.Number]:
-    """The number of a text that holds a single one, or the two ends that it is drawn from; otherwise none."""
+    """Yield the number of a text with a single one, or the two ends that it is drawn from; otherwise none."""
     match tree:
         case syntax.Number():
             yield tree
@@ -250,7 +251,7 @@ def _numbers(tree: syntax.Node) -> Iterator[syntax.Number]:
 
 
 def _rounded(limit: float, inwards: Callable[[float], int]) -> float:
-    """A limit to a few digits, and not beyond itself."""
+    """Return a limit with a few digits, and not beyond itself."""
     near = float(f"{limit:.{_DIGITS}g}")
     if math.isclose(near, limit, rel_tol=1e-9) or limit == 0.0:
         return near
@@ -261,7 +262,7 @@ def _rounded(limit: float, inwards: Callable[[float], int]) -> float:
 
 # Overrides
 
-# Keys of an override: what `with_friction` and the table of variations call them.
+# Keys of an override, by their names in `with_friction` and in the table of variations.
 _CONTACT: Mapping[str, tuple[str, LinkParameter]] = {
     "friction": ("lateral", "lateral_friction"),
     "spinning_friction": ("spinning", "spinning_friction"),
@@ -287,7 +288,7 @@ class Overrides:
         return self.namespace.values
 
     def apply(self, model: RobotModel, spec: RobotSpec) -> RobotModel:
-        """The model with all changes made that can be made; findings about the others."""
+        """Return the model with all changes that can be made; the others have findings."""
         links, joints = [link.name for link in model.links], [joint.name for joint in model.joints]
         moving = [joint.name for joint in model.moving_joints]
         for pattern, change in spec.links.items():
@@ -313,7 +314,7 @@ class Overrides:
         return members
 
     def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:
-        """The scope of a change of a value that is called `urdf` and stands in the robot file."""
+        """Return the scope of a change of a value that is called `urdf` and comes from the robot file."""
         symbol = _UNKNOWN if urdf is None else Symbol("urdf", Type(dimension, interval=single(urdf)), (urdf,))
         return self.namespace.scope(Context.FIELD, {"urdf": symbol})
 
@@ -362,7 +363,7 @@ class Overrides:
         return self._accepted(model, with_mass(model, link.name, mass), change, "mass") if mass else model
 
     def _accepted(self, old: RobotModel, new: RobotModel | str, change: LinkOverride, key: str) -> RobotModel:
-        """The changed model, or the old one and a finding that says why it cannot be changed so."""
+        """Return the changed model, or the old one with a finding that gives the reason."""
         if isinstance(new, str):
             self.values.add("DB105", self.values.field(change, key).span, new)
             return old
@@ -394,7 +395,7 @@ class Overrides:
         return with_joint(model, joint.name, damping=damping, friction=friction, limit=limit)
 
     def _range(self, joint: Joint, limit: Limit, change: JointOverride) -> Limit:
-        """`limit` with both ends as the scenario gives them."""
+        """Return `limit` with both ends as the scenario gives them."""
         if joint.type == "continuous":
             span, headline = self.values.field(change, "range").span, "a continuous joint cannot have a range"
             self.values.add(
@@ -427,7 +428,7 @@ class ResolvedRobot:
         return [link.name for link in self.model.links]
 
     def subject(self, part: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        """The joint, link, group or, where `kinds` asks for one, sensor called `part`; where several share
+        """Return the joint, link, group or, if it is among `kinds`, sensor called `part`; if several share
         the name, the one of `kinds`."""
         full = f"{self.name}.{part}"
         is_link = part in self.link_names
@@ -462,7 +463,7 @@ class ResolvedRobot:
         return [joint.name for joint in self.model.moving_joints if joint.name not in self.model.followers]
 
     def joints_of(self, spec: Section, values: ValueReader) -> tuple[Joint, ...]:
-        """The joints that `joint` or `joints` of a sensor or actuator names; none after a finding.
+        """Return the joints that `joint` or `joints` of a sensor or actuator names; none after a finding.
 
         A pattern or a group of an actuator leaves followers out.
         """
@@ -485,7 +486,7 @@ class ResolvedRobot:
         return joints
 
     def links_of(self, spec: Section, values: ValueReader) -> tuple[str, ...]:
-        """The links that `link` or `links` of a sensor or actuator names; none after a finding."""
+        """Return the links that `link` or `links` of a sensor or actuator names; none after a finding."""
         one = getattr(spec, "link", None)
         if one is None:
             return self._named(spec, "links", self.link_names, values)
@@ -494,7 +495,7 @@ class ResolvedRobot:
         return (one,) if one in self.link_names else ()
 
     def _named(self, spec: Section, key: str, candidates: list[str], values: ValueReader) -> tuple[str, ...]:
-        """The names that the patterns under a key stand for; none after a finding."""
+        """Return the names that the patterns under a key match; none after a finding."""
         patterns = getattr(spec, key) or ()  # neither key is left where validation had a finding about it
         names, missing = expand_patterns(candidates, patterns, self.groups)
         for index, pattern in enumerate([patterns] if isinstance(patterns, str) else patterns):
@@ -509,8 +510,8 @@ class ResolvedRobot:
     def report_missing_joint(
         self, values: ValueReader, span: Span, pattern: str, known: Sequence[str]
     ) -> None:
-        """A joint or group where one of the `known` is needed; of a group that names none of them, its first
-        joint is reported."""
+        """Report a joint or group where one of the `known` is needed; for a group without any of them, its
+        first joint is reported."""
         kind, members = self.groups.get(pattern, (None, ()))
         groups = [name for name, (kind_of_group, _) in self.groups.items() if kind_of_group is Kind.JOINTS]
         report_missing_joint(
@@ -552,7 +553,7 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
 
 
 def _tell(findings: Findings, values: ValueReader, has_mass: Sequence[Span]) -> None:
-    """Pass on what was found in a robot file, but not that a link has no inertial where the scenario gives it
+    """Report the findings of a robot file, except for a link without inertial if the scenario gives it
     one."""
     for finding in findings:
         if finding.code != "DB305" or finding.notes or finding.span not in has_mass:
@@ -562,8 +563,8 @@ def _tell(findings: Findings, values: ValueReader, has_mass: Sequence[Span]) -> 
 def locate_file(
     reference: str, span: Span, document: Document, values: ValueReader, *, robot: bool = False
 ) -> FilePath | None:
-    """The file that the scenario names at `span`: in the project, in an installed package, or, of a `robot`,
-    a shipped one."""
+    """Return the file that the scenario names at `span`: in the project, in an installed package, or, of a
+    `robot`, a shipped one."""
     if reference.startswith("package://"):
         path = meshes.package_file(reference)
         if path is None:
@@ -590,7 +591,7 @@ def locate_file(
 
 
 def _package_help(reference: str, document: Document, span: Span) -> str:
-    """Why `package://X/rest` names no file, and the path of a file of this name in the project."""
+    """Return why `package://X/rest` names no file, and the path of a file of this name in the project."""
     package, _, inside = reference.removeprefix("package://").partition("/")
     if meshes.package_folder(package):
         help = f"the Python package `{package}` is installed, but has no file `{inside}`"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deepbots_cli.compiler import CheckedScenario
 
 MAX_SEARCHED = 32
-"""Keys of a search; each is compiled with at least three values."""
+"""The maximum number of keys of a search; each is compiled with at least three values."""
 _FIXED_HELP = {
     **dict.fromkeys(("deepbots", "name", "summary", TUNE, TESTS), "remove it"),
     "evaluation": "remove it: it determines how trials are compared",
@@ -33,7 +33,8 @@ _FIXED_HELP = {
 def compile_search(
     document: Document, program: Program, findings: Findings, check: Callable[[Document], CheckedScenario]
 ) -> dict[str, SearchSpace]:
-    """The search space of each key, by its path as it is written; what cannot be searched is a finding."""
+    """Return the search space of each key, by its path as it is written; a key that cannot be searched is a
+    finding."""
     spaces: dict[str, SearchSpace] = {}
     entries = entries_at(document.root, TUNE, "search")
     if document.root is None or not entries:
@@ -66,7 +67,7 @@ class _Prober:
         check: Callable[[Document], CheckedScenario],
     ) -> None:
         root = without_paths(document.root, ((TUNE,), (TESTS,))) if document.root else None
-        assert isinstance(root, MappingNode)  # as it was
+        assert isinstance(root, MappingNode)  # the root stays a mapping
         self._root = root
         self._document = document
         self._base = program
@@ -76,7 +77,7 @@ class _Prober:
         self._searched: dict[NodePath, Entry] = {}
 
     def space(self, name: str, entry: Entry) -> SearchSpace | None:
-        """The search space of a key; None after a finding."""
+        """Return the search space of a key; None after a finding."""
         path = setting_path(self._root, name)
         dotted = ".".join(map(str, path))
         reason = _FIXED_HELP.get(dotted) or _FIXED_HELP.get(str(path[0]))
@@ -96,7 +97,7 @@ class _Prober:
         self._searched[path] = entry
         try:
             space = _read(entry)
-        except PydanticCustomError:  # which the validation has reported
+        except PydanticCustomError:  # the validation has reported it
             return None
         if space.choices:
             return space if all(self._is_sound(name, choice, entry) for choice in space.choices) else None
@@ -105,8 +106,8 @@ class _Prober:
         return self._with_sound_middle(name, space, entry)
 
     def _with_sound_middle(self, name: str, space: SearchSpace, entry: Entry) -> SearchSpace | None:
-        """The space if a value with a fraction is sound too; else that of the whole numbers, if both ends
-        are."""
+        """Return the space if a value with a fraction has no errors either; else the space of the whole
+        numbers, if both ends have none."""
         middle = space.middle
         is_whole = space.low.is_integer() and space.high.is_integer() and not space.unit
         if is_whole and not list(self._errors(name, space.text(int(middle) + 0.5))):
@@ -116,7 +117,7 @@ class _Prober:
         return space if self._is_sound(name, space.text(middle), entry) else None
 
     def _is_sound(self, name: str, text: str, entry: Entry) -> bool:
-        """Whether the scenario compiles with this value, and the same policy can act in it; else after
+        """Return whether the scenario compiles with this value, and the same policy can act in it; else after
         findings at the entry."""
         errors = list(self._errors(name, text))
         for finding in errors:
@@ -130,7 +131,7 @@ class _Prober:
         return not errors
 
     def _errors(self, name: str, text: str) -> Iterator[Finding]:
-        """The errors that this value adds to the scenario."""
+        """Yield the errors that this value adds to the scenario."""
         findings = Findings(self._document.findings.limit)
         root = apply_assignment(self._root, f"{name}={text}", findings)
         if findings.errors:
@@ -155,7 +156,7 @@ class _Prober:
 
 
 def _read(entry: Entry) -> SearchSpace:
-    """The search space that an entry writes."""
+    """Return the search space that an entry writes."""
     match entry.value:
         case SequenceNode(items=items):
             return SearchSpace(choices=tuple(dict.fromkeys(map(inline_text, items))))

@@ -49,7 +49,7 @@ _CONTACT_KINDS = frozenset(
 
 
 class SensorsCompiler(NamespaceReader):
-    """The sensors of one robot. Those with findings are missing, and their names have no type."""
+    """The sensors of one robot. Sensors with findings are missing, and their names have no type."""
 
     def __init__(self, robot: ResolvedRobot, namespace: Namespace) -> None:
         super().__init__(namespace)
@@ -62,7 +62,8 @@ class SensorsCompiler(NamespaceReader):
         self._check_size()
 
     def compiled(self, timestep: float) -> tuple[Sensor, ...]:
-        """The sensors in a world whose timestep is `timestep` s, which their periods are multiples of."""
+        """Return the sensors in a world whose timestep is `timestep` s, which their periods are multiples
+        of."""
         specs = self._robot.spec.sensors
         return tuple(
             replace(sensor, faults=_with_period(sensor.faults, self._namespace, specs[name], timestep))
@@ -70,7 +71,7 @@ class SensorsCompiler(NamespaceReader):
         )
 
     def _check_size(self) -> None:
-        """DB005 for more than a robot can send in every timestep."""
+        """Report DB005 for more than a robot can send in every timestep."""
         rays = sum(len(sensor.beams.rays) for sensor in self._sensors.values() if sensor.beams)
         values = sum(
             math.prod(symbol.type.picture)
@@ -110,7 +111,7 @@ class SensorsCompiler(NamespaceReader):
         self.symbols[name] = Symbol(name, typed._replace(known=Known.STEP))
 
     def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, Type] | None:
-        """A sensor without errors, and the type of its readings; None after a finding."""
+        """Return a sensor without errors, and the type of its readings; None after a finding."""
         dimension, components, intervals, picture = spec.dimension, spec.components, [spec.interval], None
         subjects: tuple[str, ...] = ()
         more: dict[str, Any] = {}
@@ -158,7 +159,8 @@ class SensorsCompiler(NamespaceReader):
         ).with_intervals(intervals)
 
     def _with_ray_reach(self, sensor: Sensor, spec: RayScan, faults: NoiseModel | None) -> Sensor:
-        """The sensor with rays that go to the end of its range; those of a height scan begin at its begin."""
+        """Return the sensor with rays to the end of its range; the rays of a height scan begin at the
+        beginning of the range."""
         if "range" not in spec.model_fields_set and not self._values.is_invalid("range"):
             headline = f"the range of `{sensor.name}` is missing"
             self._values.add_at_key(
@@ -175,7 +177,7 @@ class SensorsCompiler(NamespaceReader):
         return replace(sensor, beams=beams)
 
     def _against(self, spec: Touch) -> tuple[str, ...]:
-        """The full names of what a touch sensor feels."""
+        """Return the full names of the parts that a touch sensor feels."""
         written = spec.against or ()
         links: list[str] = []
         for index, name in enumerate([written] if isinstance(written, str) else written):
@@ -190,7 +192,7 @@ class SensorsCompiler(NamespaceReader):
         return tuple(dict.fromkeys(links))
 
     def _felt(self) -> list[str]:
-        """Every body and link that a touch sensor may feel."""
+        """Return every body and link that a touch sensor may feel."""
         subjects = {name: self._namespace.subject(name, _LINKS) for name in self._namespace.subjects()}
         return [
             name
@@ -203,7 +205,7 @@ class SensorsCompiler(NamespaceReader):
 
 
 def _frame(namespace: Namespace, spec: SensorFrame) -> Pose:
-    """A frame on a link; values with findings are 0."""
+    """Return a frame on a link; values with findings are 0."""
 
     def triple(whole: str, parts: Components) -> Vector:
         if getattr(spec, whole) is not None:
@@ -218,7 +220,7 @@ def _frame(namespace: Namespace, spec: SensorFrame) -> Pose:
 
 
 def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
-    """The intrinsics of a camera; None after a finding."""
+    """Return the intrinsics of a camera; None after a finding."""
     values = namespace.values
     size, fov = namespace.fields.pair(spec, "resolution"), namespace.fields.fixed(spec, "fov")
     near, far = 0.0, 10.0
@@ -244,8 +246,8 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
 
 
 def _scan(namespace: Namespace, spec: RayScan) -> tuple[RayConfig, Components, Dimension, Interval] | None:
-    """The rays, with components, dimension and interval of what they tell; None after a finding. Without a
-    lookup, their reach is 0."""
+    """Return the rays, with components, dimension and interval of their readings; None after a finding.
+    Without a lookup, their reach is 0."""
     rays = _rays(namespace, spec)
     align = spec.align if isinstance(spec, GridScan) else "link"
     align = align or ("yaw" if isinstance(spec, HeightScan) else "link")
@@ -267,12 +269,12 @@ def _scan(namespace: Namespace, spec: RayScan) -> tuple[RayConfig, Components, D
 
 
 def _components(rays: dict[str, Pose]) -> Components:
-    """The names of the rays; none for a single one without a name."""
+    """Return the names of the rays; none for a single one without a name."""
     return () if "" in rays else tuple(rays)
 
 
 def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
-    """The frames of rays by their names, "" for a single ray without a name; None after a finding."""
+    """Return the frames of rays by their names, "" for a single ray without a name; None after a finding."""
     values = namespace.values
     if isinstance(spec, GridScan) and spec.grid is not None:
         return _grid(namespace, spec)
@@ -303,7 +305,7 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
 
 
 def _grid(namespace: Namespace, spec: GridScan) -> dict[str, Pose] | None:
-    """The frames of parallel rays by their names; None after a finding."""
+    """Return the frames of parallel rays by their names; None after a finding."""
     values = namespace.values
     for key in ("rays", "angle_range"):
         if key in spec.model_fields_set:
@@ -323,12 +325,12 @@ def _grid(namespace: Namespace, spec: GridScan) -> dict[str, Pose] | None:
 
 
 def _turned_down(pose: Pose, spec: RayScan) -> Pose:
-    """The frame of a ray, whose x axis points down where the sensor is a height scan."""
+    """Return the frame of a ray, whose x axis points down where the sensor is a height scan."""
     return replace(pose, rpy=(0.0, math.pi / 2, 0.0)) if isinstance(spec, HeightScan) else pose
 
 
 def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Dimension] | None:
-    """A lookup table, and the dimension of its readings; None after a finding."""
+    """Return a lookup table, and the dimension of its readings; None after a finding."""
     values = namespace.values
     columns: dict[str, tuple[float, ...]] = {}
     dimension = NUMBER
@@ -372,12 +374,13 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
 # Errors
 
 MAX_TICKS = 100_000
-"""The longest period and latency; a reading that old tells nothing, and each is kept."""
+"""The longest period and latency in timesteps. Older readings are useless to a policy, and every reading of
+this time is kept in memory."""
 _NUMERIC_SENSOR_KEYS = ("noise", "bias", "drift", "resolution", "range")
 
 
 def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[NoiseModel | None, Type]:
-    """The errors of a sensor, period apart, and the type of its readings with them; None for a perfect
+    """Return the errors of a sensor, period apart, and the type of its readings with them; None for a perfect
     sensor."""
     drawn = len(namespace.fields.variations)
     latency = _latency(namespace, spec)
@@ -423,7 +426,7 @@ def _latency(namespace: Namespace, spec: SensorSpec) -> float:
 def _error(
     namespace: Namespace, spec: SensorSpec, key: str, typed: Type
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """A value per component, absolute or relative: one written with `%` is relative to the reading."""
+    """Return a value per component, absolute or relative: one written with `%` is relative to the reading."""
     if key not in spec.model_fields_set:
         return (), ()
     relative = key != "drift" and "%" in namespace.values.field(spec, key).text
@@ -481,8 +484,8 @@ def _owner(path: NodePath, field: str) -> OfSensor:
 def _with_period(
     faults: NoiseModel | None, namespace: Namespace, spec: SensorSpec, timestep: float
 ) -> NoiseModel | None:
-    """The errors with the period of the sensor, in timesteps; DB308 for a period that is no whole number of
-    them."""
+    """Return the errors with the period of the sensor, in timesteps; DB308 for a period that is no whole
+    number of them."""
     seconds, values = namespace.fields.fixed(spec, "period"), namespace.values
     if seconds is None or values.is_invalid("world.timestep"):
         return faults

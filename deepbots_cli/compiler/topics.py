@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
-    """The topics that the scenario gives, by sensor, reading and actuator; findings for those that do not
-    fit.
+    """Return the topics that the scenario gives, by sensor, reading and actuator; topics that do not fit have
+    findings.
 
     Raises:
         MissingExtraError: The scenario has a section `ros`, and deepbots-robot, which has the messages, is

@@ -44,7 +44,7 @@ from deepbots_cli.scenario.keys import replacement_for
 from deepbots_cli.scenario.synonyms import word_for
 
 _HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
-"""The comment behind a value on its line, where it holds a closing parenthesis."""
+"""The comment behind a value on its line, if it contains a closing parenthesis."""
 _BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
 """A word that is not the unit of a number."""
 _COPY = re.compile(r"#\d")
@@ -56,17 +56,17 @@ _DEFINED_UNDER = {
     "object": "objects",
     "layout": "reset.layouts",
 }
-"""The place of definitions, by what findings call them."""
+"""The place of definitions, by their name in findings."""
 ANY_NAME = "*"
-"""Stands for all names: those of a section that is no mapping cannot be told."""
+"""The placeholder for all names: the names of a section that is no mapping are unknown."""
 
 _NAME_SECTIONS = frozenset({"parameters", "augment", "signals", "success", "failure"})
 _MAX_KEY_DISTANCE = 200  # how far before a finding its key may stand, in characters
 
 
 def invalid_names(root: MappingNode, pruned: Iterable[NodePath], found: Iterable[Span]) -> set[str]:
-    """The names in what the schema took out of `root`, and the keys at and right before the findings
-    `found`."""
+    """Return the names in the entries that the schema took out of `root`, and the keys at and right before
+    the findings `found`."""
     names: set[str] = set()
     data = to_data(root)
     for path in pruned:
@@ -84,7 +84,7 @@ def invalid_names(root: MappingNode, pruned: Iterable[NodePath], found: Iterable
 
 
 def _names(node: Node) -> Iterator[str]:
-    """All keys below `node`, and the items of its lists."""
+    """Yield all keys below `node`, and the items of its lists."""
     match node:
         case MappingNode():
             for name, entry in node.entries.items():
@@ -96,7 +96,7 @@ def _names(node: Node) -> Iterator[str]:
 
 
 class SourceText(NamedTuple):
-    """A text of the scenario: what it says, where each part of it stands, and what its field takes."""
+    """A text of the scenario: its content, the place of each part of it, and the kind of its field."""
 
     text: str
     part: Callable[[int, int], Span]
@@ -117,7 +117,7 @@ class SourceText(NamedTuple):
         redraw: Redraw | None = None,
         noise: Noise | None = None,
     ) -> Expression:
-        """The expression of which `typed` is the tree, called like the key unless it has a `name`."""
+        """Return the expression of which `typed` is the tree, called like the key unless it has a `name`."""
         return Expression(
             name or str(self.path[-1]),
             self.span,
@@ -139,7 +139,7 @@ class SourceText(NamedTuple):
         return self.kind.usual_unit if isinstance(self.kind, Quantity) else None
 
     def noun(self, dimension: Dimension | None) -> str | None:
-        """The noun of a torque, which in an expression may be an energy; None of all else."""
+        """Return the noun of a torque, which in an expression may be an energy; None for all else."""
         return (
             "a torque"
             if dimension == TORQUE and isinstance(self.kind, Quantity) and "torque" in self.kind.dimension
@@ -156,9 +156,10 @@ class RangeEnds(NamedTuple):
 
 
 class ScopedExpression(NamedTuple):
-    """A text that was read as an expression: what it sees from its place, and the trees that it came to.
+    """A text that was read as an expression: the names visible at its place, and the resulting trees.
 
-    A range comes to two, what is drawn at intervals also to their length; after a finding there may be none.
+    A range gives two trees, a value that is drawn at intervals also their length; after a finding there may
+    be none.
     """
 
     text: SourceText
@@ -169,8 +170,8 @@ class ScopedExpression(NamedTuple):
 class ValueReader:
     """Reads the values of one scenario.
 
-    `kinds` says what the schema wants at each path; `invalid` holds the names whose definitions had findings.
-    What was read is kept in `readings`, for editors.
+    `kinds` has the field type at each path; `invalid` has the names whose definitions had findings. The
+    expressions that were read are kept in `readings`, for editors.
     """
 
     def __init__(
@@ -187,12 +188,12 @@ class ValueReader:
         self._invalid = set(invalid)
 
     def span(self, path: NodePath) -> Span:
-        """The span of the value at `path`, or of the nearest node around it."""
+        """Return the span of the value at `path`, or of the nearest node around it."""
         return descend(self.root, path)[0].span
 
     def key_span(self, path: NodePath) -> Span:
-        """The span of the last key of `path`; of the value if there is no key, and of the first line for the
-        whole file."""
+        """Return the span of the last key of `path`; of the value if there is no key, and of the first line
+        for the whole file."""
         node, key, _ = descend(self.root, path)
         if key is None and node is self.root:
             end = node.span.source.text.find("\n", node.span.start, node.span.end)
@@ -200,13 +201,14 @@ class ValueReader:
         return key.span if key else node.span
 
     def span_of_first(self, path: NodePath, *keys: str) -> Span:
-        """The value of the first of these keys that the mapping at `path` has, or else the last key of
+        """Return the value of the first of these keys that the mapping at `path` has, or else the last key of
         `path`."""
         key = next((key for key in keys if self.is_present((*path, key))), None)
         return self.span((*path, key)) if key else self.key_span(path)
 
     def text(self, path: NodePath, default: object = None) -> SourceText:
-        """The text at `path`; one that the file leaves out is placed at what surrounds it."""
+        """Return the text at `path`; a text that the file leaves out has the place of the nearest node around
+        it."""
         node, _, steps = descend(self.root, path)
         if steps == len(path) and isinstance(node, ScalarNode):
             return SourceText(node.text, node.part, self._kinds.get(path), path)
@@ -214,7 +216,8 @@ class ValueReader:
         return SourceText(str(default), lambda _start, _end: span, None, path)
 
     def field(self, section: Section, *steps: str | int) -> SourceText:
-        """The text of a field, or of an item below it; that of the default where the file leaves it out."""
+        """Return the text of a field, or of an item below it; the text of the default if the file leaves it
+        out."""
         value: Any = getattr(section, str(steps[0]))
         for step in steps[1:]:
             value = value[step]
@@ -222,7 +225,7 @@ class ValueReader:
         return text if text.kind or not isinstance(kind, FieldType) else text._replace(kind=kind)
 
     def key_text(self, path: NodePath) -> SourceText:
-        """The text of the key at the end of `path`."""
+        """Return the text of the key at the end of `path`."""
         key = descend(self.root, path)[1]
         return SourceText(key.text, key.part, None, path) if key else self.text(path, path[-1])
 
@@ -256,7 +259,7 @@ class ValueReader:
     # Names
 
     def report_duplicate(self, path: NodePath, name: str, what: str, first: NodePath) -> None:
-        """A finding that the key at `path` defines a `name` that is already `what`, since `first`."""
+        """Report that the key at `path` defines a `name` that is already `what`, since `first`."""
         also = (Label(self.key_span(first), "first defined here"),)
         self.add(
             "DB202", self.key_span(path), f"`{name}` is already {what}", "choose another name", labels=also
@@ -267,17 +270,17 @@ class ValueReader:
         self._invalid.add(name)
 
     def is_present(self, path: NodePath) -> bool:
-        """Whether the scenario holds this key, be its value right or not."""
+        """Return whether the scenario contains this key, be its value right or not."""
         return descend(self.root, path)[2] == len(path)
 
     def is_invalid(self, name: str) -> bool:
-        """Whether the definition of the dotted `name`, or of a part of it, had a finding."""
+        """Return whether the definition of the dotted `name`, or of a part of it, had a finding."""
         return name in self._invalid or not self._invalid.isdisjoint(name.split("."))
 
     def report_unknown(
         self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201"
     ) -> None:
-        """A finding that `name` is none of the `known`, unless its definition had one."""
+        """Report that `name` is none of the `known`, unless its definition had a finding."""
         if not self.is_invalid(name):
             owned = check.with_owner(name, known)
             near = owned or suggest_replacement(name, known)
@@ -291,7 +294,7 @@ class ValueReader:
             self.add(code, span, f"there is no {what} `{name}`", help, fix=fix)
 
     def report(self, text: SourceText) -> FindingReporter:
-        """A function that takes findings at offsets of `text`."""
+        """Return a function that takes findings at offsets of `text`."""
 
         def report(
             code: str,
@@ -307,7 +310,7 @@ class ValueReader:
             if code == "DB502" and any(
                 finding.code == "DB106" and finding.span == span for finding in self.findings
             ):
-                return  # what to write instead of too few numbers shows the unit
+                return  # the help for too few numbers shows the unit
             if code == "DB503" and any(
                 word in UNITS and word in self._invalid for word in _BARE_WORD.findall(text.text)
             ):
@@ -335,7 +338,7 @@ class ValueReader:
 
     @staticmethod
     def _word_replacement(text: SourceText, piece: str) -> str | None:
-        """The probable word for an unknown name, if the field takes words beside numbers."""
+        """Return the probable word for an unknown name, if the field takes words beside numbers."""
         words = text.kind.words if isinstance(text.kind, Quantity) and piece == text.text.strip() else ()
         return word_for(piece, words) or nearest_word(piece, words) if words else None
 
@@ -343,7 +346,8 @@ class ValueReader:
         return parser.parse(text.text, self.report(text))
 
     def expression(self, text: SourceText, scope: Scope, *, boolean: bool | None = None) -> Typed | None:
-        """The typed tree of an expression; `boolean` demands a truth value (True) or a number (False)."""
+        """Return the typed tree of an expression; `boolean` demands a truth value (True) or a number
+        (False)."""
         tree = self.parsed(text)
         typed = check.check(tree, scope, self.report(text)) if tree else None
         self.readings.append(ScopedExpression(text, scope, (typed,) if typed else ()))
@@ -352,12 +356,12 @@ class ValueReader:
         return expect_kind(typed, self.report(text), boolean=boolean)
 
     def condition(self, text: SourceText, scope: Scope) -> Typed | None:
-        """The typed tree of a single truth value."""
+        """Return the typed tree of a single truth value."""
         typed = self.expression(text, scope, boolean=True)
         return typed and expect_value(typed, self.report(text), "a condition", boolean=True)
 
     def drawn(self, text: SourceText, scope: Scope) -> check.TypedExpression | None:
-        """The typed tree of an expression where draws may be repeated (`every 5 s`)."""
+        """Return the typed tree of an expression where draws may be repeated (`every 5 s`)."""
         tree = self.parsed(text)
         checked = check.check_drawn(tree, scope, self.report(text)) if tree else None
         period = checked.redraw.period if checked and checked.redraw else None
@@ -369,8 +373,8 @@ class ValueReader:
     def redrawn(
         self, text: SourceText, what: str, scope: Scope, dimension: Dimension
     ) -> tuple[Typed | None, Redraw | None]:
-        """As `quantity`, for a single value that may be new in every step; with it, how often its draws are
-        repeated."""
+        """Return a single value that may be new in every step, like `quantity`; with it, how often its draws
+        are repeated."""
         checked = self.drawn(text, scope)
         value = checked and expect_value(
             checked.value, self.report(text), what, dimension=dimension, unit=text.unit
@@ -395,9 +399,10 @@ class ValueReader:
         known: Known = Known.FIXED,
         shape_help: str | None = None,
     ) -> Typed | None:
-        """A value of the dimension (None: any) and components that a field declares, known by then.
+        """Return a value of the dimension (None: any) and components that a field declares, known by then.
 
-        `what` is how findings call the field, such as "the timestep"; `shape_help` as in `expect_value`.
+        `what` is the name of the field in findings, such as "the timestep"; `shape_help` as in
+        `expect_value`.
         """
         typed = self.expression(text, scope, boolean=False)
         if typed is None:
@@ -420,8 +425,8 @@ class ValueReader:
         )
 
     def _is_vector(self, value: Typed, text: SourceText, what: str) -> bool:
-        """Whether what has a direction has all its components; a size or a factor, which is fixed, may be one
-        for all axes."""
+        """Return whether a value with a direction has all its components; a size or a factor, which is fixed,
+        may be one for all axes."""
         kind = text.kind
         if (
             not isinstance(kind, Quantity)
@@ -437,7 +442,8 @@ class ValueReader:
         return False
 
     def _is_within(self, value: Typed, text: SourceText, what: str) -> bool:
-        """Whether the value keeps the bounds of its field; the schema has looked at bare numbers only."""
+        """Return whether the value keeps the bounds of its field; the schema has looked at bare numbers
+        only."""
         kind = text.kind
         if not isinstance(kind, Quantity) or (
             kind.minimum is None and kind.maximum is None and not kind.whole
@@ -477,7 +483,8 @@ class ValueReader:
         return False
 
     def fixed(self, value: Typed, text: SourceText, what: str) -> tuple[float | bool, ...] | None:
-        """The SI values of a value that is settled in the file; a finding where they cannot be computed."""
+        """Return the SI values of a value that is settled in the file; a finding where they cannot be
+        computed."""
         values = constant_values(value)
         if values is None:
             help = (
@@ -497,7 +504,7 @@ class ValueReader:
         components: Components | None = None,
         falling: bool = False,
     ) -> RangeEnds | None:
-        """The fixed ends of a range, one per component; with `falling`, in any order. None after a
+        """Return the fixed ends of a range, one per component; with `falling`, in any order. None after a
         finding."""
         interval = self.range(text, scope, falling=falling)
         bounds = interval and expect_range(

@@ -78,10 +78,10 @@ def define_bodies(namespace: Namespace) -> None:
 
 
 def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> ObjectGroup | None:
-    """The group that an object with a `count` is; None after a finding.
+    """Return the group of an object with a `count`; None after a finding.
 
-    There are as many bodies as the greatest count asks for, and one at least; an episode without copies
-    leaves them absent.
+    There are as many bodies as the greatest count, and one at least; an episode without copies leaves them
+    absent.
     """
     values, count = namespace.values, namespace.fields.expression(thing, "count")
     if count is None:
@@ -100,16 +100,12 @@ def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> Obj
 
 
 MAX_TRIANGLES = 200_000
-_MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = (
-    1e-5,
-    1e-4,
-    1e3,
-    1e6,
-)  # m; beyond the inner two a mesh is probably in another unit
+# Sizes in m; beyond the inner two a mesh is probably in another unit.
+_MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = (1e-5, 1e-4, 1e3, 1e6)
 
 
 def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
-    """The mesh file of an object or a terrain; None after a finding."""
+    """Return the mesh file of an object or a terrain; None after a finding."""
     values, reference, place = namespace.values, spec.file, (*spec.path, "file")
     factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.fields.triple(spec, "scale")
     path = locate_file(reference, values.span(place), namespace.document, values)
@@ -130,7 +126,7 @@ def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -
 
 
 def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Mesh) -> bool:
-    """Whether an engine can hold so many triangles; a size that is hardly meant is a warning."""
+    """Return whether an engine can hold so many triangles; a size that is hardly meant is a warning."""
     values = namespace.values
     measured = mesh_size(file.suffix.lower(), file.read_bytes())
     if measured is None:
@@ -165,7 +161,7 @@ def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Me
 
 
 def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, str] | None:
-    """The path and the digest of a gray picture; None after a finding."""
+    """Return the path and the digest of a gray picture; None after a finding."""
     span = namespace.values.span(path)
     located = locate_file(reference, span, namespace.document, namespace.values)
     if located is None:
@@ -182,7 +178,7 @@ def picture(namespace: Namespace, path: NodePath, reference: str) -> tuple[str, 
 
 
 def lines(namespace: Namespace) -> tuple[Line, ...]:
-    """The painted lines; their lengths are noted in the namespace."""
+    """Return the painted lines; their lengths are noted in the namespace."""
     compiled = [_line(name, line, namespace) for name, line in namespace.scenario.world.lines.items()]
     complete = tuple(line for line in compiled if line is not None)
     if sum(len(line.points) for line in complete) > MAX_POINTS:
@@ -204,7 +200,7 @@ def _line(name: str, spec: world_spec.Line, namespace: Namespace) -> Line | None
 
 
 def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tuple[Point, ...] | None:
-    """The corners; None after a finding."""
+    """Return the corners; None after a finding."""
     corners = [namespace.fields.pair(spec, "points", index) for index in range(len(spec.points))]
     points = [point for point in corners if point is not None]
     if len(points) < len(corners):
@@ -226,14 +222,14 @@ def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tu
 
 
 def walls(namespace: Namespace) -> tuple[ObjectBody, ...]:
-    """The walls, a fixed box for each straight piece; those around an arena are the engine's."""
+    """Return the walls, a fixed box for each straight piece; the engine makes the walls around an arena."""
     return tuple(
         box for name, wall in namespace.scenario.world.walls.items() for box in _wall(name, wall, namespace)
     )
 
 
 def wall_piece_names(name: str, spec: world_spec.Wall) -> tuple[str, ...]:
-    """The names of the boxes of a wall; the blank keeps them apart from every object."""
+    """Return the names of the boxes of a wall; the blank keeps them apart from every object."""
     return tuple(f"{name} {number}" for number in range(1, len(spec.points) + (1 if spec.closed else 0)))
 
 
@@ -266,7 +262,7 @@ _FORMULA_SAMPLES = 8  # places along either side at which a formula is tried
 
 
 def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
-    """The terrain; None after a finding."""
+    """Return the terrain; None after a finding."""
     friction = namespace.fields.scalar_or_randomized(
         given, "friction", "lateral_friction", OfLink(GROUND), 1.0
     )
@@ -429,7 +425,7 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
 
 
 def _at(heights: Scalar, place: dict[str, float]) -> Scalar:
-    """The formula at one place: a number, where it has one."""
+    """Return the formula at one place: a number, where it has one."""
     match heights:
         case Name(name=name) if name in place:
             return Const(place[name])
@@ -445,8 +441,8 @@ _OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
 
 
 def bodies(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> list[ObjectBody]:
-    """The object, or every copy of a group; none after a finding about its shape. Figures that are drawn
-    become variations."""
+    """Return the object, or every copy of a group; none after a finding about its shape. Figures that are
+    drawn become variations."""
     group = namespace.groups.get(name)
     names = group.copies if group else (name,)
     if isinstance(thing, world_spec.VariedObject):
@@ -491,8 +487,8 @@ def _body(
 def _variant(
     kind: str, spec: world_spec.ShapedBody, thing: world_spec.VariedObject, namespace: Namespace
 ) -> Variant | None:
-    """A form that a body may take: what it does not say of itself, the object says for all; its values are
-    fixed."""
+    """Return a form that a body may take: properties that it does not set are those of the object; its values
+    are fixed."""
     for key in _OF_ALL:
         if getattr(spec, key) is not None:
             help = f"write one `{key}` for all variants, next to `one_of`"
@@ -521,7 +517,7 @@ def _variant(
 
 
 def shape(thing: world_spec.Material | world_spec.PlacedBody, namespace: Namespace) -> Shape | None:
-    """The shape of an object or of a variant; None after a finding."""
+    """Return the shape of an object or of a variant; None after a finding."""
     match thing:
         case world_spec.Box():
             size = namespace.fields.triple(thing, "size")
@@ -539,7 +535,7 @@ def shape(thing: world_spec.Material | world_spec.PlacedBody, namespace: Namespa
 
 
 def _mass(thing: world_spec.Material, body_shape: Shape, of: OfLink, namespace: Namespace) -> float:
-    """The mass in kg."""
+    """Return the mass in kg."""
     still = bool(thing.fixed) or thing.solid is False
     if thing.mass is None:
         return _usual_mass(body_shape, thing, namespace, still=still)
@@ -549,7 +545,7 @@ def _mass(thing: world_spec.Material, body_shape: Shape, of: OfLink, namespace: 
 
 
 def _usual_mass(body_shape: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
-    """The mass (kg) of the same volume of water; a mesh that can move needs a mass of its own."""
+    """Return the mass (kg) of the same volume of water; a mesh that can move needs a mass of its own."""
     if isinstance(body_shape, Mesh) and not still:
         namespace.values.add_at_key(
             "DB102", thing.path, "a movable mesh needs a `mass`", "add `mass`, or write `fixed: true`"
@@ -562,7 +558,7 @@ _MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e
 
 
 def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
-    """The world with `robots` and `painted` lines in it."""
+    """Return the world with `robots` and `painted` lines in it."""
     values, spec = namespace.values, namespace.scenario.world
     timestep = namespace.fields.fixed(spec, "timestep")
     if timestep is None:
@@ -574,7 +570,8 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
     if gravity is not None and gravity[2] > 0:
         span = values.field(spec, "gravity").span
         downwards = f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
-        fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)  # a draw says more
+        # A fix would replace a draw by a number.
+        fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)
         values.add("DB505", span, "gravity that pulls upwards", f"z points up: write `{downwards}`", fix=fix)
     objects = [
         body for name, thing in namespace.scenario.objects.items() for body in bodies(name, thing, namespace)
@@ -595,7 +592,7 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
 
 
 def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
-    """The fields of `WorldModel` that the section gives, without fields that had a finding."""
+    """Return the fields of `WorldModel` that the section gives, without fields that had a finding."""
     whats: tuple[WorldParameter, ...] = get_args(WorldParameter)
     values = {what: namespace.fields.vector_or_randomized(spec, what, what, OfWorld()) for what in whats}
     return {what: numbers if len(numbers) > 1 else numbers[0] for what, numbers in values.items() if numbers}
@@ -622,7 +619,7 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
 
 
 def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) -> None:
-    """DB005 for more bodies than a world may have, each variant of each copy among them."""
+    """Report DB005 for more bodies than a world may have, each variant of each copy among them."""
     counts: dict[NodePath, int] = {("robots",): robots, ("objects",): objects, ("world", "walls"): pieces}
     if sum(counts.values()) > MAX_BODIES:
         most = max(counts, key=lambda section: counts[section])

@@ -1,9 +1,7 @@
-"""Findings as data, and how they are shown.
+"""Findings as data, and their presentation.
 
 registry.py  the catalog of rules: code, name, severity
-findings.py  Source, Span, Finding: what is wrong and where; Fix, Edit: what to write instead; `--select` and
-`--ignore`;
-             comments that suppress warnings
+findings.py  Source, Span, Finding, Fix, Edit; `--select` and `--ignore`; comments that suppress warnings
 render.py    findings as text with source lines, as concise lines, as JSON; for GitHub, SARIF
 junit.py     reports of findings and of tests as JUnit XML
 foreign.py   conditionals, absolute values and calls of other languages, rewritten

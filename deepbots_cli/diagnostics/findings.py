@@ -24,10 +24,11 @@ from deepbots_cli.diagnostics.registry import RULES, Severity, matching_rules, u
 from deepbots_cli.errors import UsageError
 
 MAX_FINDINGS = 500
-"""Findings of one scenario. A file of 1 MiB can have 30 000 errors, and their messages take half a minute."""
+"""The maximum number of findings of one scenario. A file of 1 MiB can have 30 000 errors, and their messages
+take half a minute."""
 
 _MAX_MESSAGE = 200
-"""Characters quoted from the message of an exception, which may quote a whole file."""
+"""The number of characters quoted from the message of an exception, which may quote a whole file."""
 
 
 class Position(NamedTuple):
@@ -41,9 +42,9 @@ class Position(NamedTuple):
 class Source:
     """A text and where it came from.
 
-    `name` is what the user sees: the path as given on the command line, or relative to the working directory.
-    `included_from` is the span of the `include` or `extends` that brought this file in. `assigned` is the
-    path that the text assigns a value to, with dots, if it is that of a `--set`.
+    `name` is the name that the user sees: the path as given on the command line, or relative to the working
+    directory. `included_from` is the span of the `include` or `extends` that brought this file in. `assigned`
+    is the path that the text assigns a value to, with dots, if the text is a `--set`.
     """
 
     name: str
@@ -68,7 +69,7 @@ class Source:
         return Position(line, offset - self._line_starts[line - 1] + 1)
 
     def line(self, number: int) -> str:
-        """The text of line `number` (from 1), without its line end."""
+        """Return the text of line `number` (from 1), without its line end."""
         starts = self._line_starts
         end = starts[number] - 1 if number < len(starts) else len(self.text)
         return self.text[starts[number - 1] : end].rstrip("\r")
@@ -128,7 +129,8 @@ class Fix:
 
     @classmethod
     def replacing(cls, span: Span, old: str, new: str, *, safe: bool) -> Fix | None:
-        """`new` for `old`; None if the source does not hold `old` at `span` literally, plain or in quotes."""
+        """Return a fix that writes `new` for `old`; None if the source does not have `old` at `span`
+        literally, plain or in quotes."""
         if span.text in (f'"{old}"', f"'{old}'") and not set(new) & set("\"'\\"):
             span = Span(span.source, span.start + 1, span.end - 1)
         return cls((Edit(span, new),), safe) if span.text == old else None
@@ -138,8 +140,8 @@ class Fix:
 class Finding:
     """One problem at one place.
 
-    A headline starts in lower case, has no full stop and does not hold the remedy, which is `help`.
-    `code` is in the rule registry, which supplies name and severity.
+    A headline starts in lower case, has no full stop and does not contain the remedy, which is `help`. `code`
+    is in the rule registry, which supplies name and severity.
     """
 
     code: str
@@ -160,7 +162,7 @@ class Finding:
 
     @property
     def is_internal_error(self) -> bool:
-        """Whether it reports a fault of deepbots (DB903) and not of the scenario."""
+        """Whether the finding reports a fault of deepbots (DB903) and not of the scenario."""
         return self.code == "DB903"
 
     @property
@@ -171,7 +173,7 @@ class Finding:
 def exceptions_as_findings(
     what: str, source: Source, find: Callable[[], Iterable[Finding]]
 ) -> Iterator[Finding]:
-    """The findings of `find`; an exception ends them with a DB903 (see `failure`)."""
+    """Yield the findings of `find`; an exception ends them with a DB903 (see `failure`)."""
     try:
         yield from find()
     except Exception as error:  # noqa: BLE001  # a fault of deepbots must not hide other findings
@@ -179,15 +181,15 @@ def exceptions_as_findings(
 
 
 def exception_finding(what: str, source: Source, error: Exception) -> Finding:
-    """A DB903 at the start of `source` for an exception in `what`, such as `the rule DB705`; DEEPBOTS_DEBUG=1
-    raises it again."""
+    """Return a DB903 at the start of `source` for an exception in `what`, such as `the rule DB705`;
+    DEEPBOTS_DEBUG=1 raises it again."""
     if os.environ.get("DEEPBOTS_DEBUG") == "1":
         raise error
     return internal_error_finding(what, source, describe_exception(error))
 
 
 def internal_error_finding(what: str, source: Source, description: str) -> Finding:
-    """The DB903 for `what`; `describe_exception` gives the description."""
+    """Return the DB903 for `what`; `describe_exception` gives the description."""
     help = (
         "this is a bug in deepbots; report this message together with the file (DEEPBOTS_DEBUG=1 shows"
         " the traceback)"
@@ -196,8 +198,8 @@ def internal_error_finding(what: str, source: Source, description: str) -> Findi
 
 
 def describe_exception(error: BaseException) -> str:
-    """Type and message of an exception on one line, and the innermost place in deepbots of its traceback:
-    `module:line`."""
+    """Return type and message of an exception on one line, and the innermost place in deepbots of its
+    traceback: `module:line`."""
     place, trace = "", error.__traceback__
     while trace is not None:
         module = str(trace.tb_frame.f_globals.get("__name__"))
@@ -209,7 +211,7 @@ def describe_exception(error: BaseException) -> str:
 
 
 class TooManyFindings(Exception):  # noqa: N818  # reaching the limit that was asked for is no error
-    """A list of findings has reached its limit; `finding` did not fit."""
+    """The signal that a list of findings has reached its limit; `finding` did not fit."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__()
@@ -261,7 +263,7 @@ class Findings:
         return len(self._found)
 
     def __repr__(self) -> str:
-        """One line for each finding, since its source holds the whole text of a file."""
+        """Return one line for each finding, since its source contains the whole text of a file."""
         return (
             f"Findings({[f'{finding.span.location}: {finding.code} {finding.headline}' for finding in self]})"
         )
@@ -284,7 +286,7 @@ _COMMENT = re.compile(
 _BLANK_TO_LINE_END = re.compile(r"[^\S\n]*+(?=\n|\Z)")
 _CODE = re.compile(r"[^\s,]+")
 _MAX_CODES = 1000
-"""Codes that are read in one file; a file of 1 MiB may hold tens of thousands."""
+"""The maximum number of codes that are read in one file; a file of 1 MiB may have tens of thousands."""
 
 
 @dataclass(frozen=True)
@@ -303,7 +305,7 @@ class Selection:
     """The findings chosen by `select` (default: all) and `ignore`, by code, by the beginning of codes, or by
     name.
 
-    Where two words fit a code, the longer one counts; of equal ones `ignore`.
+    If two words fit a code, the longer one applies; of equal ones `ignore`.
 
     Raises:
         UsageError: A word fits no finding; the message suggests one.
@@ -333,14 +335,14 @@ class Selection:
         return self._select is None and not self._ignore
 
     def selects(self, finding: Finding) -> bool:
-        """Whether the finding is shown: it is selected, or an error in text or shape, or a fault of
+        """Return whether the finding is shown: it is selected, or an error in text or shape, or a fault of
         deepbots."""
         unreadable = finding.severity == "error" and finding.code.startswith(_UNREADABLE)
         return unreadable or finding.is_internal_error or self._has(finding.code)
 
     def inactive_rules(self) -> list[Finding]:
-        """A DB902 for each rule that is selected by itself and does not run: it is in preview, or needs a
-        simulation."""
+        """Return a DB902 for each rule that is selected by itself and does not run: it is in preview, or
+        needs a simulation."""
         inactive = []
         for word in self._words.words if "DB902" not in self._ignore else ():
             entries = matching_rules(word)
@@ -364,7 +366,8 @@ class Selection:
 
 
 def _codes(selectors: RuleSelectors) -> Mapping[str, int]:
-    """The codes that the words fit, each with the length of the longest word; a name is as long as a code."""
+    """Return the codes that the words fit, each with the length of the longest word; a name is as long as a
+    code."""
     fitting: dict[str, int] = {}
     for word in selectors.words:
         entries = matching_rules(word)
@@ -394,8 +397,8 @@ def suppress(
     deep: bool = False,
     exploits: bool = False,
 ) -> tuple[list[Finding], list[Finding]]:
-    """The findings that no comment suppresses, and a DB901 for each comment in `sources` that suppresses
-    nothing.
+    """Return the findings that no comment suppresses, and a DB901 for each comment in `sources` that
+    suppresses nothing.
 
     A comment on a rule that did not run, in preview or for want of a simulation, is not reported.
     """
@@ -446,7 +449,7 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
 
 
 def _could_be_found(code: str, preview: bool, deep: bool, exploits: bool) -> bool:
-    """Whether every part of the rule has run."""
+    """Return whether every part of the rule has run."""
     rule = RULES.get(code)
     if rule is None:
         return True
@@ -471,8 +474,8 @@ def _unused(entry: _Suppression) -> Finding:
 
 
 def _removal(source: Source, comment: re.Match[str], others: list[str]) -> Edit:
-    """The edit that leaves only the `others` in the list, or removes the comment but not a reason behind
-    it."""
+    """Return the edit that leaves only the `others` in the list, or removes the comment but not a reason
+    behind it."""
     if others:
         return Edit(Span(source, *comment.span(1)), ", ".join(others))
     rest = _BLANK_TO_LINE_END.match(source.text, comment.end())

@@ -1,5 +1,5 @@
-"""What expressions of other languages are in this one, where the form shows it: conditionals, absolute
-values, calls through a dot."""
+"""Expressions of other languages, recognized by their form (conditionals, absolute values, calls with a dot)
+and translated."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _MAX_LENGTH = 200
 
 
 def conditional(text: str) -> str | None:
-    """`a if c else b` for `if (c) a else b`, `if c: a else: b` or `c ? a : b`; None for any other text."""
+    """Return `a if c else b` for `if (c) a else b`, `if c: a else: b` or `c ? a : b`; None for any other
+    text."""
     if len(text) > _MAX_LENGTH:
         return None
     match = _IF.fullmatch(text) or _TERNARY.fullmatch(text)
@@ -30,13 +31,14 @@ def conditional(text: str) -> str | None:
 
 
 def without_bars(text: str) -> str | None:
-    """`abs(x)` for each `|x|`; None if the text has none."""
+    """Return the text with `abs(x)` for each `|x|`; None if the text has none."""
     if len(text) > _MAX_LENGTH or not _BARS.search(text):
         return None
     return _BARS.sub(lambda found: f"abs({found[1].strip()})", text)
 
 
 def call(names: tuple[str, ...]) -> str:
-    """The call that `math.cos(` or `cart.velocity(` begins, by the dotted names before its parenthesis."""
+    """Return the call that `math.cos(` or `cart.velocity(` begins, by the dotted names before its
+    parenthesis."""
     *owner, function = names
     return f"{function}(...)" if owner[0] in MODULES else f"{function}({'.'.join(owner)})"

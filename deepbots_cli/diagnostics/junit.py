@@ -15,8 +15,8 @@ from deepbots_cli.diagnostics.render import escaped, message, relative_name, sho
 class Case(NamedTuple):
     """A finding, a requirement or a test, with its output.
 
-    `fault` is the reason why it fails, empty if it passes. `attributes` are further ones, such as `time` in
-    s.
+    `fault` is the reason why it fails, empty if it passes. `attributes` are further attributes, such as
+    `time` in s.
     """
 
     name: str
@@ -34,9 +34,9 @@ def xml_report(
     prefix: str = "",
     properties: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
-    """The cases of each suite as XML; without a title, a single suite is the root.
+    """Return the cases of each suite as XML; without a title, a single suite is the root.
 
-    `prefix` stands before the name of each suite. `properties` are those of each suite, by name.
+    `prefix` is put before the name of each suite. `properties` are the properties of each suite, by name.
     """
     root = ElementTree.Element("testsuites")
     for name, cases in suites.items():
@@ -58,7 +58,7 @@ def xml_report(
 
 
 def _element(parent: ElementTree.Element, tag: str, text: str = "", **attributes: str) -> ElementTree.Element:
-    """A new element without the attributes that are empty."""
+    """Return a new element without the attributes that are empty."""
     element = ElementTree.SubElement(
         parent, tag, {name: escaped(value) for name, value in attributes.items() if value}
     )
@@ -72,7 +72,8 @@ def _counts(part: ElementTree.Element) -> dict[str, str]:
 
 
 def junit(findings: Sequence[Finding], files: Sequence[str], failing: Collection[Severity]) -> str:
-    """The report of `lint`: a suite for each file, a case for each finding; one that passes without findings.
+    """Return the report of `lint`: a suite for each file, a case for each finding; one that passes without
+    findings.
 
     `files` are the names of the linted scenarios. A finding is a failure if its severity is in `failing`,
     else a case that passes with output; a DB903 is an error.

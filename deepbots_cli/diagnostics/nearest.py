@@ -11,13 +11,14 @@ _MAX_COMPARED = 300
 _MAX_LENGTH = 64
 
 _MIN_SLIP = 4
-"""Letters of a word for which one slip can be told from another word; `x` is one slip away from `y`."""
+"""The least number of letters of a word in which one slip is recognized; `x` is one slip away from `y`."""
 _MIN_PREFIX = 3
-"""Letters from which on a word may be the beginning of a longer one, as `left` of `left_hinge`."""
+"""The least number of letters of a word that may be the beginning of a longer one, as `left` of
+`left_hinge`."""
 
 
 MAX_BESIDE = 8
-"""Number of words up to which a message lists all of them beside one that is almost certainly meant."""
+"""The number of words up to which a message lists all of them beside one that is almost certainly meant."""
 
 
 class Replacement(NamedTuple):
@@ -28,8 +29,8 @@ class Replacement(NamedTuple):
 
 
 def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The `known` word most like `word`, ignoring case, or else the only one that begins with it; None if
-    there is none."""
+    """Return the `known` word most like `word`, ignoring case, or else the only one that begins with it; None
+    if there is none."""
     from difflib import get_close_matches  # its import takes 4 ms, and only messages need it
 
     by_lower = {name.lower(): name for name in islice(known, _MAX_COMPARED)}
@@ -45,7 +46,7 @@ def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | 
 
 
 def suggest_replacement(word: str, known: Iterable[str], *, of_language: bool = False) -> Replacement | None:
-    """The nearest of the `known` words as a replacement.
+    """Return the nearest of the `known` words as a replacement.
 
     It is certain only among words of the language (`of_language`), and only if exactly one of them is a slip
     away. Names that a user chose may differ by a letter on purpose (`left_1`, `left_2`).
@@ -58,8 +59,8 @@ def suggest_replacement(word: str, known: Iterable[str], *, of_language: bool = 
 
 
 def is_typo(word: str, other: str) -> bool:
-    """Whether two words differ only by case, by underscores, or by one letter: replaced, missing, added, or
-    two swapped."""
+    """Return whether two words differ only by case, by underscores, or by one letter: replaced, missing,
+    added, or two swapped."""
     word, other = (text[:_MAX_LENGTH].lower().replace("_", "").replace("-", "") for text in (word, other))
     if word == other:
         return True

@@ -20,8 +20,8 @@ Severity = Literal["error", "warning"]
 class Rule:
     """One entry of the catalog.
 
-    A rule in `preview` may still misfire and runs only on request. `deep` says whether a simulation (`lint
-    --deep`) finds it: `no`, `only`, or `too` where static analysis finds it as well; `exploits` are found by
+    A rule in `preview` may still misfire and runs only on request. `deep` is the part of a simulation (`lint
+    --deep`) in it: `no`, `only`, or `too` where static analysis finds it as well; `exploits` are found by
     `lint --exploits` only. `deep_preview` puts only the simulated part in preview.
     """
 
@@ -33,12 +33,12 @@ class Rule:
     deep: Literal["no", "too", "only", "exploits"] = "no"
     deep_preview: bool = False
     check: Callable[[Any], Iterator[Any]] | None = None
-    """For a plug-in: yields findings about a `compiler.CheckedScenario` without errors."""
+    """The function of a plug-in that yields findings about a `compiler.CheckedScenario` without errors."""
     about: str = ""
-    """For a plug-in: the page of the rule, paragraphs with blank lines between."""
+    """The page of a rule of a plug-in: paragraphs with blank lines between."""
     example: str = ""
-    """For a plug-in: a scenario with the finding, to be merged into CartPole; `instead` is what to write
-    instead."""
+    """A scenario with the finding, of a rule of a plug-in, to be merged into CartPole; `instead` is what to
+    write instead."""
     instead: str = ""
 
     @property
@@ -403,7 +403,7 @@ _CATALOG = (
 
 
 def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
-    """The rules that an entry point names.
+    """Yield the rules that an entry point names.
 
     Raises:
         ValueError: A rule is incomplete, or uses a code or a name of deepbots.
@@ -422,14 +422,15 @@ RULES: PluginTable[Rule] = PluginTable("deepbots.rules", {entry.code: entry for 
 
 
 def matching_rules(word: str) -> tuple[Rule, ...]:
-    """The rule whose code or name is `word`, whatever its case, or all rules whose codes begin with it."""
+    """Return the rule whose code or name is `word`, whatever its case, or all rules whose codes begin with
+    it."""
     wanted = word.strip().lower().replace("_", "-")
     named = tuple(rule for rule in RULES.values() if wanted == rule.name)
     return named or tuple(rule for rule in RULES.values() if rule.code.lower().startswith(wanted))
 
 
 def unknown_rule_message(word: str) -> str:
-    """The message for a word that fits no rule."""
+    """Return the message for a word that fits no rule."""
     is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
     near = nearest_word(word, [rule.code if is_code else rule.name for rule in RULES.values()])
     return f"there is no finding '{word}'" + (

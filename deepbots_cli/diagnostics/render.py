@@ -38,24 +38,25 @@ _COMMAND = re.compile(r"^([ \t]*):(?=:)|(#)(?=#(?:vso)?\[)", re.MULTILINE)
 
 
 def escaped(text: str) -> str:
-    """`text` on one line, with unsafe characters as escapes."""
+    """Return `text` on one line, with unsafe characters as escapes."""
     return _UNSAFE.sub(lambda found: f"\\u{{{ord(found.group()):x}}}", text)
 
 
 def shortened(text: str) -> str:
-    """A message on one line; it may quote a text of any length."""
+    """Return a message on one line; it may quote a text of any length."""
     return escaped(text if len(text) <= _MAX_SENTENCE else text[:_MAX_SENTENCE] + "…")
 
 
 def escape_log_commands(text: str) -> str:
-    """Lines for a log that executes workflow commands: a file may be called `::stop-commands::x.yaml`."""
+    """Return lines for a log that executes workflow commands: a file may be called
+    `::stop-commands::x.yaml`."""
     if "::" not in text and "##" not in text:
         return text
     return _COMMAND.sub(lambda found: f"{found[1] or ''}\\u{{{'23' if found[2] else '3a'}}}", text)
 
 
 def message(finding: Finding) -> str:
-    """Headline, notes and help, each on a line."""
+    """Return headline, notes and help, each on a line."""
     return "\n".join(
         map(
             shortened,
@@ -67,7 +68,7 @@ def message(finding: Finding) -> str:
 def render(
     findings: Iterable[Finding], format: Format = "full", color: bool = False, width: int = 100
 ) -> str:
-    """The findings as text that ends with a line feed; empty if there are none, except for `json`.
+    """Return the findings as text that ends with a line feed; empty if there are none, except for `json`.
 
     `full` crops source lines to `width` columns; only `full` uses `color`.
     """
@@ -79,7 +80,7 @@ def render(
 
 
 def summary(findings: Iterable[Finding]) -> str:
-    """How many there are: `2 errors, 1 warning`."""
+    """Return the number of findings by severity: `2 errors, 1 warning`."""
     parts = [
         f"{count} {word}{'s' if count > 1 else ''}" for word, count in _counts(findings).items() if count
     ]
@@ -87,7 +88,7 @@ def summary(findings: Iterable[Finding]) -> str:
 
 
 def display_width(text: str) -> int:
-    """How many columns of a terminal `text` takes."""
+    """Return the number of columns of a terminal that `text` takes."""
     if text.isascii():
         return len(text)
     return sum(
@@ -111,7 +112,7 @@ def _concise(finding: Finding) -> str:
 
 
 def _json(findings: list[Finding]) -> str:
-    """One finding on each line; indentation takes 1.7 times as long."""
+    """Return JSON with one finding on each line; indentation takes 1.7 times as long."""
     entries = ",\n".join(f"  {json.dumps(_as_data(finding))}" for finding in findings)
     listed = f"[\n{entries}\n]" if entries else "[]"
     return f'{{"version": 1, "findings": {listed}, "counts": {json.dumps(_counts(findings))}}}\n'
@@ -156,9 +157,8 @@ class _Painter:
         lines = [f"{head}: {self.paint('bold', shortened(finding.headline))}"]
         for source in dict.fromkeys(label.span.source for label in labels):
             first = next(label.span for label in labels if label.span.source is source)
-            is_option = source.name.startswith(
-                "--set "
-            )  # its text is a single value, in which a line says nothing
+            # The text of an option is a single value, in which a line number is useless.
+            is_option = source.name.startswith("--set ")
             where = f"--set {shortened(source.text)}" if is_option else first.location
             lines.append(f"{' ' * gutter}{self.paint('frame', '-->')} {escaped(where)}")
             lines.extend(
@@ -172,7 +172,7 @@ class _Painter:
         return "\n".join(lines) + "\n"
 
     def snippet(self, source: Source, finding: Finding, gutter: int) -> Iterator[str]:
-        """The lines of `source` with the finding or one of its labels, each with underlines below."""
+        """Yield the lines of `source` with the finding or one of its labels, each with underlines below."""
         marked: dict[int, list[tuple[Span, str, str]]] = {}
         for span, sign, text in [
             (finding.span, "^", ""),
@@ -232,7 +232,7 @@ class _Line:
         return " " * (len(self.prefix) + self._columns_to(span.start_position.column - 1))
 
     def marks(self, span: Span, sign: str) -> str:
-        """The underline, at least one sign; it ends with the line if the span goes on."""
+        """Return the underline, at least one sign; it ends with the line if the span goes on."""
         end = (
             span.end_position.column - 1
             if span.end_position.line == span.start_position.line
@@ -252,7 +252,7 @@ ExplainRule = Callable[[str], tuple[str, str]]
 
 
 def relative_name(name: str) -> str:
-    """The file `name`, relative to the working directory if it lies below it, with slashes."""
+    """Return the file `name`, relative to the working directory if it lies below it, with slashes."""
     path, here = Path(name), Path.cwd()
     return (path.relative_to(here) if path.is_relative_to(here) else path).as_posix()
 
@@ -261,8 +261,8 @@ def relative_name(name: str) -> str:
 
 
 def github(findings: Iterable[Finding]) -> str:
-    """A workflow command for each finding; errors first, since a step shows ten errors and ten warnings at
-    most."""
+    """Return a workflow command for each finding; errors first, since a step shows ten errors and ten
+    warnings at most."""
     return "".join(
         f"{_command(finding)}\n"
         for finding in sorted(findings, key=lambda finding: finding.severity != "error")
@@ -288,7 +288,7 @@ def _percent(text: str) -> str:
 
 
 def sarif(findings: Sequence[Finding], explain: ExplainRule) -> str:
-    """One run with all findings, their fixes and the rules that they break, as JSON."""
+    """Return one run with all findings, their fixes and the rules that they break, as JSON."""
     codes = sorted({finding.code for finding in findings})
     run = {
         "tool": {
@@ -362,7 +362,8 @@ def _region(span: Span) -> JsonObject:
 
 
 def _file(source: Source) -> JsonObject:
-    """A relative path starts from `%SRCROOT%`, whichever folder that is on another machine."""
+    """Return the location of a file; a relative path starts from `%SRCROOT%`, whichever folder that is on
+    another machine."""
     path = relative_name(source.name)
     if Path(path).is_absolute():
         return {"uri": f"file://{quote(path, errors='replace')}"}

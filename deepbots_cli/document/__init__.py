@@ -1,4 +1,4 @@
-"""From YAML text to nodes that know their place.
+"""From YAML text to nodes with their position in the file.
 
 files.py    which files a scenario may read; bytes to text
 parse.py    YAML text to nodes, within limits

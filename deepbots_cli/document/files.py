@@ -1,4 +1,4 @@
-"""Which files a scenario may read, and their text.
+"""The files that a scenario may read, and their text.
 
 A scenario may come from anyone, so it can read only the files of its project, the shipped ones, and the
 folders of `--allow-path`. The text of a file keeps its line ends, so offsets count characters of the file;
@@ -23,7 +23,7 @@ from deepbots_cli.files import read_at_most
 
 MAX_BYTES = 1 << 20
 MAX_TOTAL_BYTES = 8 << 20
-"""All files of a scenario together."""
+"""The maximum size of all files of a scenario together."""
 
 _MAX_LISTED, _MAX_SHOWN = 24, 5
 # How far a message looks for a file that is not where it should be.
@@ -41,7 +41,7 @@ FORBIDDEN_CHARACTERS = re.compile(
 
 @dataclass(frozen=True)
 class UnusableFile:
-    """Why a file that a scenario names cannot be read; `headline` and `help` make the finding."""
+    """The reason why a file that a scenario names cannot be read; `headline` and `help` make the finding."""
 
     reason: Literal["missing", "outside", "irregular"]
     reference: str
@@ -54,7 +54,7 @@ class UnusableFile:
     base: Path | None = None
     """The folder of the file that names it."""
     by: Path | None = None
-    """The file that names it."""
+    """The file that names this file."""
 
     @property
     def problem(self) -> str:
@@ -100,7 +100,7 @@ class UnusableFile:
         return f"paths are relative to the file that contains them; {self.path} does not exist"
 
     def _help_scenario(self) -> str:
-        """What to write instead of a scenario that is not there."""
+        """Return what to write instead of a scenario that does not exist."""
         others = [file.name for file in _beside(self.path, (".yaml", ".yml")) if file != self.by][:_MAX_SHOWN]
         there = f" ({', '.join(others)})" if others else ", or the name of a shipped one"
         return (
@@ -127,7 +127,7 @@ class UnusableFile:
         )
 
     def _elsewhere(self) -> str | None:
-        """The path of a file of the same name in the project, as this file would write it."""
+        """Return the path of a file of the same name in the project, as this file would write it."""
         project = self.roots[0] if self.roots else None
         if self.is_name or project is None or self.base is None or not self.path.suffix:
             return None
@@ -171,7 +171,7 @@ class UnusableFile:
 
 
 def _beside(path: Path, suffixes: Container[str]) -> list[Path]:
-    """The files beside `path` with one of the suffixes, in the order of their names."""
+    """Return the files beside `path` with one of the suffixes, in the order of their names."""
     try:
         return sorted(
             other for other in islice(path.parent.iterdir(), _MAX_ENTRIES) if other.suffix in suffixes
@@ -181,7 +181,7 @@ def _beside(path: Path, suffixes: Container[str]) -> list[Path]:
 
 
 def _similar(path: Path, by: Path | None) -> str | None:
-    """The name of a file beside `path` that was probably meant, and is not the file that names it."""
+    """Return the name of a file beside `path` that was probably meant, and is not the file that names it."""
     suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
     by_stem = {other.stem: other.name for other in _beside(path, suffixes) if other != by}
     near = nearest_word(path.stem, by_stem)
@@ -189,8 +189,8 @@ def _similar(path: Path, by: Path | None) -> str | None:
 
 
 def find_in(folder: Path, name: str, depth: int = _MAX_DEPTH) -> Path | None:
-    """The nearest file or folder called `name` in a folder or below it; hidden folders and the results of
-    trainings are left out."""
+    """Return the nearest file or folder called `name` in a folder or below it; hidden folders and the results
+    of trainings are left out."""
     waiting, visited = [(folder, 0)], 0
     while waiting and visited < _MAX_FOLDERS:
         here, level = waiting.pop(0)
@@ -221,8 +221,8 @@ def resolve_reference(
     *,
     by: Path | None = None,
 ) -> Path | UnusableFile:
-    """The file for `reference`, written in the file `by` of the folder `base`: a path, or else the name of a
-    file of the `library`.
+    """Return the file for `reference`, written in the file `by` of the folder `base`: a path, or else the
+    name of a file of the `library`.
 
     Symbolic links are followed before the path is compared with the `roots`, whose links are already
     followed.
@@ -250,7 +250,8 @@ def _file_at(reference: str, base: Path, roots: tuple[Path, ...]) -> Path | Unus
 
 
 def project_root(folder: Path) -> Path:
-    """The nearest folder at or above `folder` that looks like the root of a project, else `folder` itself."""
+    """Return the nearest folder at or above `folder` that looks like the root of a project, else `folder`
+    itself."""
     folder = folder.resolve()
     for candidate in (folder, *folder.parents):
         if any((candidate / marker).exists() for marker in _PROJECT_MARKERS):
@@ -259,7 +260,7 @@ def project_root(folder: Path) -> Path:
 
 
 def display_path(path: Path) -> str:
-    """The path as users see it: relative to the working directory if it lies below it."""
+    """Return the path as users see it: relative to the working directory if it lies below it."""
     here = Path.cwd()
     return os.path.relpath(path, here) if path.is_relative_to(here) else str(path)
 
@@ -268,7 +269,7 @@ def display_path(path: Path) -> str:
 
 
 def read(path: Path) -> bytes:
-    """The bytes of a file, at most one more than `MAX_BYTES`.
+    """Return the bytes of a file, at most one more than `MAX_BYTES`.
 
     Raises:
         OSError: The file cannot be read.
@@ -279,7 +280,7 @@ def read(path: Path) -> bytes:
 def decode(
     data: bytes, name: str, findings: Findings, included_from: Span | None = None
 ) -> tuple[Source, bool]:
-    """The text of `data`, and whether it can be parsed; a finding gives the reason if not."""
+    """Return the text of `data`, and whether it can be parsed; a finding gives the reason if not."""
     if len(data) > MAX_BYTES or data.startswith((b"\xff\xfe", b"\xfe\xff")):
         source = Source(name, "", included_from)
         if len(data) > MAX_BYTES:
@@ -301,7 +302,8 @@ def decode(
 
 
 def check_characters(source: Source, findings: Findings) -> bool:
-    """Whether a scenario may hold every character of the text; a finding names the first forbidden one."""
+    """Return whether a scenario may contain every character of the text; a finding names the first forbidden
+    one."""
     match = FORBIDDEN_CHARACTERS.search(source.text)
     if match is None:
         return True

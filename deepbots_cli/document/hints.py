@@ -1,7 +1,7 @@
 """YAML mistakes: the messages of syntax errors, and valid YAML that is probably a mistake.
 
-The message of the parser states only what it expected. It selects the case here, and the text around the
-place gives the correction.
+The message of the parser contains only what it expected. This message selects the case, and the text around
+the place determines the correction.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source
 from deepbots_cli.document.nodes import Node, ScalarNode
 
 GIVE_A_VALUE = "write a value, or remove the key"
-"""The help for an empty key, until a later pass knows what the key takes."""
+"""The help for an empty key, until a later pass replaces it by the values that the key takes."""
 
 # Syntax errors
 
@@ -70,7 +70,7 @@ class _Problem:
         return self.source.text[self.line_start : self.at]
 
     def line_at(self, start: int) -> _Line | None:
-        """The line that begins at `start`; None if it has no text, or a comment alone."""
+        """Return the line that begins at `start`; None if it has no text, or a comment alone."""
         text = self.rest(start)
         words = text.lstrip(" ")
         if not words or words.startswith("#"):
@@ -81,7 +81,7 @@ class _Problem:
         )
 
     def line_above(self, start: int) -> _Line | None:
-        """The nearest line with text above the one that begins at `start`."""
+        """Return the nearest line with text above the one that begins at `start`."""
         for _ in range(_MAX_LINES_ABOVE):
             if start <= 0:
                 break
@@ -95,7 +95,7 @@ class _Problem:
         return Label(Span(self.source, begin, begin + max(1, len(line.key))), message)
 
     def rest(self, start: int) -> str:
-        """The line from `start` on, without a comment."""
+        """Return the line from `start` on, without a comment."""
         end = self.source.text.find("\n", start)
         line = self.source.text[start : end if end >= 0 else len(self.source.text)]
         return re.split(r"\s#", line, maxsplit=1)[0].rstrip()
@@ -117,7 +117,7 @@ class _Problem:
 
 
 def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
-    """The finding for an error of the YAML parser."""
+    """Return the finding for an error of the YAML parser."""
     at = min(error.problem_mark.index, len(source.text)) if error.problem_mark else len(source.text)
     since = error.context_mark.index if error.context_mark else at
     problem = _Problem(source, at, since, error.problem or "", error.context or "")
@@ -146,7 +146,7 @@ def _tab(problem: _Problem) -> Finding | None:
 
 
 def _exclamation_mark(problem: _Problem) -> Finding | None:
-    """`!(a)`, which YAML reads as a tag."""
+    """Report `!(a)`, which YAML reads as a tag."""
     match = _NEGATED.search(problem.before)
     if match is None:
         return None
@@ -156,7 +156,7 @@ def _exclamation_mark(problem: _Problem) -> Finding | None:
 
 
 def _leading_sign(problem: _Problem) -> Finding | None:
-    """A value that begins with a character to which YAML gives a meaning."""
+    """Report a value that begins with a character to which YAML gives a meaning."""
     at = problem.at
     if problem.source.text.startswith("%", problem.line_start):
         at = problem.line_start
@@ -232,7 +232,7 @@ def _second_colon(problem: _Problem, help: str) -> Finding:
 
 
 def _colon(problem: _Problem) -> Finding | None:
-    """A key or a list item where none can begin, or a line without a key."""
+    """Report a key or a list item where none can begin, or a line without a key."""
     if problem.says("could not find expected ':'"):
         return _line_without_key(problem, problem.since, problem.rest(problem.since))
     if problem.says("sequence entries are not allowed"):
@@ -252,7 +252,7 @@ def _colon(problem: _Problem) -> Finding | None:
 
 
 def _deeper_than_value(problem: _Problem, key: str) -> Finding:
-    """A key that is indented deeper than the key with a value above it: one of the two has the wrong
+    """Report a key that is indented deeper than the key with a value above it: one of the two has the wrong
     indentation."""
     at, length = problem.at - len(key), max(1, len(key))
     line, above = problem.line_at(problem.line_start), problem.line_above(problem.line_start)
@@ -292,7 +292,7 @@ def _indented_by(spaces: int) -> str:
 
 
 def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
-    """A comment of another language, or a key without its colon."""
+    """Report a comment of another language, or a key without its colon."""
     help, edit = "write `key: value`, or indent the line if it belongs to the value above", None
     if line.startswith("//"):
         help, edit = "begin a comment with `#`", (0, 2, "#")
@@ -314,7 +314,7 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
 
 
 def _behind_value(problem: _Problem) -> Finding | None:
-    """Text behind a complete value, on its line or on the next with another indentation."""
+    """Report text behind a complete value, on its line or on the next with another indentation."""
     if not problem.says("expected key", "block end", "'-' indicator", "document start"):
         return None
     at, before, rest = problem.at, problem.before.rstrip(), problem.rest(problem.at)
@@ -349,7 +349,7 @@ def _behind_value(problem: _Problem) -> Finding | None:
 
 
 def _levels_above(problem: _Problem) -> list[_Line]:
-    """The nearest line of each open section above: each is indented less than the one below it."""
+    """Return the nearest line of each open section above: each is indented less than the one below it."""
     levels: list[_Line] = []
     line = problem.line_above(problem.line_start)
     for _ in range(_MAX_LINES_ABOVE):
@@ -362,7 +362,7 @@ def _levels_above(problem: _Problem) -> list[_Line]:
 
 
 def _quoted(text: str) -> str:
-    """`text` in quotes that YAML reads back as it."""
+    """Return `text` in quotes that YAML reads back as `text`."""
     return (
         f"'{text}'"
         if '"' in text and "'" not in text
@@ -390,8 +390,8 @@ _COMMA_HELP = (
 def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Findings) -> list[Span]:
     """Report values that a comma inside `{...}` or `[...]` cuts in pieces, and return their spans.
 
-    `scalars` are those of the collection, in file order. In `{yaw: uniform(-1, 1)}`, `uniform(-1` has an open
-    parenthesis that `1)` closes.
+    `scalars` are the scalars of the collection, in file order. In `{yaw: uniform(-1, 1)}`, `uniform(-1` has
+    an open parenthesis that `1)` closes.
     """
     cut: list[Span] = []
     start, balance = -1, 0
@@ -480,7 +480,7 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
 
 
 def help_for_key(key: ScalarNode) -> str:
-    """The help for a key that is no text; a number without a colon is the rest of a value that a comma
+    """Return the help for a key that is no text; a number without a colon is the rest of a value that a comma
     cuts."""
     if not key.text:
         return "write `name: value`"
@@ -527,14 +527,14 @@ def report_unusual_value(scalar: ScalarNode, findings: Findings) -> None:
 
 
 def number_fix(span: Span) -> Fix | None:
-    """The fix of an odd number where a number is needed; None if it can be read in several ways."""
+    """Return the fix of an odd number where a number is needed; None if it can be read in several ways."""
     odd = _odd_number(span.text)
     return Fix((Edit(span, odd[2]),), safe=True) if odd and odd[2] else None
 
 
 def _odd_number(text: str) -> tuple[str, str, str | None] | None:
-    """For a text that looks like a number, or is another number elsewhere: headline, help, and its only
-    possible meaning."""
+    """Return headline, help and the only possible meaning of a text that looks like a number, or is another
+    number in other languages."""
     if not _PERHAPS_ODD.fullmatch(text) or _GROUPED.fullmatch(text):
         return None
     if _LEADING_ZERO.fullmatch(text):

@@ -2,8 +2,8 @@
 
 The canonical layout changes white space between tokens, and nothing else. Two passes make it: `_spaced` sets
 the blanks within lines, `_indented` the indentation. The text inside a scalar moves with its line and stays
-as it is. Deliberate alignment stays: two blanks or more are kept where the token behind them stands below or
-above the beginning of another.
+as it is. Deliberate alignment is kept: two blanks or more stay if the token behind them is below or above the
+beginning of another.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def _tokens(text: str) -> Iterator[Token]:
 
 
 def canonical_text(text: str) -> str | None:
-    """`text`, which must parse without findings, in the canonical layout; None if that would change its
-    meaning.
+    """Return `text`, which must parse without findings, in the canonical layout; None if that would change
+    its meaning.
 
     All lines get the line end of the first.
     """
@@ -82,7 +82,7 @@ def _comments(text: str) -> list[str]:
 
 
 def _visible(text: str) -> list[Token]:
-    """The tokens that have text, without the white space at their ends."""
+    """Return the tokens that have text, without the white space at their ends."""
     return [
         token._replace(end=token.start + len(text[token.start : token.end].rstrip()))
         for token in _tokens(text)
@@ -91,7 +91,7 @@ def _visible(text: str) -> list[Token]:
 
 
 def _gaps(text: str) -> Iterator[tuple[str, Token | None, Token | None]]:
-    """The text between tokens, with the tokens before and behind it."""
+    """Yield the text between tokens, with the tokens before and behind it."""
     before: Token | None = None
     for token in _visible(text):
         yield text[before.end if before else 0 : token.start], before, token
@@ -122,7 +122,7 @@ def _spaced(text: str) -> str:
 
 
 def _blanks(gap: str, before: Token, behind: Token, columns: _Columns) -> str:
-    """The blanks between two tokens of a line."""
+    """Return the blanks between two tokens of a line."""
     if before.kind in _OPENING or behind.kind in _CLOSING or behind.kind in (",", ":"):
         return ""
     if before.kind == "-":
@@ -131,8 +131,8 @@ def _blanks(gap: str, before: Token, behind: Token, columns: _Columns) -> str:
 
 
 def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
-    """The text between two tokens of different lines: a comment behind the first, blank lines, comments, the
-    indentation."""
+    """Return the text between two tokens of different lines: a comment behind the first, blank lines,
+    comments, the indentation."""
     lines = gap.replace("\t", " ").split("\n")
     head, inner, indentation = lines[0], [line.rstrip() for line in lines[1:-1]], lines[-1]
     if head.strip() and not first:
@@ -163,7 +163,7 @@ class _Columns:
         }
 
     def aligned(self, offset: int) -> bool:
-        """Whether a token of the line above or below begins in the same column."""
+        """Return whether a token of the line above or below begins in the same column."""
         line, column = self._source.position(offset)
         return any(column in self._columns[other] for other in self._neighbors[line])
 
@@ -197,8 +197,8 @@ def _shifted(line: str, shift: int, dashes: tuple[int, ...]) -> str:
 
 
 def _structure(text: str) -> tuple[dict[int, int], set[int], dict[int, tuple[int, ...]]]:
-    """By line number (from 1): how far the lines that begin an entry move, the lines inside a value, the
-    dashes with text behind.
+    """Return by line number (from 1) how far the lines that begin an entry move, the lines inside a value,
+    and the dashes with text behind.
 
     A line moves by blanks to the right; a dash is given by the number of blanks before it.
     """
@@ -257,7 +257,7 @@ _WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n",
 
 
 def to_yaml(node: Node) -> str:
-    """Block-style YAML that reads back as the same values, without comments."""
+    """Return block-style YAML that reads back as the same values, without comments."""
     return "\n".join(_lines(node, "")) + "\n"
 
 
@@ -274,7 +274,7 @@ def _lines(node: Node, pad: str) -> Iterator[str]:
 
 
 def _under(head: str, value: Node, pad: str) -> Iterator[str]:
-    """The lines of an entry; a scalar or an empty collection follows its key on the same line."""
+    """Yield the lines of an entry; a scalar or an empty collection follows its key on the same line."""
     lines = list(_lines(value, f"{pad}  "))
     if isinstance(value, ScalarNode) or not lines:
         empty = "{}" if isinstance(value, MappingNode) else "[]"
@@ -285,7 +285,7 @@ def _under(head: str, value: Node, pad: str) -> Iterator[str]:
 
 
 def _text(text: str) -> str:
-    """A plain word where that is safe, else a text in double quotes with the escapes of JSON."""
+    """Return a plain word where that is safe, else a text in double quotes with the escapes of JSON."""
     if _PLAIN.fullmatch(text) and text.lower() not in _WORDS:
         return text
     return json.dumps(text, ensure_ascii=False)
@@ -298,7 +298,7 @@ _COMMA = re.compile(r"[ \t]*,[ \t]*")
 
 
 def removal_fix(root: Node, path: NodePath) -> Fix | None:
-    """The fix that removes the entry at `path`, with its lines or with a comma beside it.
+    """Return the fix that removes the entry at `path`, with its lines or with a comma beside it.
 
     None for the only entry of its mapping, a list item, and an entry that shares its lines or its comma with
     other text.
@@ -327,7 +327,8 @@ _SPECIAL_IN_BRACKETS = re.compile(r"[,{}\[\]#\n]|: ")
 
 
 def move_fix(root: MappingNode, name: str, section: str, target: str) -> Fix | None:
-    """The fix that moves the entry `name` from one section of the scenario to another, its comment with it.
+    """Return the fix that moves the entry `name` from one section of the scenario to another, its comment
+    with it.
 
     The name is added to a target that is a list of names. None where the text does not allow it.
     """
@@ -366,8 +367,8 @@ def move_fix(root: MappingNode, name: str, section: str, target: str) -> Fix | N
 def _insertion(
     source: Source, line: str, section: Span, target: str, new: Entry | None
 ) -> tuple[Span, str] | None:
-    """Where the `line` of an entry is put, and how: below the last entry of a section, or in a new section
-    above another one."""
+    """Return the place for the `line` of an entry and its text: below the last entry of a section, or in a
+    new section above another one."""
     text = source.text
     if new is None:
         start = text.rfind("\n", 0, section.start) + 1
@@ -405,8 +406,8 @@ def _insertion(
 
 
 def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str, comment: str) -> str | None:
-    """The text of a file with another value at `path`, and a comment behind it on its line; everything else
-    stays as it is.
+    """Return the text of a file with another value at `path`, and a comment behind it on its line; everything
+    else stays as it is.
 
     A key that the file does not have, because it extends another one or has a default, is added to the
     innermost section that it has. A comment that begins with the same word is replaced. None where the text
@@ -442,7 +443,7 @@ _END_OF_LINE = re.compile(r"\r?\n|\Z")
 
 
 def _addition(source: Source, holder: MappingNode, entry: str) -> tuple[int, int, str] | None:
-    """Where an entry is put into a mapping of a file, and how: behind its last entry."""
+    """Return the place for an entry in a mapping of a file and its indentation: behind the last entry."""
     own = [each for each in holder.entries.values() if each.key.span.source is source]
     ends = [
         max(each.key.span.end, each.value.span.end if each.value.span.source is source else 0) for each in own

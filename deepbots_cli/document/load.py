@@ -40,7 +40,7 @@ _MAX_LISTED = 20
 
 @dataclass(frozen=True)
 class Permissions:
-    """What a scenario may use besides shipped files and files of its project.
+    """The permission of a scenario to use more than shipped files and files of its project.
 
     Attributes:
         folders: Further folders from which it may read files.
@@ -86,7 +86,7 @@ class Document:
         return next(iter(self.files), self.base / self.source.name)
 
     def directory_of(self, span: Span) -> Path:
-        """The folder that a relative path written at `span` starts from."""
+        """Return the folder that a relative path written at `span` starts from."""
         for path, source in self.files.items():
             if source is span.source:
                 return path.parent
@@ -157,7 +157,7 @@ def _roots(
 
 
 def allowed_folders(paths: Iterable[str | Path]) -> tuple[Path, ...]:
-    """The folders of `--allow-path`, links followed.
+    """Return the folders of `--allow-path`, links followed.
 
     Raises:
         UsageError: One of them is no folder.
@@ -192,7 +192,7 @@ class _Reader:
         *,
         readable: bool,
     ) -> Document:
-        """The whole scenario in `source`, which lies in `folder`."""
+        """Return the whole scenario in `source`, which lies in `folder`."""
         root = None
         try:
             root = self.scenario(source, folder, chain) if readable else None
@@ -207,7 +207,8 @@ class _Reader:
         )
 
     def scenario(self, source: Source, folder: Path, chain: tuple[Path, ...]) -> MappingNode | None:
-        """The tree of one file; None, with findings, if the file or one that it extends cannot be used."""
+        """Return the tree of one file; None, with findings, if the file or one that it extends cannot be
+        used."""
         root = parse(source, self.findings, self.budget)
         if root is None:
             return None
@@ -236,7 +237,7 @@ class _Reader:
         return self.pruned(tree, remove.value, own) if remove else tree
 
     def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int) -> Node:
-        """`node`, from a file in `folder`, with included files in their places."""
+        """Return `node`, from a file in `folder`, with included files in their places."""
         match node:
             case ScalarNode():
                 return node
@@ -272,7 +273,7 @@ class _Reader:
         return False
 
     def referenced(self, entry: Entry, folder: Path, chain: tuple[Path, ...]) -> MappingNode | None:
-        """The tree of the file that `extends` or `include` names."""
+        """Return the tree of the file that `extends` or `include` names."""
         word, value = entry.key.text, entry.value
         if not isinstance(value, ScalarNode) or not isinstance(value.value, str):
             takes, example = (
@@ -328,8 +329,8 @@ class _Reader:
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
     def pruned(self, tree: MappingNode, remove: Node, own: MappingNode) -> MappingNode:
-        """The tree without the paths listed under `remove`; DB205 where a path is in `own`, the tree of the
-        same file."""
+        """Return the tree without the paths listed under `remove`; DB205 where a path is in `own`, the tree
+        of the same file."""
         example = "write `remove: [observation.speed]`"
         if not isinstance(remove, SequenceNode):
             self.findings.add("DB103", remove.span, "`remove` takes a list of paths", example)
@@ -374,11 +375,11 @@ _OF_NAMES = _DEFINITIONS | frozenset(("set", "search", "emit", "apply", "receive
 
 
 def merge(base: MappingNode, over: MappingNode, name: str = "") -> MappingNode:
-    """`over` laid upon `base`; both are the value of the key `name`.
+    """Return `over` laid upon `base`; both are the value of the key `name`.
 
     Mappings merge by key in the order of `base`; lists and single values replace, and `xyz` replaces `x`, `y`
     and `z`. If the kind changes (`type`, `shape`, `algorithm`), the settings of the old kind have no meaning,
-    and `over` stands alone.
+    and `over` replaces `base`.
     """
     if name not in _OF_NAMES and any(_differ(base.get(key), over.get(key)) for key in _KIND_KEYS):
         return over
@@ -407,7 +408,7 @@ _CUTOFF = 0.75
 def apply_assignment(
     root: MappingNode, assignment: str, findings: Findings, budget: Budget | None = None
 ) -> MappingNode:
-    """`root` after one assignment `path=value`; unchanged, with a finding, if it cannot be applied.
+    """Return `root` after one assignment `path=value`; unchanged, with a finding, if it cannot be applied.
 
     A bare name is a parameter if there is one of that name, else a key of the scenario. The value replaces
     the old one; mappings are not merged. A section that the file leaves out is added. The text of the
@@ -432,12 +433,12 @@ def apply_assignment(
 
 
 def apply_setting(root: MappingNode, setting: Entry, findings: Findings) -> MappingNode:
-    """`root` after a setting of a file: its key is the path, its value the new value."""
+    """Return `root` after a setting of a file: its key is the path, its value the new value."""
     return _set(root, setting.key, setting.value, setting.key.span, findings)
 
 
 def with_settings_at(root: MappingNode, path: NodePath) -> MappingNode:
-    """`root` after the settings of the evaluation case or curriculum stage at `path`."""
+    """Return `root` after the settings of the evaluation case or curriculum stage at `path`."""
     for entry in entries_at(root, *path, "set").values():
         root = apply_setting(root, entry, Findings())
     return root
@@ -462,7 +463,7 @@ def _set(
 
 
 def setting_path(root: MappingNode, dotted: str) -> NodePath:
-    """The path of the value that an assignment to `dotted` replaces or adds."""
+    """Return the path of the value that an assignment to `dotted` replaces or adds."""
     if dotted in entries_at(root, "parameters"):
         return ("parameters", dotted)
     steps, _, rest = follow_dotted(root, dotted)
@@ -472,8 +473,8 @@ def setting_path(root: MappingNode, dotted: str) -> NodePath:
 def _target(
     root: MappingNode, path: ScalarNode, findings: Findings
 ) -> tuple[NodePath, list[ScalarNode]] | None:
-    """The path to replace, and its last key as written, followed by the keys of a section that is added below
-    it.
+    """Return the path to replace, and its last key as written, followed by the keys of a section that is
+    added below it.
 
     A key may be new. The mapping around it must exist, unless it is a section of the scenario, or directly
     inside one.

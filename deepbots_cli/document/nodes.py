@@ -1,4 +1,4 @@
-"""Nodes: YAML values that know their place.
+"""YAML values with their position in the file.
 
 Later passes read a tree of nodes. Merging (`extends`, `include`, `--set`) builds new trees around old nodes,
 so each value keeps the place where it was written.
@@ -22,14 +22,14 @@ Value = None | bool | int | float | str
 _NEEDS_QUOTES = re.compile(r"""[][{},'"#]|:\s|^\s|\s$|^$""")
 _COMMENT = re.compile(r"(?:^|(?<=\s))#.*$", re.MULTILINE)
 _MAX_DOTTED = 1000
-"""Characters of a dotted path, which is matched against keys piece by piece."""
+"""The maximum number of characters of a dotted path, which is matched against keys piece by piece."""
 
 
 class ScalarNode(NamedTuple):
     """A single value: its text after unquoting and folding, and its value in YAML 1.2.
 
     `offsets[i]` is the offset in the source of character `i` of `text`, with one more for the end. It is None
-    where the text stands in the source unchanged from `span.start` on.
+    if the text is in the source unchanged from `span.start` on.
     """
 
     span: Span
@@ -39,7 +39,7 @@ class ScalarNode(NamedTuple):
     offsets: abc.Sequence[int] | None = None
 
     def part(self, start: int, end: int) -> Span:
-        """The span of `text[start:end]` in the source."""
+        """Return the span of `text[start:end]` in the source."""
         if self.offsets is None:
             return Span(self.span.source, self.span.start + start, self.span.start + end)
         last = len(self.offsets) - 1
@@ -89,7 +89,7 @@ Node = ScalarNode | SequenceNode | MappingNode
 
 
 def walk(node: Node, path: NodePath = ()) -> Iterator[tuple[NodePath, Node]]:
-    """`node` and every node below it, with its path, in file order."""
+    """Yield `node` and every node below it, with its path, in file order."""
     yield path, node
     match node:
         case SequenceNode():
@@ -101,7 +101,7 @@ def walk(node: Node, path: NodePath = ()) -> Iterator[tuple[NodePath, Node]]:
 
 
 def to_data(node: Node) -> object:
-    """The tree as plain Python values."""
+    """Return the tree as plain Python values."""
     match node:
         case ScalarNode():
             return node.value
@@ -112,7 +112,7 @@ def to_data(node: Node) -> object:
 
 
 def inline_text(node: Node) -> str:
-    """The value on one line: as it is written, with collections in flow style and without comments."""
+    """Return the value on one line: as it is written, with collections in flow style and without comments."""
     match node:
         case ScalarNode():
             # An expression of several lines may hold comments, which would hide the lines joined behind them.
@@ -124,7 +124,7 @@ def inline_text(node: Node) -> str:
 
 
 def _item_on_line(node: Node) -> str:
-    """An item of a collection; a quoted text keeps its quotes if it holds separators."""
+    """Return an item of a collection; a quoted text keeps its quotes if it contains separators."""
     quoted = (
         isinstance(node, ScalarNode)
         and node.style in ("single", "double")
@@ -134,7 +134,7 @@ def _item_on_line(node: Node) -> str:
 
 
 def count_and_depth(node: Node) -> tuple[int, int]:
-    """The number of values in a tree, itself included, and its depth in containers."""
+    """Return the number of values in a tree, itself included, and its depth in containers."""
     match node:
         case ScalarNode():
             return 1, 0
@@ -146,8 +146,8 @@ def count_and_depth(node: Node) -> tuple[int, int]:
 
 
 def enclosing_entry(node: Node, name: str, start: int, end: int) -> Span | None:
-    """The narrowest entry or list item that holds the piece `[start, end)` of the file `name`; None if there
-    is none."""
+    """Return the narrowest entry or list item that contains the piece `[start, end)` of the file `name`; None
+    if there is none."""
     match node:
         case MappingNode():
             parts = [(entry.key.span, entry.value) for entry in node.entries.values()]
@@ -159,9 +159,8 @@ def enclosing_entry(node: Node, name: str, start: int, end: int) -> Span | None:
         inner = enclosing_entry(value, name, start, end)
         if inner:
             return inner
-        last = (
-            value.span if value.span.source is first.source else first
-        )  # an included value lies in another file
+        # An included value is in another file, so the entry ends with its key.
+        last = value.span if value.span.source is first.source else first
         if first.source.name == name and first.start <= start and end <= max(first.end, last.end):
             return Span(first.source, first.start, max(first.end, last.end))
     return None
@@ -186,19 +185,19 @@ def descend(node: Node, path: NodePath) -> tuple[Node, ScalarNode | None, int]:
 
 
 def node_at(root: Node | None, *path: str | int) -> Node | None:
-    """The node at `path`, if there is one."""
+    """Return the node at `path`, if there is one."""
     node, _, reached = descend(root, path) if root else (None, None, 0)
     return node if reached == len(path) else None
 
 
 def text_at(root: Node | None, *path: str | int) -> str:
-    """What is written at `path`, on one line; empty where nothing is."""
+    """Return the text that is written at `path`, on one line; empty if there is none."""
     node = node_at(root, *path)
     return "" if node is None else inline_text(node)
 
 
 def entries_at(root: Node | None, *path: str | int) -> dict[str, Entry]:
-    """The entries of the mapping at `path`; none where there is no mapping."""
+    """Return the entries of the mapping at `path`; none where there is no mapping."""
     node = node_at(root, *path)
     return node.entries if isinstance(node, MappingNode) else {}
 
@@ -206,7 +205,7 @@ def entries_at(root: Node | None, *path: str | int) -> dict[str, Entry]:
 def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
     """Follow a dotted path as far as it goes: the steps taken, the node reached, and the rest of the path.
 
-    Keys may hold dots (`observation.cart.pole_angle`): the longest key that fits is taken.
+    Keys may contain dots (`observation.cart.pole_angle`): the longest key that fits is taken.
     """
     steps: NodePath = ()
     rest = dotted
@@ -216,6 +215,7 @@ def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
             if isinstance(node, MappingNode) and piece in node.entries:
                 steps, node, rest = (*steps, piece), node.entries[piece].value, rest[end + 1 :]
                 break
+            # int() of a long text takes quadratic time; no list has 100 000 items.
             if (
                 isinstance(node, SequenceNode)
                 and piece.isascii()
@@ -234,7 +234,7 @@ def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
 
 
 def with_entry(node: Node, path: NodePath, entry: Entry) -> Node:
-    """The tree with the value of `entry` at `path`; a new key is added."""
+    """Return the tree with the value of `entry` at `path`; a new key is added."""
     step, rest = path[0], path[1:]
     match node:
         case MappingNode() if isinstance(step, str):
@@ -250,7 +250,7 @@ def with_entry(node: Node, path: NodePath, entry: Entry) -> Node:
 
 
 def without_paths(node: Node, paths: Iterable[NodePath]) -> Node:
-    """The tree without the values at `paths`, in one walk."""
+    """Return the tree without the values at `paths`, in one walk."""
     below: dict[str | int, list[NodePath]] = {}
     for path in paths:
         below.setdefault(path[0], []).append(path[1:])

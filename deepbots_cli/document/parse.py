@@ -34,13 +34,13 @@ from deepbots_cli.document.nodes import (
 )
 
 MAX_DEPTH = 64
-# The largest shipped scenario has 500.
 MAX_NODES = 8_000
+"""The maximum number of nodes of a document; the largest shipped scenario has 500."""
 MAX_EXPANDED = 8_000
 _TOO_DEEP = f"values are nested more than {MAX_DEPTH} deep"
 _TOO_DEEP_PROBLEM = "exceeded maximum nesting depth"
-"""What the parser says of 1,000 open brackets, from PyYAML 6.0.4 on: it reads them before it hands out an
-event."""
+"""The message of PyYAML (from 6.0.4 on) for 1,000 open brackets. The parser reads them all before it returns
+the first event, so our own check would be too late."""
 _LIMIT_HELP = "simplify the file; ordinary scenarios are far below this limit"
 
 Event = Any  # the stubs of PyYAML allow events without marks
@@ -69,7 +69,7 @@ class Budget:
 def parse(
     source: Source, findings: Findings, budget: Budget | None = None, *, text: str | None = None
 ) -> Node | None:
-    """The document in `source`; None, with a finding, if it cannot be used.
+    """Return the document in `source`; None, with a finding, if it cannot be used.
 
     `text` is parsed instead of the text of the source, whose offsets it must share.
 
@@ -103,14 +103,14 @@ def parse(
 
 
 def has_same_values(source: Source, text: str) -> bool:
-    """Whether another text of the document has the same values: text that looks like a comment may be part of
-    a value."""
+    """Return whether another text of the document has the same values: text that looks like a comment may be
+    part of a value."""
     before, after = (parse(each, Findings()) for each in (source, Source(source.name, text)))
     return before is not None and after is not None and to_data(before) == to_data(after)
 
 
 class _OverLimitError(Exception):
-    """A limit is exceeded and reported; the rest is not read."""
+    """The error after a limit is exceeded and reported; the rest is not read."""
 
 
 class _Builder:
@@ -123,16 +123,16 @@ class _Builder:
         self.budget = budget
         self.events: Iterator[Event] = yaml.parse(text, Loader=LOADER)
         self.anchors: dict[str, Node | None] = {}
-        self.end = 0  # of the last token
+        self.end = 0  # the end of the last token
 
     def document(self) -> Node | None:
-        next(self.events)  # the stream
+        next(self.events)  # skips the start of the stream
         if isinstance(next(self.events), StreamEndEvent):
             help = "start from a shipped scenario: deepbots new mine --from cartpole"
             self.findings.add("DB107", Span(self.source, 0, 0), "the file is empty", help)
             return None
         root = self.node(next(self.events), 0)
-        next(self.events)  # the end of the document
+        next(self.events)  # skips the end of the document
         after = next(self.events)
         if not isinstance(after, StreamEndEvent):
             self.findings.add(
@@ -142,7 +142,7 @@ class _Builder:
         return root
 
     def node(self, event: Event, depth: int) -> Node | None:
-        """The node that starts with `event`; None if a finding makes it useless."""
+        """Return the node that starts with `event`; None if a finding makes it useless."""
         if isinstance(event, AliasEvent):
             return self.alias(event, depth)
         self.count(event)
@@ -160,7 +160,8 @@ class _Builder:
         return self.anchored(event, node)
 
     def anchored(self, event: Event, node: Node | None) -> Node | None:
-        """`node` without its tag and known by its anchor; None if it has a tag, which is reported."""
+        """Return `node` without its tag, registered under its anchor; None if it has a tag, which is
+        reported."""
         if event.tag is not None:
             mark = _TAG.search(self.text, event.start_mark.index)
             span = Span(self.source, *mark.span()) if mark else self.span(event)
@@ -274,7 +275,7 @@ class _Builder:
         )
 
     def key(self, event: Event, depth: int) -> ScalarNode | None:
-        """A key; None with a finding if it is no name."""
+        """Return a key; None with a finding if it is no name."""
         if not isinstance(event, ScalarEvent):
             span = self.span(event)
             if not isinstance(event, AliasEvent):
@@ -300,7 +301,7 @@ class _Builder:
         self.end = end if end > start else self.end
 
     def start(self, event: Event) -> int:
-        """The offset at which a value begins, behind its anchor."""
+        """Return the offset at which a value begins, behind its anchor."""
         _, start, end = self.span(event)
         if event.anchor is not None and (anchor := _ANCHOR.match(self.text, start)):
             return min(anchor.end(), end) if isinstance(event, ScalarEvent) else anchor.end()
@@ -331,14 +332,14 @@ _WORDS: dict[str, Value] = {
     **dict.fromkeys(("false", "False", "FALSE"), False),
 }
 INTEGER_PATTERN = re.compile(r"[-+]?(?:[0-9]+|[0-9]{1,3}(?:_[0-9]{3})+)")
-"""Digits may be grouped in threes: `100_000`."""
+"""An integer; digits may be grouped in threes: `100_000`."""
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?")
-# Doubles tell integers apart up to 2**53; seeds may use all of 64 bits.
+# A double represents every integer up to 2**53; seeds may use all of 64 bits.
 _MAX_INTEGER = 2**64
 
 
 def resolve_plain_scalar(text: str) -> Value:
-    """The value of the plain scalar `text`; a number beyond the limit is infinite."""
+    """Return the value of the plain scalar `text`; a number beyond the limit is infinite."""
     if text in _WORDS:
         return _WORDS[text]
     if INTEGER_PATTERN.fullmatch(text):
@@ -355,7 +356,7 @@ _ESCAPE_CHARACTERS = dict(zip("0abt\tnvfreN_LP", "\0\a\b\t\t\n\v\f\r\x1b\x85\xa0
 
 
 def _offsets(raw: str, start: int, text: str, style: Style) -> abc.Sequence[int]:
-    """The offset of each character of `text`, and of its end, in a file that holds `raw` at `start`.
+    """Return the offset of each character of `text`, and of its end, in a file that has `raw` at `start`.
 
     Folding changes white space only, so matching the visible characters in order is enough.
     """
@@ -382,8 +383,8 @@ def _offsets(raw: str, start: int, text: str, style: Style) -> abc.Sequence[int]
 
 
 def _characters(raw: str, position: int, end: int, style: Style) -> Iterator[tuple[int, str]]:
-    """Each character that was written, with its place; an escape is one character, an escaped line break
-    none."""
+    """Yield each character that was written, with its place; an escape is one character, an escaped line
+    break none."""
     while position < end:
         character, width = raw[position], 1
         if style == "single" and character == "'":

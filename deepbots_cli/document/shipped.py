@@ -1,8 +1,8 @@
 """Scenarios and robots with a name: shipped with deepbots, in its wheel or beside it in a checkout, or added
 by plug-ins.
 
-An entry point of the group `deepbots.scenarios` names a package whose folder holds `scenarios/*.yaml` and
-`robots/urdf/*.urdf`.
+An entry point of the group `deepbots.scenarios` names a package with `scenarios/*.yaml` and
+`robots/urdf/*.urdf` in its folder.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 @cache
 def data_dir() -> Path:
-    """The folder that holds `scenarios` and `robots`."""
+    """Return the folder with `scenarios` and `robots`."""
     package = Path(__file__).resolve().parents[1]
     inside = package / "data"
     return inside if (inside / "scenarios").is_dir() else package.parent
@@ -31,7 +31,7 @@ def data_dir() -> Path:
 
 @cache
 def _added_dirs() -> tuple[Path, ...]:
-    """The folders of plug-ins; a folder with a name that is taken is left out."""
+    """Return the folders of plug-ins; a folder with a name that is taken is left out."""
     folders: list[Path] = []
     for entry in entry_points_of("deepbots.scenarios"):
         try:
@@ -61,7 +61,7 @@ class Library(NamedTuple):
         return _names((data_dir(), *_added_dirs()), self.pattern)
 
     def path(self, name: str) -> Path | None:
-        """The file called `name` (`cartpole`), if there is one."""
+        """Return the file called `name` (`cartpole`), if there is one."""
         if not _NAME.fullmatch(name) or len(name) > 100:
             return None
         paths = (folder / self.pattern.replace("*", name) for folder in (data_dir(), *_added_dirs()))
@@ -73,7 +73,7 @@ ROBOTS = Library("robot", _ROBOTS)
 
 
 def is_shipped_path(reference: str) -> bool:
-    """Whether a relative path, as a shipped scenario writes it, leads to a shipped file:
+    """Return whether a relative path, as a shipped scenario writes it, leads to a shipped file:
     `../robots/epuck.yaml`."""
     steps = [step for step in re.split(r"[/\\]", reference) if step not in ("", ".", "..")]
     try:
@@ -83,7 +83,7 @@ def is_shipped_path(reference: str) -> bool:
 
 
 def data_roots() -> tuple[Path, ...]:
-    """The folders that any scenario may read from, links followed."""
+    """Return the folders that any scenario may read from, links followed."""
     return tuple(
         (folder / part).resolve()
         for folder in (data_dir(), *_added_dirs())
@@ -96,7 +96,7 @@ def scenario_names() -> list[str]:
 
 
 def scenario_path(name: str) -> Path | None:
-    """The file of the shipped scenario called `name`, if there is one."""
+    """Return the file of the shipped scenario called `name`, if there is one."""
     return SCENARIOS.path(name)
 
 
@@ -105,7 +105,7 @@ def robot_names() -> list[str]:
 
 
 def robot_path(name: str) -> Path | None:
-    """The URDF of the shipped robot called `name`, if there is one."""
+    """Return the URDF of the shipped robot called `name`, if there is one."""
     return ROBOTS.path(name)
 
 

@@ -31,22 +31,22 @@ if TYPE_CHECKING:
 ENGINES = ALL.own
 """Our own engines."""
 BATCHES = {name: kind.batch for name, kind in ENGINES.items() if kind.batch is not None}
-"""The engines that hold many worlds of one model at once."""
+"""The engines that step many worlds of one model at once."""
 _OF_EXTRA_SIM = ("pybullet", "mujoco", "numpy", "trimesh", "yourdfpy")
 
 
 def names() -> tuple[str, ...]:
-    """The names of all engines, those of deepbots first."""
+    """Return the names of all engines, those of deepbots first."""
     return tuple(ALL)
 
 
 def create(name: str, world: WorldModel) -> Engine:
-    """The world, built in the engine called `name`.
+    """Return the world, built in the engine called `name`.
 
     Raises:
-        MissingExtraError: Nothing that worlds need is installed.
-        UsageError: No engine has this name; lists those there are. Or its library is not installed.
-        EngineError: The engine cannot hold this world.
+        MissingExtraError: The libraries that worlds need are not installed.
+        UsageError: No engine has this name, or its library is not installed; the message lists the engines.
+        EngineError: The engine cannot build this world.
     """
     try:
         engine = _factory(name)(_with_masses(world))
@@ -74,12 +74,12 @@ def create(name: str, world: WorldModel) -> Engine:
 
 
 def create_batch(name: str, world: WorldModel, count: int) -> BatchEngine:
-    """`count` worlds in the engine called `name`.
+    """Return `count` worlds in the engine called `name`.
 
     Raises:
         MissingExtraError: The engine's library is not installed.
-        BatchError: The engine holds single worlds only.
-        EngineError: The engine cannot hold this world.
+        BatchError: The engine has single worlds only.
+        EngineError: The engine cannot build this world.
     """
     if name not in BATCHES:
         raise BatchError(f"the engine '{name}' has no batches of worlds; use one of {', '.join(BATCHES)}")
@@ -92,7 +92,7 @@ def create_batch(name: str, world: WorldModel, count: int) -> BatchEngine:
 
 
 def _with_masses(world: WorldModel) -> WorldModel:
-    """The world with a mass on each link that has a density instead."""
+    """Return the world with a mass on each link that has a density instead."""
     if all(link.density is None for robot in world.robots for link in robot.model.links):
         return world
     from deepbots_cli.geometry import with_masses

@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-METERS_PER_RAD = 0.3  # m; what an error of 1 rad counts
+METERS_PER_RAD = 0.3  # m; the weight of an error of 1 rad
 TOLERANCE_M = 1e-7  # m; an error to stop at
 MAX_ITERATIONS = 100
-STALL_RATIO = 0.99  # of the square of the error; a round that leaves more than this share has not helped
+STALL_RATIO = 0.99  # a round that leaves more than this share of the square of the error has not helped
 MAX_STALLED_ITERATIONS = 12  # in a row, after which the search gives up
 MAX_STEP = 0.5  # rad or m; of a joint in one round
 
 
 class Segment(NamedTuple):
-    """From one link to the next: a fixed frame, then a joint, at `place` among all moving joints of the
-    chain, or None."""
+    """The step from one link to the next: a fixed frame, then a joint, at `place` among all moving joints of
+    the chain, or None."""
 
     frame: Frame
     axis: Triple
@@ -43,8 +43,8 @@ class Segment(NamedTuple):
 
 
 class Chain:
-    """From the root of a robot to one of its links. `moving_joints` names the joints on the way, of which
-    `driven` may be solved for."""
+    """The chain from the root of a robot to one of its links. `moving_joints` names the joints on the way, of
+    which `driven` may be solved for."""
 
     def __init__(self, model: RobotModel, link: str, driven: Sequence[str]) -> None:
         path = _path(model, link)
@@ -67,19 +67,20 @@ class Chain:
             for place, name in enumerate(self.moving_joints)
             if (mimic := model.followers.get(name)) is not None and mimic.joint in driven
         ]
-        """The followers of driven joints: their place, that of the leader among the driven joints, and how
-        they follow."""
+        """The followers of driven joints: their place, that of the leader among the driven joints, and their
+        linear relation."""
         ranges = [_range(model.joint(name)) for name in driven]
         self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
 
     def solve(
         self, root: Frame, positions: Sequence[float], target: Triple, attitude: Quaternion | None
     ) -> list[float]:
-        """Positions of the driven joints that bring the link's origin there, or as near as the search gets.
+        """Return positions of the driven joints that bring the link's origin to a position, or as near as the
+        search gets.
 
-        `root` is the pose of the root link, `positions` are those of all `moving_joints`. The search begins
-        there, and once more in the middle of the ranges if that ends elsewhere: an arm that is stretched out
-        finds no way to bend.
+        `root` is the pose of the root link, `positions` are the positions of all `moving_joints`. The search
+        begins there, and once more in the middle of the ranges if it misses the target: from a stretched arm
+        it does not find a way to bend.
         """
         inward = frames.inverse(root[1])
         goal = frames.rotate(inward, frames.subtract(target, root[0]))
@@ -92,7 +93,7 @@ class Chain:
         return [solution[place] for place in self._driven]
 
     def _middle(self, positions: Sequence[float]) -> list[float]:
-        """These positions, with the driven joints in the middle of their ranges, where they have any."""
+        """Return these positions, with the driven joints in the middle of their ranges, if they have any."""
         middle = list(positions)
         for place, low, high in zip(self._driven, self._lower.tolist(), self._upper.tolist(), strict=True):
             if low > -inf and high < inf:
@@ -102,7 +103,7 @@ class Chain:
     def _search(
         self, joints: list[float], goal: Triple, turned: Quaternion | None
     ) -> tuple[list[float], float]:
-        """Where the search from these positions ends, and the square of the error that it leaves."""
+        """Return the end of the search from these positions, and the square of the error that is left."""
         error, jacobian = self._linearized(joints, goal, turned)
         damping, missing, idle = 1e-4, float(error @ error), 0
         for _ in range(MAX_ITERATIONS):
@@ -129,7 +130,7 @@ class Chain:
     def _linearized(
         self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None
     ) -> tuple[FloatArray, FloatArray]:
-        """The error at these positions, and how it shrinks with each driven joint."""
+        """Return the error at these positions, and how it shrinks with each driven joint."""
         joints = list(joints)
         for follower, leader, mimic in self._followers:
             joints[follower] = mimic.position(joints[self._driven[leader]])
@@ -163,7 +164,7 @@ class Chain:
         return np.array(error), self._with_followers(np.array(full)).T
 
     def _with_followers(self, rows: FloatArray) -> FloatArray:
-        """A row for each driven joint, from these and those of the followers."""
+        """Return a row for each driven joint, from its own row and those of its followers."""
         count = len(self._driven)
         for row, (_, leader, mimic) in zip(rows[count:], self._followers, strict=True):
             rows[leader] += mimic.multiplier * row
@@ -171,7 +172,7 @@ class Chain:
 
 
 def _path(model: RobotModel, link: str) -> list[Joint]:
-    """The joints from the root to a link, in this order."""
+    """Return the joints from the root to a link, in this order."""
     above = {joint.child: joint for joint in model.joints}
     path = []
     while link in above:
@@ -188,7 +189,7 @@ def _range(joint: Joint) -> tuple[float, float]:
 
 
 def _rotation_vector(q: Quaternion) -> Triple:
-    """The axis of a rotation times its angle (rad), at most half a turn."""
+    """Return the axis of a rotation times its angle (rad), at most half a turn."""
     x, y, z, w = q if q[3] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
     length = float(np.hypot(np.hypot(x, y), z))
     return frames.scaled((x, y, z), 2.0 * atan2(length, w) / length if length > 0.0 else 2.0)

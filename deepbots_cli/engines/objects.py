@@ -37,12 +37,13 @@ ROOT_MASS_FRACTION = (
 
 
 def is_movable(body: ObjectBody) -> bool:
-    """Whether physics moves the object. One without mass, or that is only seen, stays where it is put."""
+    """Return whether physics moves the object. One without mass, or that is only seen, stays where it is
+    put."""
     return body.solid and not body.fixed and body.mass > 0.0
 
 
 def forms_of(body: ObjectBody) -> dict[str, ObjectBody]:
-    """The object in each of its variants, by their names; by its own if it has none."""
+    """Return the object in each of its variants, by their names; by its own if it has none."""
     fields = ("shape", "mass", "color", "friction", "fixed")
     shown = {
         v.name: replace(body, variants=(), **{what: getattr(v, what) for what in fields})
@@ -52,8 +53,8 @@ def forms_of(body: ObjectBody) -> dict[str, ObjectBody]:
 
 
 def as_robot(body: ObjectBody) -> RobotModel:
-    """The object as a robot of one link with the object's name; the inertia of a mesh is 0, for the engine to
-    find."""
+    """Return the object as a robot of one link with the object's name; the inertia of a mesh is 0, for the
+    engine to find."""
     seen = Geometry(body.shape, color=body.color)
     link = Link(
         name=body.name,
@@ -66,8 +67,8 @@ def as_robot(body: ObjectBody) -> RobotModel:
 
 
 def arena_walls(arena: Arena) -> tuple[ObjectBody, ...]:
-    """Four fixed boxes around the inner size of the arena. Four, not one of four parts: an engine sorts out
-    far boxes cheaply."""
+    """Return four fixed boxes around the inner size of the arena. They are not one body of four parts, since
+    an engine discards distant boxes cheaply."""
     (x, y), height, thick = arena.size, arena.wall_height, arena.wall_thickness
     sides = (
         ((x + thick) / 2, 0.0, thick, y + 2 * thick),
@@ -92,7 +93,8 @@ def arena_walls(arena: Arena) -> tuple[ObjectBody, ...]:
 
 
 def rigid_group(model: RobotModel, first: str) -> dict[str, Frame]:
-    """The links that fixed joints hold to `first`, itself included, and where they are in its frame."""
+    """Return the links that fixed joints attach to `first`, itself included, and their frames in its
+    frame."""
     members = {first: IDENTITY_FRAME}
     waiting = [first]
     while waiting:
@@ -105,7 +107,8 @@ def rigid_group(model: RobotModel, first: str) -> dict[str, Frame]:
 
 
 def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
-    """The model with a mass on each link: 0 where the file states none, for which a loader would invent 1 kg.
+    """Return the model with a mass on each link: 0 where the file states none, for which a loader would
+    invent 1 kg.
 
     Raises:
         EngineError: A joint or a free base moves nothing that has mass, or a joint is of a kind that is not
@@ -131,8 +134,8 @@ def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> Robo
 
 
 def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
-    """The model whose root is a mere frame, as `base_footprint` is, with a trace of what fixed joints hold to
-    it.
+    """Return the model whose root is a mere frame, as `base_footprint` is, with a trace of the mass that
+    fixed joints attach to it.
 
     The engine would take a free root without mass for one that is bolted to the world.
     """
@@ -156,7 +159,8 @@ R = TypeVar("R")
 
 
 def find(table: dict[str, T], name: str, message: str) -> T:
-    """The entry called `name`; `message` opens the sentence of the error that lists what there is."""
+    """Return the entry called `name`; `message` is the beginning of the error, which lists the existing
+    names."""
     try:
         return table[name]
     except KeyError:
@@ -164,13 +168,13 @@ def find(table: dict[str, T], name: str, message: str) -> T:
 
 
 class Form(Protocol):
-    """A body as an engine holds it."""
+    """A body in an engine."""
 
     def deactivate(self) -> None:
-        """Be absent: touched and seen by nothing."""
+        """Make the body absent: touched and seen by nothing."""
 
     def activate(self) -> None:
-        """Be present."""
+        """Make the body present."""
 
 
 Body = TypeVar("Body", bound=Form)
@@ -193,20 +197,21 @@ class Pool(Generic[Body]):
         self.current = find(self._forms, form, f"'{self.name}' has no variant")
 
     def deactivate(self) -> None:
-        """Be absent, in the first form."""
+        """Make the body absent, in the first form."""
         if self.pooled:
             self.present, self.current = False, next(iter(self))
             for body in self:
                 body.deactivate()
 
     def activate(self) -> Body:
-        """Be present, in the chosen form."""
+        """Make the body present, in the chosen form."""
         self.present = True
         self.current.activate()
         return self.current
 
     def bind_current(self, bind: Callable[[Body], Callable[P, R]]) -> Callable[P, R]:
-        """What `bind` makes of the present form; a body of one form pays nothing for there being others."""
+        """Bind a function to the form that is present when it is called. A body with a single form is bound
+        directly, without a look-up."""
         if len(self._forms) == 1:
             return bind(self.current)
         table = {id(body): bind(body) for body in self}

@@ -1,18 +1,18 @@
-"""The expression language: text with units in, typed tree, scalar trees and Python text out.
+"""The expression language: text with units to typed tree, scalar trees and Python text.
 
-The package knows nothing of YAML or scenarios. Its input is a text, a scope that resolves names, and a
+The package is independent of YAML and scenarios. Its input is a text, a scope that resolves names, and a
 function that takes findings. Read in this order:
 
 dimensions.py   dimensions and units
 intervals.py    interval arithmetic
-types.py        types (with when a value is known), symbols and scopes; the typed tree
+types.py        types (with the time from which a value is known), symbols and scopes; the typed tree
 syntax.py       tokens and the syntax tree
 parser.py       text to syntax tree, with hints for common mistakes
 code.py         pieces of Python, and how strongly they bind
 functions.py    the table of functions and operators; intervals of scalar trees; functions of other packages
 unification.py  agreement of values with each other and with their field
 check.py        syntax tree to typed tree
-scalar.py       scalar trees: one tree per SI number, as the compiled scenario holds them
+scalar.py       scalar trees: one tree per SI number, as in the compiled scenario
 lower.py        typed tree to scalar trees, with constants folded; scalar trees to Python text, for a target
 text.py         values and scalar trees as text for people
 written.py      the units that a text is written in

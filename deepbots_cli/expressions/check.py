@@ -147,7 +147,8 @@ class TypedExpression(NamedTuple):
 
 @none_after_finding
 def check(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typed:
-    """The typed tree of a text that gives one value; None after a finding that leaves it without a type."""
+    """Return the typed tree of a text that gives one value; None after a finding that leaves it without a
+    type."""
     if isinstance(tree, syntax.Redrawn):
         help = "only parameters and channel settings may be drawn again with `every` or `each step`"
         report("DB407", tree.value.end, tree.end, "a draw that is repeated", help)
@@ -157,7 +158,7 @@ def check(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typed:
 
 @none_after_finding
 def check_drawn(tree: syntax.Node, scope: Scope, report: FindingReporter) -> TypedExpression:
-    """As `check`, where the text may end in `every 5 s` or `each step`."""
+    """Check a text like `check`; it may end in `every 5 s` or `each step`."""
     checker = _Checker(scope, report)
     if not isinstance(tree, syntax.Redrawn):
         return TypedExpression(checker.whole(tree))
@@ -177,7 +178,7 @@ def check_drawn(tree: syntax.Node, scope: Scope, report: FindingReporter) -> Typ
 def check_range(
     tree: syntax.Node, scope: Scope, report: FindingReporter, *, falling: bool = False
 ) -> TypedRange:
-    """The typed ends of a text `low .. high`; with `falling`, the first may be above the second."""
+    """Return the typed ends of a text `low .. high`; with `falling`, the first may be above the second."""
     if not isinstance(tree, syntax.Range):
         raise report_at(
             report, "DB401", tree, "expected a range, found a single value", "write both ends: `low .. high`"
@@ -202,7 +203,7 @@ def _require_rising(typed: TypedRange, report: FindingReporter) -> None:
 
 
 def _summed(tree: syntax.Node) -> Iterator[syntax.Node]:
-    """The sums that give the value of a text: the whole, its summands, and the left side of `when`."""
+    """Yield the sums that give the value of a text: the whole, its summands, and the left side of `when`."""
     waiting = [tree]
     while waiting:
         node = waiting.pop()
@@ -223,7 +224,7 @@ class _Checker:
         self.draws = 0
 
     def whole(self, tree: syntax.Node) -> Typed:
-        """A whole text, or one end of a range."""
+        """Check a whole text, or one end of a range."""
         if isinstance(tree, syntax.Range):
             raise self._fault("DB401", tree, "expected a single value, found a range")
         if self._scope.context is Context.REWARD:
@@ -273,7 +274,7 @@ class _Checker:
 
     @staticmethod
     def each(visit: Callable[[A], B], items: Sequence[A]) -> list[B]:
-        """The result for every item: the faults of all of them are reported before the check stops."""
+        """Return the result for every item: the faults of all of them are reported before the check stops."""
         values: list[B] = []
         for item in items:
             try:  # 0.1 us, with `contextlib.suppress` 1.4 us; called for every operator
@@ -287,7 +288,8 @@ class _Checker:
     # names
 
     def _reference(self, node: syntax.Name) -> Typed:
-        """The symbol of the longest known part of a dotted name; the rest of it picks components."""
+        """Return the symbol of the longest known part of a dotted name; the rest of the name picks
+        components."""
         for length in range(len(node.parts), 0, -1):
             symbol = self._scope.lookup(".".join(node.parts[:length]))
             if symbol is None:
@@ -303,8 +305,8 @@ class _Checker:
         raise self._no_value(node)
 
     def _pick(self, value: Typed, member: str, node: syntax.Node, before: str | None = None) -> Typed:
-        """One component by its name, or several by single letters (`.xy`); the text of the value stands
-        `before`, where it is a name."""
+        """Return one component by its name, or several by single letters (`.xy`); `before` is the text of the
+        value, if it is a name."""
         components = value.type.components
         if components is None:
             raise self._fault("DB402", node, f"`.{member}` of a single value", "only vectors have components")
@@ -319,7 +321,7 @@ class _Checker:
     def _pick_of_rows(
         self, value: Typed, components: RowComponents, member: str, node: syntax.Node, before: str | None
     ) -> Typed:
-        """A row by its name, or one or several components of all rows."""
+        """Return a row by its name, or one or several components of all rows."""
         rows, columns = components.rows, components.columns
         chosen: Components
         if member in rows:
@@ -336,7 +338,8 @@ class _Checker:
         return ComponentSelection(selected, node.start, node.end, value, indices)
 
     def _subject(self, node: syntax.Node, kinds: frozenset[Kind], function: str) -> Subject:
-        """The part of the world that an argument names; DB203 for one of another kind, DB402 for none."""
+        """Return the part of the world that an argument names; DB203 for one of another kind, DB402 for
+        none."""
         wanted = _one_of(kinds)
         if not isinstance(node, syntax.Name):
             help = "write the name of one, as in `position(cart.tip)`"
@@ -372,7 +375,7 @@ class _Checker:
         raise self._fault("DB203", node, f"`{name}` is {description}, but `{function}` needs {wanted}", help)
 
     def _no_value(self, node: syntax.Name) -> StopChecking:
-        """A name that is no value: a part of the world, a function, or unknown."""
+        """Return the error for a name that is no value: a part of the world, a function, or unknown."""
         scope, name = self._scope, node.dotted
         subject = scope.subject(name)
         if subject is not None:
@@ -399,7 +402,7 @@ class _Checker:
         )
 
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
-        """`position(cart).x` for `cart.position.x` and for `cart.x`."""
+        """Return `position(cart).x` for `cart.position.x` and for `cart.x`."""
         for length in range(len(node.parts) - 1, 0, -1):
             body, (asked, *rest) = ".".join(node.parts[:length]), node.parts[length:]
             subject = (
@@ -421,7 +424,7 @@ class _Checker:
         before: str | None = "",
         also: str | None = None,
     ) -> StopChecking:
-        """DB402 with the nearest of the known names, and a list of them.
+        """Return the error DB402 with the nearest of the known names, and a list of them.
 
         `before` and the name are the text of `place`; None says that it cannot be written again. The help
         `also` is for names that are like none of the known.
@@ -447,7 +450,7 @@ class _Checker:
         items: Sequence[syntax.Number],
         components: Components | None,
     ) -> Constant:
-        """Numbers in the unit of `node`, which stands behind the last of them."""
+        """Return numbers in the unit of `node`, which is written behind the last of them."""
         unit = node.unit
         values = tuple(unit.to_si(item.value) if unit else item.value for item in items)
         if not all(map(math.isfinite, values)):
@@ -478,7 +481,7 @@ class _Checker:
         )
 
     def _put_together(self, values: Sequence[Typed]) -> Components:
-        """The components of single values side by side, or those of vectors as rows."""
+        """Return the components of single values side by side, or those of vectors as rows."""
         vectors = [value for value in values if value.type.components is not None]
         if not vectors:
             return _positions(len(values))
@@ -492,8 +495,8 @@ class _Checker:
         return RowComponents(tuple(str(number) for number in range(1, len(values) + 1)), columns)
 
     def _require_item(self, node: syntax.Vector, name: syntax.Name) -> None:
-        """The name behind the numbers must be their last item; otherwise it is a misspelled unit, or an
-        operator is missing."""
+        """Require that the name behind the numbers is their last item; otherwise it is a misspelled unit, or
+        an operator is missing."""
         written = name.dotted
         symbol = self._scope.lookup(name.parts[0]) or self._scope.lookup(written)
         if symbol is None:
@@ -513,7 +516,7 @@ class _Checker:
     # operators
 
     def _when(self, node: syntax.Binary, value: Typed, condition: Typed) -> Typed:
-        """`a when c` is `a if c else 0`."""
+        """Return `a when c` as `a if c else 0`."""
         require_kind([value], self._report)
         require_kind([condition], self._report, boolean=True)
         value, condition = both = aligned((value, condition), node, self._report)
@@ -606,7 +609,7 @@ class _Checker:
                 return dimension_of((left, right), node, self._report, is_paid=id(node) in self._paid)
 
     def _warn_of_domain(self, operator: str, left: Typed, right: Typed, node: syntax.Binary) -> None:
-        """DB405 for a divisor that can be zero, DB406 for a root of a value that can be negative."""
+        """Report DB405 for a divisor that can be zero, DB406 for a root of a value that can be negative."""
         columns = _columns((left.type, right.type))
         b = next((b for _, b in columns if b.is_finite and 0.0 in b), None)
         if operator == "/" and b is not None:
@@ -667,7 +670,7 @@ class _Checker:
     def _arguments(
         self, node: syntax.Call, function: Function
     ) -> tuple[tuple[Subject, ...], list[tuple[Param, Typed]]]:
-        """The subjects, and each value with its parameter: both ends of a range have the same."""
+        """Return the subjects, and each value with its parameter: both ends of a range have the same."""
         params, count = function.params, len(node.args)
         fewest = sum(not param.optional for param in params)
         if count < fewest or (count > len(params) and not params[-1].variadic):
@@ -693,7 +696,7 @@ class _Checker:
         ]
 
     def _parts(self, param: Param, arg: syntax.Node, function: Function) -> Sequence[syntax.Node]:
-        """The values in one argument: one, both ends of a range, or all options."""
+        """Return the values in one argument: one, both ends of a range, or all options."""
         match param.form, arg:
             case Form.VALUE, syntax.Range() | syntax.Spread() | syntax.Options():
                 raise self._fault(
@@ -716,7 +719,7 @@ class _Checker:
         subjects: tuple[Subject, ...],
         bound: list[tuple[Param, Typed]],
     ) -> Type:
-        """The type of the value of a call."""
+        """Return the type of the value of a call."""
         values = [value for _, value in bound]
         truths = [value for param, value in bound if param.boolean]
         others = [value for param, value in bound if not param.boolean]
@@ -761,7 +764,7 @@ class _Checker:
         subjects: tuple[Subject, ...],
         bound: list[tuple[Param, Typed]],
     ) -> Components | None:
-        """The components of the result; DB404 where the arguments have others than they must."""
+        """Return the components of the result; DB404 where the arguments have others than they must."""
         values = [value for _, value in bound]
         for param, value in bound:
             if param.components and param.components not in (value.type.components, _columns_of(value)):
@@ -799,8 +802,8 @@ class _Checker:
         return groups[0] if groups else components_of(values, node, self._report)
 
     def _warn(self, function: Function, bound: list[tuple[Param, Typed]]) -> None:
-        """DB504 for angles beyond a turn, DB406 for an argument out of the domain, DB105 for a draw from a
-        falling range."""
+        """Report DB504 for angles beyond a turn, DB406 for an argument out of the domain, DB105 for a draw
+        from a falling range."""
         for param, value in bound:
             if param.dimension == ANGLE and function.result(ANGLE) != ANGLE:
                 warn_of_degrees(value, self._report)
@@ -816,19 +819,19 @@ class _Checker:
 
 
 def _columns_of(value: Typed) -> Components | None:
-    """The components of each row; None where there are no rows."""
+    """Return the components of each row; None where there are no rows."""
     components = value.type.components
     return components.columns if isinstance(components, RowComponents) else None
 
 
 def _intervals(value: Typed) -> Sequence[Interval]:
-    """The interval of each component."""
+    """Return the interval of each component."""
     return value.type.intervals or (value.type.interval,) * len(value.type.components or ("",))
 
 
 def _columns(arguments: Sequence[Type | Subject]) -> list[tuple[Interval, ...]]:
-    """The intervals of values for each component; for all at once, where those of single components are not
-    known."""
+    """Return the intervals of values for each component; for all at once, if those of single components are
+    not known."""
     count = max((len(value.intervals) for value in arguments), default=0) or 1
     return [
         tuple(value.intervals[at] if value.intervals else value.interval for value in arguments)
@@ -837,7 +840,8 @@ def _columns(arguments: Sequence[Type | Subject]) -> list[tuple[Interval, ...]]:
 
 
 def _ranged(result: Type, rule: Callable[..., Interval], arguments: Sequence[Type | Subject]) -> Type:
-    """The result with the interval that `rule` makes of those given, for each component."""
+    """Return the result type with the interval that `rule` makes of the given intervals, for each
+    component."""
     return result.with_intervals(rule(*column) for column in _columns(arguments))
 
 
@@ -846,12 +850,12 @@ def _usage(function: Function) -> str:
 
 
 def _positions(count: int) -> Components:
-    """Two numbers are x y, three are x y z; longer lists are numbered from 1."""
+    """Return the component names: two numbers are x y, three are x y z; longer lists are numbered from 1."""
     return {len(PLANE): PLANE, len(SPACE): SPACE}.get(count) or tuple(str(n + 1) for n in range(count))
 
 
 def with_owner(name: str, known: Sequence[str]) -> Replacement | None:
-    """`cart.speed.x` for `speed.x`, if one part alone has a `speed`."""
+    """Return `cart.speed.x` for `speed.x`, if one part alone has a `speed`."""
     first, dot, rest = name.partition(".")
     longer = [other for other in known if other.endswith(f".{first}")]
     return Replacement(f"{longer[0]}{dot}{rest}", safe=False) if len(longer) == 1 else None
@@ -870,14 +874,14 @@ def _one_of(kinds: frozenset[Kind]) -> str:
 
 
 def _keep_above(low: float) -> str:
-    """The help for a value that can be below a domain, which begins at 0 or just above it."""
+    """Return the help for a value that can be below a domain, which begins at 0 or just above it."""
     return (
         "keep it above 0 with `max(..., 0.001)`" if low > 0.0 else "keep it at or above 0 with `max(..., 0)`"
     )
 
 
 def _no_zero(value: Typed) -> str:
-    """The help for a value that can be zero: a bound in its unit."""
+    """Return the help for a value that can be zero: a bound in its unit."""
     dimension = value.type.dimension
     return (
         f"keep it away from zero, as in `max(..., {'0.01' if dimension == NUMBER else f'0.01 {dimension}'})`"

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class Precedence(IntEnum):
-    """How strongly Python binds, from loose to tight."""
+    """The precedence of Python's operators, from loose to tight."""
 
     TERNARY = 0
     OR = 1
@@ -32,12 +32,12 @@ class Code(NamedTuple):
     precedence: Precedence = Precedence.ATOM
 
     def within(self, min_precedence: int) -> str:
-        """The text, in parentheses where it binds less than `min_precedence`."""
+        """Return the text, in parentheses where it binds less than `min_precedence`."""
         return self.text if self.precedence >= min_precedence else f"({self.text})"
 
 
 def number_code(value: float | bool) -> Code:
-    """The code of a constant."""
+    """Return the code of a constant."""
     negative = not isinstance(value, bool) and str(value).startswith("-")
     code = repr(value).replace(repr(math.pi), "pi") if abs(value) == math.pi else repr(value)
     return Code(code, Precedence.SIGN if negative else Precedence.ATOM)
@@ -63,15 +63,15 @@ _SIGNS: dict[type[ast.AST], tuple[str, Precedence]] = {
 
 @cache
 def template(text: str) -> ast.expr:
-    """The syntax tree of the Python of a function."""
+    """Return the syntax tree of the Python of a function."""
     return ast.parse(text, mode="eval").body
 
 
 def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
-    """The Python of a function, with the code of its arguments in place of their names.
+    """Return the Python code of a function, with the code of its arguments in place of their names.
 
     Raises:
-        ValueError: It holds more than names, numbers, operators, comparisons of two, calls and `a if c else
+        ValueError: It contains more than names, numbers, operators, comparisons of two, calls and `a if c else
             b`.
     """
     match node:
@@ -113,8 +113,8 @@ def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
 
 
 def infix(operator: ast.AST, codes: Sequence[Code]) -> Code:
-    """Operators group to the left, so the right sides bind more tightly; Python chains comparisons, so both
-    sides do."""
+    """Return the code of an infix operation. Operators group to the left, so the right sides bind more
+    tightly; Python chains comparisons, so both sides do."""
     sign, bind = _SIGNS[type(operator)]
     left = codes[0].within(bind + 1 if bind is Precedence.COMPARISON else bind)
     return Code(f" {sign} ".join([left, *(code.within(bind + 1) for code in codes[1:])]), bind)

@@ -1,4 +1,4 @@
-"""Dimensions of quantities, and the units that may stand behind a number.
+"""Dimensions of quantities, and their units.
 
 Angle is a dimension: an angular velocity times a radius is a speed only after division by a radian. The
 exception is work, see `_without_angle`. Unit
@@ -37,7 +37,7 @@ class Dimension(NamedTuple):
         return _without_angle(self.m * exponent, self.kg * exponent, self.s * exponent, self.rad * exponent)
 
     def __str__(self) -> str:
-        """The SI unit of the quantity: `m/s^2`, `N*m`, `1` for a plain number."""
+        """Return the SI unit of the quantity: `m/s^2`, `N*m`, `1` for a plain number."""
         if unit := physical_quantity(self).unit:
             return unit
         bases = (("kg", self.kg), ("m", self.m), ("s", self.s), ("rad", self.rad))
@@ -47,7 +47,7 @@ class Dimension(NamedTuple):
 
     @property
     def description(self) -> str:
-        """For a sentence: `a speed (m/s)`, `an angle (rad)`, `a plain number`."""
+        """The dimension for a sentence: `a speed (m/s)`, `an angle (rad)`, `a plain number`."""
         if self == NUMBER:
             return "a plain number"
         noun = physical_quantity(self).noun
@@ -60,11 +60,11 @@ class Dimension(NamedTuple):
 
 
 def _without_angle(m: Exponent, kg: Exponent, s: Exponent, rad: Exponent) -> Dimension:
-    """The dimension of a product, in which work and power are not measured in radians.
+    """Return the dimension of a product, in which work and power are not measured in radians.
 
     A torque times an angular velocity is a power, a moment of inertia times an angular acceleration is a
-    torque: where a quantity has the metres and kilograms of these (kg*m^2, or a power of it), its radians
-    are dropped. Those of a stiffness (N*m/rad) stay.
+    torque: if a quantity has the metres and kilograms of these (kg*m^2, or a power of it), its radians are
+    dropped. The radians of a stiffness (N*m/rad) stay.
     """
     if kg != 0 and m == 2 * kg and rad * kg > 0:
         rad = 0
@@ -135,7 +135,7 @@ _QUANTITIES = {
 
 
 def physical_quantity(dimension: Dimension) -> PhysicalQuantity:
-    """Noun, unit and plausible values of a dimension; empty where the messages have no word for it."""
+    """Return noun, unit and plausible values of a dimension; empty if the messages have no word for it."""
     return _QUANTITIES.get(dimension) or PhysicalQuantity(dimension)
 
 
@@ -173,7 +173,7 @@ class Unit(NamedTuple):
         )
 
     def to_power(self, exponent: int) -> Unit:
-        """The unit raised to `exponent`, which the parser keeps small enough for the factors to stay
+        """Return the unit raised to `exponent`, which the parser keeps small enough for the factors to stay
         finite."""
         scale, divisor = (self.scale, self.divisor) if exponent >= 0 else (self.divisor, self.scale)
         return Unit(
@@ -240,12 +240,12 @@ _WRITTEN_OUT = {
     for word in words.split()
 }
 _AMBIGUOUS = frozenset({"rads", "nm"})
-"""They may also mean radians per second, and nanometres."""
+"""The names of units that may also mean radians per second, and nanometres."""
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 
 
 def suggest_unit(name: str) -> Replacement | None:
-    """The unit that the unknown `name` probably means; safe where `name` is the unit written out."""
+    """Return the unit that the unknown `name` probably means; safe where `name` is the unit written out."""
     spelling = name if name in _WRITTEN_OUT else name.lower()
     if spelling in _WRITTEN_OUT:
         return Replacement(_WRITTEN_OUT[spelling], spelling not in _AMBIGUOUS)
@@ -253,14 +253,14 @@ def suggest_unit(name: str) -> Replacement | None:
         return None  # the unit without its prefix would be another value
     if len(name) > 1 and spelling in UNITS:
         return Replacement(spelling, safe=False)
-    from difflib import (
-        get_close_matches,
-    )  # only on the way to a finding: its import costs 4 ms; case matters here: m, M
+    # The import costs 4 ms, and only findings need it. Case matters here: m, M.
+    from difflib import get_close_matches
 
     close = get_close_matches(name, UNITS, n=1)
     return Replacement(close[0], safe=False) if close else None
 
 
 def prefixed_unit(name: str) -> tuple[float, str] | None:
-    """Factor and unit where `name` is a known unit with a prefix the language lacks: `mrad` is 0.001 rad."""
+    """Return factor and unit if `name` is a known unit with a prefix that the language lacks: `mrad` is 0.001
+    rad."""
     return (_PREFIXES[name[0]], name[1:]) if name[:1] in _PREFIXES and name[1:] in UNITS else None

@@ -1,7 +1,7 @@
 """The functions of the language: one entry per function, in one table.
 
 Checking, intervals, folding, generated code, arrays, completion, hover and the reference page read the
-entries and nothing else, so one entry makes a function. `OPERATORS` holds the operators in the same form.
+entries and nothing else, so one entry makes a function. `OPERATORS` has the operators in the same form.
 
 Other packages add functions of the family `PURE` by an entry point of the group `deepbots.functions`, which
 names a `Function` or a list of them:
@@ -44,7 +44,7 @@ ENTRY_POINT_GROUP = "deepbots.functions"
 
 
 class Family(Enum):
-    """The knowledge that a function needs; it decides where the function may be called."""
+    """The input that a function needs; it determines where the function may be called."""
 
     PURE = auto()
     WORLD = auto()
@@ -79,7 +79,7 @@ ALLOWED_FAMILIES: dict[Context, frozenset[Family]] = {
 
 
 class Form(Enum):
-    """How an argument is written: a value, `low .. high`, `mean +- std`, `a | b`, or a name in the world."""
+    """The form of an argument: a value, `low .. high`, `mean +- std`, `a | b`, or a name in the world."""
 
     VALUE = auto()
     RANGE = auto()
@@ -116,11 +116,11 @@ class Param(NamedTuple):
 
 
 class Reduction(NamedTuple):
-    """How a vector becomes a single value: by an operation on all components, perhaps divided by their
-    number.
+    """The reduction of a vector to a single value: by an operation on all components, perhaps divided by
+    their number.
 
-    `empty` is the value of no component at all, which absent copies of a group take; None refuses such
-    vectors. `interval` maps the interval of the components and their number to that of the result.
+    `empty` is the value for no component at all, as with absent copies of a group; with None such vectors are
+    refused. `interval` maps the interval of the components and their number to that of the result.
     """
 
     operation: str
@@ -128,10 +128,10 @@ class Reduction(NamedTuple):
     interval: Callable[[Interval, int], Interval] = lambda components, _count: components
     mean: bool = False
     counts: bool = False
-    """The components are truth values, of which each true one is a 1."""
+    """Whether the components are truth values, of which each true one counts as 1."""
     of_rows: bool = False
-    """Of a vector for each row, the vectors are reduced, to a value for each row; else the rows are, to one
-    vector."""
+    """Whether the vectors of a vector for each row are reduced, to a value for each row; else the rows are,
+    to one vector."""
 
 
 def _same(shared: Dimension) -> Dimension:
@@ -150,7 +150,7 @@ class Function(NamedTuple):
         example: A call about the scenario tests/data/scenarios/reference.yaml, for the reference page.
         result: Maps the dimension shared by the arguments to that of the value.
         interval: Maps the intervals of the arguments (subjects first, vectors once) to that of the value.
-        components: Those of the value, where they do not follow from the arguments.
+        components: The components of the value, if they do not follow from the arguments.
         boolean: The value is a truth value.
         accepts_truths: The arguments without a dimension of their own may be truth values; the value is then
             one, too.
@@ -158,7 +158,7 @@ class Function(NamedTuple):
 
     The meaning of a pure function is one of these, or both:
         python: An expression over the names of the arguments (`low` and `high` of a range, `*x` of many), the
-            module `math`, `abs`, `min` and `max`. It holds each argument once. Generated code prints it,
+            module `math`, `abs`, `min` and `max`. It contains each argument once. Generated code prints it,
             folding evaluates it. An operator of many arguments combines them from left to right.
         helper: The function of `runtime.formulas` that generated code calls instead: it reads better, and
             does the same to the bit.
@@ -166,11 +166,11 @@ class Function(NamedTuple):
             `python` does.
         reduction: The meaning for a single argument that is a vector.
 
-    That of a function of the world is a reading of the engine, unless it has a `tree`:
+    The meaning of a function of the world is a reading of the engine, unless it has a `tree`:
         tree: Makes the scalar tree from the full names of the subjects; generated code calls the function of
             the same name in `runtime.formulas` with the poses of the subjects, which computes the same to the
             bit.
-        reads_link_pose: The subject is read at the link that stands for it; a robot is read at its base link.
+        reads_link_pose: The subject is read at the link that represents it; a robot is read at its base link.
         pieces_operator: The operation that joins the values for a wall with several segments.
 
     memory: The class of `runtime.formulas` that is the meaning of a stateful function: called with the
@@ -204,7 +204,7 @@ class Function(NamedTuple):
 
     @property
     def arguments(self) -> tuple[str, ...]:
-        """The names of the single values that the function takes; the last with a star where it takes the
+        """The names of the single values that the function takes; the last has a star if it takes the
         rest."""
         names = [
             name
@@ -215,7 +215,7 @@ class Function(NamedTuple):
         return (*names[:-1], f"*{names[-1]}") if takes_rest else tuple(names)
 
     def compiled(self, text: str, namespace: dict[str, Any]) -> Callable[..., Any]:
-        """The callable of `python` or `array`."""
+        """Return the callable of `python` or `array`."""
         compute: Callable[..., Any] = eval(f"lambda {', '.join(self.arguments)}: {text}", namespace)
         if self.params[-1].variadic and not self.arguments[-1].startswith("*"):
             return lambda *terms: reduce(compute, terms)
@@ -224,7 +224,7 @@ class Function(NamedTuple):
 
 @cache
 def scalar_function(name: str) -> Callable[..., float | bool]:
-    """Computes an operation on floats and truth values, as generated code does.
+    """Return a function that computes an operation on floats and truth values, as generated code does.
 
     It raises an ArithmeticError or a ValueError where the operation has no value.
     """
@@ -235,12 +235,12 @@ def scalar_function(name: str) -> Callable[..., float | bool]:
 
 
 def whole_exponent(exponent: float) -> int | None:
-    """The exponent as Python's `**` takes it; others go to `math.pow`, which never turns complex."""
+    """Return the exponent as Python's `**` takes it; others go to `math.pow`, which never turns complex."""
     return int(exponent) if float(exponent).is_integer() and abs(exponent) <= 1000 else None
 
 
 def _power(base: float, exponent: float) -> float:
-    """As `lower` prints powers: `x * x`, `x ** n`, `pow(x, y)`."""
+    """Compute a power as `lower` prints it: `x * x`, `x ** n`, `pow(x, y)`."""
     whole = whole_exponent(exponent)
     if whole == 2:
         return base * base
@@ -264,7 +264,7 @@ def _quaternion(body: str) -> tuple[EngineRead, ...]:
 
 
 def rotation(body: str, row: int, column: int) -> Scalar:
-    """One entry of the matrix that turns vectors of the body into vectors of the world."""
+    """Return one entry of the matrix that turns vectors of the body into vectors of the world."""
     q, two = _quaternion(body), Const(2.0)
     if row == column:
         a, b = (q[axis] for axis in range(3) if axis != row)
@@ -279,7 +279,8 @@ def _roll(body: str) -> Scalar:
 
 
 def _pitch(body: str) -> Scalar:
-    """As an atan2 it stays exact at the poles, where rounding takes an arcsine out of its domain."""
+    """Return the pitch as an atan2, which is exact at the poles, where rounding takes an arcsine out of its
+    domain."""
     level = _op("hypot", rotation(body, 0, 0), rotation(body, 1, 0))
     return _op("atan2", _op("neg", rotation(body, 2, 0)), level)
 
@@ -289,7 +290,8 @@ def _yaw(body: str) -> Scalar:
 
 
 def _tilt(body: str) -> Scalar:
-    """Twice the half angle: exact near 0, where the arccosine of the matrix entry loses half its digits."""
+    """Return twice the half angle, which is exact near 0, where the arccosine of the matrix entry loses half
+    its digits."""
     x, y, z, w = _quaternion(body)
     return _op("mul", Const(2.0), _op("atan2", _op("hypot", x, y), _op("hypot", z, w)))
 
@@ -307,15 +309,12 @@ def _ground_distance(body: str, other: str) -> Scalar:
 
 
 def _bearing(body: str, other: str) -> Scalar:
-    """The angle between the body's forward axis and the line to the other, both seen from above."""
+    """Return the angle between the body's forward axis and the line to the other, both seen from above."""
     ahead_x, ahead_y = rotation(body, 0, 0), rotation(body, 1, 0)
     dx, dy = _apart(body, other, "x"), _apart(body, other, "y")
     across = _op("sub", _op("mul", ahead_x, dy), _op("mul", ahead_y, dx))
     along = _op("add", _op("mul", ahead_x, dx), _op("mul", ahead_y, dy))
     return _op("atan2", across, along)
-
-
-# The table.
 
 
 def _always(dimension: Dimension) -> Callable[[Dimension], Dimension]:
@@ -629,7 +628,7 @@ def _require_usable(function: object) -> None:
     """Refuse a function of another package that would break ours.
 
     Raises:
-        ValueError: Says what is wrong with the entry.
+        ValueError: The entry is wrong; the message gives the reason.
     """
     if not isinstance(function, Function):
         raise ValueError(f"{str(function)[:60]!r} is not a Function")
@@ -666,7 +665,7 @@ FUNCTIONS: Mapping[str, Function] = PluginTable(
 
 
 def function_named(name: str) -> Function:
-    """The operator or the function that a node of a scalar tree names.
+    """Return the operator or the function that a node of a scalar tree names.
 
     Raises:
         KeyError: There is none.
@@ -675,15 +674,15 @@ def function_named(name: str) -> Function:
 
 
 def contains_draw(tree: Typed) -> bool:
-    """Whether an expression holds a random draw; one behind a name does not count."""
+    """Return whether an expression contains a random draw; one behind a name does not count."""
     return any(
         isinstance(node, Invocation) and FUNCTIONS[node.function].family is Family.DRAW for node in walk(tree)
     )
 
 
 def interval_of(node: Scalar, of: Callable[[Scalar], Interval]) -> Interval:
-    """The interval of a scalar tree, from the intervals `of` its arguments; a name or a reading of the world
-    may be anything.
+    """Return the interval of a scalar tree, from the intervals `of` its arguments; a name or a reading of the
+    world may be anything.
 
     Truth values are 0 and 1: [0, 0] is never true, [1, 1] always.
     """
@@ -698,7 +697,7 @@ def interval_of(node: Scalar, of: Callable[[Scalar], Interval]) -> Interval:
 
 
 def math_names() -> frozenset[str]:
-    """The names of `math` that the code of functions may hold."""
+    """Return the names of `math` that the code of functions may contain."""
     texts = [function.python for function in (*OPERATORS.values(), *FUNCTIONS.values()) if function.python]
     return frozenset({name for text in texts for name in _names_in(text)} & vars(math).keys()) | {"inf"}
 

@@ -1,4 +1,4 @@
-"""Interval arithmetic: closed intervals that hold every possible result, infinite where nothing is known."""
+"""Interval arithmetic: closed intervals that contain every possible result, infinite if nothing is known."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ NEVER, ALWAYS = Interval(0.0, 0.0), Interval(1.0, 1.0)
 
 
 def _of(low: float, high: float) -> Interval:
-    """The interval; a bound that is not a number (inf - inf) becomes infinite."""
+    """Return the interval; a bound that is not a number (inf - inf) becomes infinite."""
     return Interval(low if low == low else -INF, high if high == high else INF)
 
 
@@ -55,7 +55,7 @@ def _times(a: float, b: float) -> float:
 
 
 def evaluate_with_default(function: Callable[..., float], *args: float, beyond: float = INF) -> float:
-    """The value of a math function; `beyond` where it overflows or is not defined."""
+    """Return the value of a math function; `beyond` where it overflows or is not defined."""
     try:
         return function(*args)
     except (OverflowError, ZeroDivisionError, ValueError):
@@ -67,7 +67,7 @@ def single(value: float) -> Interval:
 
 
 def hull(intervals: Sequence[Interval]) -> Interval:
-    """The smallest interval that holds all of them."""
+    """Return the smallest interval that contains all of them."""
     return Interval(min(i.low for i in intervals), max(i.high for i in intervals))
 
 
@@ -123,7 +123,7 @@ def absolute(a: Interval) -> Interval:
 
 
 def apply_monotone(function: Callable[[float], float], a: Interval) -> Interval:
-    """The image under a function that never falls; infinite where the function overflows."""
+    """Return the image under a function that never falls; infinite where the function overflows."""
     return Interval(
         evaluate_with_default(function, a.low, beyond=-INF if a.low < 0.0 else INF),
         evaluate_with_default(function, a.high),
@@ -139,7 +139,7 @@ def logarithm(a: Interval) -> Interval:
 
 
 def sine(a: Interval) -> Interval:
-    """The values at both ends, and the peaks and troughs between them."""
+    """Return the values at both ends, and the peaks and troughs between them."""
     if not a.is_finite or a.high - a.low >= 2 * math.pi or max(abs(a.low), abs(a.high)) > 1e6:
         return SIGNED_UNIT
     ends = (math.sin(a.low), math.sin(a.high))
@@ -158,7 +158,7 @@ def tangent(a: Interval) -> Interval:
 
 
 def _passes(a: Interval, angle: float) -> bool:
-    """Whether `angle` plus some whole turns lies in `a`."""
+    """Return whether `angle` plus some whole turns lies in `a`."""
     return angle + math.ceil((a.low - angle) / (2 * math.pi)) * 2 * math.pi <= a.high
 
 
@@ -179,7 +179,7 @@ def clamp(a: Interval, low: Interval, high: Interval) -> Interval:
 
 
 def where(condition: Interval, a: Interval, b: Interval) -> Interval:
-    """`a` where the condition holds, otherwise `b`."""
+    """Return `a` where the condition holds, otherwise `b`."""
     if condition.low > 0.0:
         return a
     if condition.high <= 0.0:
@@ -192,7 +192,7 @@ def multiply_by_count(a: Interval, count: int) -> Interval:
 
 
 def hypot(*parts: Interval) -> Interval:
-    """The square root of a sum of squares."""
+    """Return the square root of a sum of squares."""
     sizes = [absolute(part) for part in parts]
     return Interval(
         evaluate_with_default(math.hypot, *(s.low for s in sizes)),
@@ -201,7 +201,7 @@ def hypot(*parts: Interval) -> Interval:
 
 
 def atan2(y: Interval, x: Interval) -> Interval:
-    """The angle of the point (x, y), without the half planes where the point cannot lie."""
+    """Return the angle of the point (x, y), without the half planes where the point cannot lie."""
     if y.low < 0.0:
         return QUARTER_TURNS if x.low >= 0.0 else TURN
     if y == NEVER and x.low >= 0.0:

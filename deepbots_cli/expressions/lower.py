@@ -1,9 +1,8 @@
 """Typed tree to scalar trees, one per component: SI numbers, no units, no vectors, constants folded; and
 scalar trees to Python text.
 
-The text holds no more parentheses than it needs, and computes what the tree says: the order of sums is kept.
-A `Target` says how each operation is written: on plain floats (`SCALAR`), or on whatever else a column of the
-function table is for.
+The text has no more parentheses than it needs, and the order of sums is that of the tree. A `Target` has the
+code of each operation: on plain floats (`SCALAR`), or on the values of another column of the function table.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ _UNCHANGED_IF_SINGLE = frozenset({"add", "min", "max", "and", "or"})
 
 
 def fold_operation(name: str, *args: Scalar) -> Scalar:
-    """The operation, or its value where that is known now.
+    """Return the operation, or its value where that is known now.
 
     An operation without a value (a division by zero, an overflow, an argument out of the domain) stays, and
     fails where it runs.
@@ -81,7 +80,7 @@ def _computed(name: str, values: list[float | bool]) -> Const | None:
 
 
 def lower(value: Typed, owner: str, per_component: Components | None = None) -> Scalars:
-    """One scalar per component, or a single one.
+    """Return one scalar per component, or a single one.
 
     Args:
         owner: The path of the item in the scenario. Slots of states and streams of draws are named after it,
@@ -95,13 +94,14 @@ def lower(value: Typed, owner: str, per_component: Components | None = None) -> 
 
 
 def stream_name(name: str) -> str:
-    """The name of the stream of a draw that is called `name` after its place in the scenario;
-    `runtime.streams` says where they differ."""
+    """Return the name of the stream of a draw that is called `name` after its place in the scenario;
+    `runtime.streams` describes where they differ."""
     return re.sub(r"\.color(?=:)", ".colour", re.sub(r"^reset\.joints\.", "reset.set.", name))
 
 
 def constant_values(value: Typed) -> tuple[float | bool, ...] | None:
-    """The SI values where they are known now; None for what is drawn, varies or cannot be computed."""
+    """Return the SI values if they are known now; None for values that are drawn, vary or cannot be
+    computed."""
     scalars = lower(value, "")
     values = tuple(scalar.value for scalar in scalars if isinstance(scalar, Const))
     return values if len(values) == len(scalars) else None
@@ -132,7 +132,7 @@ class Lowering:
                 return tuple(chain.from_iterable(map(self.scalars, items)))
 
     def _columns(self, value: Typed, args: tuple[Typed, ...]) -> list[Scalars]:
-        """The arguments of each component; a single value stands in every column."""
+        """Return the arguments of each component; a single value is repeated in every column."""
         rows = [self.scalars(arg) for arg in args]
         count = len(value.type.components or ("",))
         return [tuple(row[index if len(row) > 1 else 0] for row in rows) for index in range(count)]
@@ -154,7 +154,7 @@ class Lowering:
                 return tuple(
                     Draw(function.name, args, name) for args, name in zip(columns, names, strict=True)
                 )
-        if function.name == "length":  # of a line, known before anything runs
+        if function.name == "length":  # the length of a line is known before anything runs
             return (Const(value.type.interval.low),)
         if function.reduction is not None and len(value.args) == 1:
             return self._reduced(value.args[0], function.reduction)
@@ -172,7 +172,7 @@ class Lowering:
         return tuple(self._joined(vector, group, reduction) for group in groups)
 
     def _joined(self, vector: Typed, parts: Scalars, reduction: Reduction) -> Scalar:
-        """The parts of a vector as one value."""
+        """Return the parts of a vector as one value."""
         if vector.type.has_group_components:
             copies = zip(vector.type.components or (), parts, strict=True)
             parts = tuple(_if_present(reduction, copy, part) for copy, part in copies)
@@ -206,7 +206,8 @@ class Lowering:
 
 
 def _turned(vector: Scalars, body: str) -> Scalars:
-    """A vector of the world frame in that of a body: the transposed rotation matrix times the vector."""
+    """Return a vector of the world frame in that of a body: the transposed rotation matrix times the
+    vector."""
     columns = [
         [fold_operation("mul", rotation(body, row, column), vector[row]) for row in range(3)]
         for column in range(3)
@@ -215,7 +216,7 @@ def _turned(vector: Scalars, body: str) -> Scalars:
 
 
 def _if_present(reduction: Reduction, copy: str, part: Scalar) -> Scalar:
-    """The component of a copy of a group; an absent copy changes nothing."""
+    """Return the component of a copy of a group; an absent copy changes nothing."""
     present = EngineRead("present", (copy,))
     match reduction.operation:
         case "or":
@@ -240,15 +241,15 @@ def _reference(value: Reference) -> Scalars:
 
 
 def _named(subject: Subject, function: Function) -> tuple[str, ...]:
-    """The full names to read: those of the members of a group, or that of the link that stands for the
-    subject."""
+    """Return the full names to read: the members of a group, or the link that represents the subject."""
     if subject.members:
         return subject.members
     return (subject.link if subject.link is not None and function.reads_link_pose else subject.name,)
 
 
 def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
-    """The value for every piece of a wall, joined: the least clearance, whether any is touched or seen."""
+    """Return the value for every piece of a wall, joined: the least clearance, whether any is touched or
+    seen."""
     read = function.tree or (lambda *bodies: EngineRead(function.name, bodies))
     reads = [read(*each) for each in product(*(pieces.get(name, (name,)) for name in names))]
     return reads[0] if len(reads) == 1 else fold_operation(function.pieces_operator, *reads)
@@ -282,8 +283,8 @@ _ON_COLUMNS = {
     "min": "minimum(*x)",
     "max": "maximum(*x)",
 }
-"""What has a function of its own in `runtime.columns`; numpy rounds many of these otherwise than `math`
-does."""
+"""The operations with a function of their own in `runtime.columns`; numpy rounds many of these otherwise than
+`math` does."""
 
 
 def _on_columns(function: Function) -> str:
@@ -296,7 +297,7 @@ def _on_columns(function: Function) -> str:
 
 
 def _is_same_on_columns(node: ast.AST) -> bool:
-    """Whether a part of a function's Python means the same for a column: arithmetic, comparisons and
+    """Return whether a part of a function's Python means the same for a column: arithmetic, comparisons and
     `abs`."""
     if isinstance(node, ast.Call):
         return isinstance(node.func, ast.Name) and node.func.id == "abs"
@@ -304,18 +305,19 @@ def _is_same_on_columns(node: ast.AST) -> bool:
 
 
 BATCH = Target("batch", _on_columns)
-"""For many worlds at once: each value is a column with one number per world."""
+"""The target for many worlds at once: each value is a column with one number per world."""
 
 
 def to_python(scalar: Scalar, leaf: Leaf) -> str:
-    """The tree as one Python expression; `leaf` gives the code of what is read, as an atom."""
+    """Return the tree as one Python expression; `leaf` gives the code of what is read, as an atom."""
     return _code(scalar, leaf, SCALAR).text
 
 
 def operation_code(
     name: str, args: Sequence[Code], scalars: Sequence[Scalar], target: Target = SCALAR
 ) -> Code:
-    """The code of an operation on arguments with this code; `scalars` are the trees of the arguments."""
+    """Return the code of an operation on arguments with this code; `scalars` are the trees of the
+    arguments."""
     function = function_named(name)
     whole = whole_exponent(scalars[1].value) if name == "pow" and isinstance(scalars[1], Const) else None
     # Over columns, `a**2` would be a product, which rounds otherwise than the power of a single world.
@@ -346,7 +348,7 @@ def _code(scalar: Scalar, leaf: Leaf, target: Target) -> Code:
 
 
 def _is_product(exponent: int, scalar: Scalar) -> bool:
-    """Whether a power is written as a product; the C library's pow may round a square otherwise than a
+    """Return whether a power is written as a product; the C library's pow may round a square otherwise than a
     product does."""
     return exponent == 2 and isinstance(scalar, (Name, State, Const))
 
@@ -356,5 +358,5 @@ def _power(base: Code, exponent: int, scalar: Scalar) -> Code:
         text = base.within(Precedence.SIGN)
         return Code(f"{text} * {text}", Precedence.PRODUCT)
     text = base.within(Precedence.ATOM)
-    sign = "**" if re.fullmatch(r"[\w.]+", text) and exponent > 0 else " ** "  # as a formatter has it
+    sign = "**" if re.fullmatch(r"[\w.]+", text) and exponent > 0 else " ** "  # like a formatter
     return Code(f"{text}{sign}{exponent}", Precedence.POWER)

@@ -87,8 +87,8 @@ _OPERATOR_WORDS = {"when", "and", "or", "not", "every", "if", "else"}
 
 
 def parse(text: str, report: FindingReporter) -> Node | None:
-    """The tree of an expression, literal or range; None after exactly one finding (DB401, DB005, or DB402 for
-    `where`)."""
+    """Return the tree of an expression, literal or range; None after exactly one finding (DB401, DB005, or
+    DB402 for `where`)."""
     if len(text) > MAX_LENGTH:
         report(
             "DB005",
@@ -116,8 +116,8 @@ def parse(text: str, report: FindingReporter) -> Node | None:
 
 @lru_cache(maxsize=1024)
 def _parse_cached(text: str) -> Node:
-    """The tree of a short text. Trees are values and know no file; two thirds of the texts in 200 files occur
-    more than once."""
+    """Return the tree of a short text. Trees are values without a file; two thirds of the texts in 200 files
+    occur more than once."""
     return _Parser(text).text()
 
 
@@ -156,7 +156,7 @@ class _Parser:
         return self._tokens[self._at + 1]
 
     def _next(self) -> Token:
-        """The token here; the END stays in place however often it is taken."""
+        """Return the token here; the END stays in place however often it is taken."""
         token = self._tokens[self._at]
         if token.kind != "END":
             self._at += 1
@@ -169,7 +169,7 @@ class _Parser:
         return True
 
     def _separated_list(self, item: Callable[[], Node], sign: str) -> tuple[Node, ...]:
-        """One item or more, with the sign between them."""
+        """Parse one item or more, with the sign between them."""
         items = [item()]
         while self._take(sign):
             items.append(item())
@@ -195,7 +195,8 @@ class _Parser:
         return Number(token.start, token.end, value)
 
     def _unit(self) -> Unit | None:
-        """The unit that begins here: names joined by `*` and `/`, each perhaps to a whole power, or `1/s`."""
+        """Return the unit that begins here: names joined by `*` and `/`, each perhaps to a whole power, or
+        `1/s`."""
         if self._one_over():
             self._at += 2
             unit = ONE.per(self._unit_power())
@@ -230,19 +231,19 @@ class _Parser:
         return unit.to_power(-int(digits.text) if is_negative else int(digits.text))
 
     def _unit_at(self, index: int) -> bool:
-        """Whether a unit name stands there; `min(` is a function."""
+        """Return whether there is a unit name at this token; `min(` is a function."""
         token = self._tokens[index]
         return token.kind == "NAME" and token.text in UNITS and self._tokens[index + 1].text != "("
 
     def _one_over(self) -> bool:
-        """Whether `1/s` or the like begins here, written without spaces."""
+        """Return whether `1/s` or the like begins here, written without spaces."""
         if self._peek.text != "1" or self._ahead.text != "/":
             return False
         one, slash, unit = self._tokens[self._at : self._at + 3]
         return one.end == slash.start and slash.end == unit.start and self._unit_at(self._at + 2)
 
     def _percent_ends(self) -> bool:
-        """Whether the `%` here closes its number; before an operand it would be a modulo."""
+        """Return whether the `%` here closes its number; before an operand it would be a modulo."""
         behind = self._ahead
         return (behind.kind in ("SIGN", "END") and behind.text != "(") or behind.text in KEYWORDS
 
@@ -281,12 +282,12 @@ class _Parser:
         return node
 
     def _slot(self) -> Node:
-        """A place that a literal may fill alone; there `0.6 -0.4 m` are two numbers, no subtraction."""
+        """Parse a place that a literal may fill alone; there `0.6 -0.4 m` are two numbers, no subtraction."""
         value = self._literal() or self._operation(0)
         return self._conditional(value) if self._peek.text == "if" else value
 
     def _conditional(self, value: Node) -> Node:
-        """`value if condition else otherwise`, of which `value` was read."""
+        """Parse `value if condition else otherwise`, of which `value` was read."""
         word = self._next()
         condition = self._operation(0)
         if self._peek.text == "if":
@@ -304,11 +305,11 @@ class _Parser:
         return Conditional(value.start, otherwise.end, value, condition, otherwise)
 
     def _written(self, node: Node) -> str:
-        """The text of a node on one line."""
+        """Return the text of a node on one line."""
         return " ".join(self._text[node.start : node.end].split())
 
     def _grouped(self, value: Node, condition: Node) -> str:
-        """The help for `value when condition`: its text with parentheses around each open `if`."""
+        """Return the help for `value when condition`: its text with parentheses around each open `if`."""
         parts = (
             f"({self._written(part)})" if _is_open_conditional(part) else self._written(part)
             for part in (value, condition)
@@ -322,7 +323,7 @@ class _Parser:
         return Range(low.start, high.end, _borrow_unit(low, high), high)
 
     def _literal(self) -> Node | None:
-        """Numbers, perhaps a unit, then the end of the slot; otherwise nothing is consumed."""
+        """Parse numbers, perhaps a unit, then the end of the slot; otherwise nothing is consumed."""
         begin = self._at
         items: list[Number | Name] = []
         while item := self._literal_item(items):
@@ -353,7 +354,8 @@ class _Parser:
     # operations
 
     def _operation(self, min_precedence: int) -> Node:
-        """An operand and every operator behind it that binds at least as strongly as `min_precedence`."""
+        """Parse an operand and every operator behind it that binds at least as strongly as
+        `min_precedence`."""
         left = self._operand()
         while (strength := _PRECEDENCE.get(self._peek.text, 0)) and strength >= min_precedence:
             operator = self._next()
@@ -362,7 +364,7 @@ class _Parser:
                 opening = _unclosed(self._tokens)
                 if (
                     opening is not None and opening.start < right.start
-                ):  # what was left out belongs before the second one
+                ):  # the missing sign belongs before the second one
                     raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
                 raise _SyntaxError(
                     left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`"
@@ -416,7 +418,7 @@ class _Parser:
         return Truth(token.start, token.end, token.text == "true")
 
     def _quantity(self) -> Node:
-        """A number with its unit; a unit binds tighter than any operator."""
+        """Parse a number with its unit; a unit binds tighter than any operator."""
         number = self._number()
         if unit := self._unit():
             return number._replace(end=self._tokens[self._at - 1].end, unit=unit)
@@ -450,7 +452,7 @@ class _Parser:
     # names, nesting, faults
 
     def _name_ahead(self) -> bool:
-        """Whether a name stands here that is no word of the grammar and calls no function."""
+        """Return whether there is a name here that is no word of the grammar and calls no function."""
         return self._peek.kind == "NAME" and self._peek.text not in KEYWORDS and self._ahead.text != "("
 
     def _name(self) -> Name:
@@ -475,7 +477,7 @@ class _Parser:
             )
 
     def _close(self, opening: Token) -> int:
-        """The end of the parenthesis that closes `opening`."""
+        """Return the end of the parenthesis that closes `opening`."""
         self._nesting -= 1
         if not self._peek.text:
             raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
@@ -484,7 +486,7 @@ class _Parser:
         return self._next().end
 
     def _misplaced(self, *, missing: bool = False) -> _SyntaxError:
-        """The fault at a token that cannot stand here; `missing` where a value was due."""
+        """Return the error at a token that cannot be here; `missing` if a value was due."""
         before = self._tokens[self._at - 1] if self._at else None
         if before is not None and before.kind == "NAME" and before.text in _HINTS.keys() - _CONDITIONAL_WORDS:
             return _SyntaxError(
@@ -510,7 +512,7 @@ class _Parser:
         return _SyntaxError(token.start, token.end, *_diagnosis(self._tokens, self._at, missing))
 
     def _names_before(self) -> tuple[str, ...]:
-        """The names joined by dots that end right before this token; empty if there is only one."""
+        """Return the names joined by dots that end right before this token; empty if there is only one."""
         names: list[str] = []
         at = self._at - 1
         while at >= 0 and self._tokens[at].kind == "NAME":
@@ -522,12 +524,12 @@ class _Parser:
 
 
 def _is_open_conditional(node: Node) -> bool:
-    """Whether it is an `if` without parentheses around it, which a node counts as its own."""
+    """Return whether it is an `if` without parentheses around it, which a node counts as its own."""
     return isinstance(node, Conditional) and node.start == node.value.start
 
 
 def _borrow_unit(left: Node, right: Node) -> Node:
-    """In `-20 .. 20 deg` the bare left side is in the unit of the right one."""
+    """Return `-20 .. 20 deg` with the bare left side in the unit of the right one."""
     if isinstance(left, Number | Vector) and isinstance(right, Number | Vector) and left.unit is None:
         return left._replace(unit=right.unit)
     return left
@@ -537,14 +539,14 @@ def _borrow_unit(left: Node, right: Node) -> Node:
 
 
 def _call_of_where(tree: Node) -> Call | None:
-    """The first call of `where` that is in no other."""
+    """Return the first call of `where` that is in no other."""
     if isinstance(tree, Call) and tree.function == "where":
         return tree
     return next((call for child in children(tree) if (call := _call_of_where(child))), None)
 
 
 def _without_where(tree: Node, text: str) -> str:
-    """The expression on one line, with each `where(condition, a, b)` as `a if condition else b`."""
+    """Return the expression on one line, with each `where(condition, a, b)` as `a if condition else b`."""
     return " ".join(re.sub(r"(?<!\S)#[^\n]*", "", _rewritten(tree, text)).split())
 
 
@@ -625,7 +627,8 @@ _OUT_OF_PLACE = {
 
 
 def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None, Replacement | None]:
-    """Headline, help and correction, where the token `at` cannot stand; `missing` where a value was due."""
+    """Return headline, help and correction for the token `at`, which cannot be here; `missing` if a value was
+    due."""
     token, before = tokens[at], tokens[at - 1] if at else tokens[at]
     shown = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
     is_copy = token.text == "#" and tokens[at + 1].kind == "NUMBER"
@@ -661,7 +664,7 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
 
 
 def _unclosed(tokens: list[Token]) -> Token | None:
-    """The last parenthesis that nothing closes."""
+    """Return the last parenthesis that nothing closes."""
     closed = 0
     for token in reversed(tokens):
         if token.text == "(" and closed == 0:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 
 class NamedFloat(float):
-    """A number that a fixed parameter of the scenario names; what is computed from it is a plain float.
+    """A number that a fixed parameter of the scenario names; a value computed from it is a plain float.
 
     `text` is how the scenario writes it, `component` its place in a vector. Generated code defines a constant
     of that name.
@@ -104,22 +104,22 @@ Scalar = Const | Name | EngineRead | Op | State | Draw
 
 
 def children(scalar: Scalar) -> tuple[Scalar, ...]:
-    """The arguments of an operation, a state or a draw; nothing below the others."""
+    """Return the arguments of an operation, a state or a draw; nothing below the others."""
     return scalar.args if isinstance(scalar, (Op, State, Draw)) else ()
 
 
 def names_in(scalar: Scalar) -> list[Name]:
-    """Every named value that the tree reads."""
+    """Return every named value that the tree reads."""
     return [node for node in walk(scalar) if isinstance(node, Name)]
 
 
 def is_drawn(scalar: Scalar) -> bool:
-    """Whether a random draw is part of the tree itself; one behind a name does not count."""
+    """Return whether a random draw is part of the tree itself; one behind a name does not count."""
     return any(isinstance(node, Draw) for node in walk(scalar))
 
 
 def walk(scalar: Scalar) -> Iterator[Scalar]:
-    """Every node, arguments before the operations on them: the order in which states must advance."""
+    """Yield every node, arguments before the operations on them: the order in which states must advance."""
     for child in children(scalar):
         yield from walk(child)
     yield scalar

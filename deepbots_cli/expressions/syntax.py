@@ -1,6 +1,6 @@
 """Tokens and the syntax tree of an expression, before names have a meaning.
 
-Every token and node holds its place in the text, `[start, end)`. The package uses named tuples: declaring one
+Every token and node has its place in the text, `[start, end)`. The package uses named tuples: declaring one
 takes 0.04 ms, a frozen dataclass 0.3 ms, which counts when a linter starts.
 """
 
@@ -41,7 +41,7 @@ _TOKEN = re.compile(
 
 
 def tokens(text: str) -> list[Token]:
-    """All tokens of `text`, closed by one END."""
+    """Return all tokens of `text`, closed by one END."""
     found_tokens: list[Token] = []
     position = 0
     while (match := _TOKEN.match(text, position)) and (kind := match.lastgroup):
@@ -71,7 +71,7 @@ class Vector(NamedTuple):
     """Numbers side by side with one unit behind them, as `0 0 1 m`.
 
     A name may take the place of a number (`1 1 pole`). Of two items, the second may be a name: the checker
-    knows whether it is a value or a misspelled unit.
+    determines whether it is a value or a misspelled unit.
     """
 
     start: int
@@ -193,7 +193,7 @@ Node = (
 
 
 def children(node: Node) -> tuple[Node, ...]:
-    """The nodes directly below `node`, in the order of the text."""
+    """Return the nodes directly below `node`, in the order of the text."""
     parts: tuple[object, ...]
     if isinstance(node, Call):
         parts = node.args
@@ -205,7 +205,7 @@ def children(node: Node) -> tuple[Node, ...]:
 
 
 def depth(tree: Node) -> int:
-    """The number of levels, found without recursion: a hostile text may have thousands."""
+    """Return the number of levels, found without recursion: a hostile text may have thousands."""
     levels = 0
     level: list[Node] = [tree]
     while level:

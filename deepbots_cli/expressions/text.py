@@ -6,11 +6,11 @@ from deepbots_cli.expressions.lower import to_python
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 
 _MAX_LISTED = 4
-"""Items of a list, beyond which there are too many to read."""
+"""The number of items of a list that a text shows."""
 
 
 def value_text(value: object) -> str:
-    """A value as text on one line: numbers short, nothing as a dash, lists with commas."""
+    """Return a value as text on one line: numbers short, nothing as a dash, lists with commas."""
     match value:
         case None:
             return "-"
@@ -31,7 +31,7 @@ def value_text(value: object) -> str:
 
 
 def formula_text(scalar: Scalar, digits: int = 12) -> str:
-    """An expression as the language writes it, with figures in SI units and so many digits."""
+    """Return an expression as the language writes it, with figures in SI units and so many digits."""
     return to_python(_rounded(scalar, digits), _read)
 
 

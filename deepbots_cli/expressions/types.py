@@ -19,8 +19,8 @@ Shape = tuple[int, int, int]
 
 
 class GroupComponents(tuple[str, ...]):
-    """The components of a value that has one per copy of a group. Names do not tell them: a joint may be
-    called `hip#1`, too."""
+    """The components of a value that has one per copy of a group. They cannot be recognized by their names: a
+    joint may be called `hip#1`, too."""
 
 
 class RowComponents(tuple[str, ...]):
@@ -39,31 +39,31 @@ class RowComponents(tuple[str, ...]):
         return components
 
     def __getnewargs__(self) -> tuple[Components, Components]:
-        """The arguments that make a copy."""
+        """Return the arguments that make a copy."""
         return self.rows, self.columns
 
     def column(self, name: str) -> tuple[int, ...]:
-        """The positions of a component of all rows."""
+        """Return the positions of a component of all rows."""
         return tuple(range(self.columns.index(name), len(self), len(self.columns)))
 
     def row(self, name: str) -> tuple[int, ...]:
-        """The positions of the components of a row."""
+        """Return the positions of the components of a row."""
         first = self.rows.index(name) * len(self.columns)
         return tuple(range(first, first + len(self.columns)))
 
     @property
     def of_rows(self) -> tuple[int, ...]:
-        """For each component, the position of its row."""
+        """The position of the row of each component."""
         return tuple(place for place in range(len(self.rows)) for _ in self.columns)
 
     @property
     def of_columns(self) -> tuple[int, ...]:
-        """For each component, its position in its row."""
+        """The position of each component in its row."""
         return tuple(range(len(self.columns))) * len(self.rows)
 
 
 class Known(IntEnum):
-    """When a value is known: in the file, at a reset, or in every step."""
+    """The time from which a value is known: in the file, at a reset, or in every step."""
 
     FIXED = 0
     EPISODE = 1
@@ -91,15 +91,15 @@ class Type(NamedTuple):
     intervals: tuple[Interval, ...] = ()
 
     def with_intervals(self, intervals: Iterable[Interval]) -> Type:
-        """The type with an interval per component, or with one for all of them. Equal ones are kept once: a
-        scan has 1000 components."""
+        """Return the type with an interval per component, or with one for all of them. Equal ones are kept
+        once: a scan has 1000 components."""
         by_component = tuple(intervals)
         return self._replace(
             interval=hull(by_component), intervals=by_component if len(set(by_component)) > 1 else ()
         )
 
     def selected(self, indices: Sequence[int]) -> Type:
-        """The type of some components of a vector, by position."""
+        """Return the type of some components of a vector, by position."""
         names = (
             tuple(self.components[index] for index in indices)
             if self.components and len(indices) > 1
@@ -109,14 +109,14 @@ class Type(NamedTuple):
         return chosen.with_intervals(self.intervals[index] for index in indices) if self.intervals else chosen
 
     def interval_of(self, component: str | None) -> Interval:
-        """The interval of one component; that of the whole, where no other is known."""
+        """Return the interval of one component; that of the whole, if no other is known."""
         if self.components and self.intervals and component in self.components:
             return self.intervals[self.components.index(component)]
         return self.interval
 
     @property
     def description(self) -> str:
-        """For a sentence: `a speed (m/s)`, `a truth value`."""
+        """The type for a sentence: `a speed (m/s)`, `a truth value`."""
         if self.picture:
             return "a picture"
         if self.boolean:
@@ -139,7 +139,7 @@ class Type(NamedTuple):
 
 
 def shortened_list(names: Iterable[str], limit: int = 12) -> str:
-    """`a, b, c`, cut short after `limit`."""
+    """Return `a, b, c`, cut short after `limit`."""
     listed = list(names)
     return ", ".join(listed[:limit]) + (f" and {len(listed) - limit} more" if len(listed) > limit else "")
 
@@ -149,7 +149,7 @@ class Symbol(NamedTuple):
 
     `type` is None if the definition is invalid; uses are then not reported. `value` holds the SI numbers of a
     fixed value, one per component; lowering folds them. `text` is the source text of the definition.
-    `refusal` says why the name has no value in this place.
+    `refusal` is the reason why the name has no value in this place.
     """
 
     name: str
@@ -187,7 +187,7 @@ class Subject(NamedTuple):
 
     `members` are the full names in a group (`dog.fl_toe`), in order. `link` is the full name of the link
     whose pose is read: a robot's base link. `pieces` are the bodies of a wall; a function reads each piece.
-    For joints, `dimension` is that of their position (angle or length), `interval` holds their limits and
+    For joints, `dimension` is that of their position (angle or length), `interval` has their limits and
     `intervals` those of each member. Uses of the kind `BROKEN`, an invalid definition, are not reported.
     """
 
@@ -210,7 +210,7 @@ class Subject(NamedTuple):
 
 
 class Context(Enum):
-    """The place of an expression in the scenario; it decides which functions may be called."""
+    """The place of an expression in the scenario, on which the functions that may be called depend."""
 
     FIXED = "a fixed value"
     PARAMETER = "a parameter"
@@ -237,29 +237,29 @@ class Scope(Protocol):
     def context(self) -> Context: ...
 
     def lookup(self, name: str) -> Symbol | None:
-        """The value of the dotted `name`."""
+        """Return the value of the dotted `name`."""
 
     def subject(self, name: str, kinds: frozenset[Kind] | None = None) -> Subject | None:
-        """The part of the world with the dotted `name`; one of `kinds` where several parts share it, as a
-        joint and its link may."""
+        """Return the part of the world with the dotted `name`; one of `kinds` where several parts share it,
+        as a joint and its link may."""
 
     def names(self) -> Iterable[str]:
-        """Every name that `lookup` knows, for suggestions."""
+        """Return every name that `lookup` finds, for suggestions."""
 
     def subjects(self) -> Iterable[str]:
-        """Every name that `subject` knows, for suggestions."""
+        """Return every name that `subject` finds, for suggestions."""
 
 
 CORRECTED_LINE = "{corrected line}"
-"""Stands in a help for the line to write, which only the reader of the text knows."""
+"""The placeholder in a help for the line to write, which the reader of the text fills in."""
 
 
 class FindingReporter(Protocol):
     """Takes a finding at the offsets `[start, end)` of the text.
 
     `replacement` is the text to write there instead, `names` are the named values that probably cause the
-    finding. `corrected` makes the whole right text from the text; the line with it stands in the help where
-    `help` has `CORRECTED_LINE`.
+    finding. `corrected` makes the whole right text from the text; the line with it replaces `CORRECTED_LINE`
+    in `help`.
     """
 
     def __call__(
@@ -354,7 +354,7 @@ class TypedRange(NamedTuple):
 
 
 class Redraw(NamedTuple):
-    """How often the draws of an expression are repeated; `period` None means in each step."""
+    """The interval at which the draws of an expression are repeated; `period` None means in each step."""
 
     period: Typed | None
 
@@ -372,7 +372,7 @@ def children(node: Typed) -> tuple[Typed, ...]:
 
 
 def walk(node: Typed) -> Iterator[Typed]:
-    """Every node, each before its children."""
+    """Yield every node, each before its children."""
     waiting = [node]
     while waiting:
         node = waiting.pop()
@@ -382,20 +382,20 @@ def walk(node: Typed) -> Iterator[Typed]:
 
 
 def referenced_names(tree: Typed) -> Iterator[str]:
-    """The names that an expression refers to."""
+    """Return the names that an expression refers to."""
     return (node.symbol.name for node in walk(tree) if isinstance(node, Reference))
 
 
 def written_unit(value: Typed) -> Unit | None:
-    """The unit in which the text writes the value: the first one of its dimension; None where the text has
-    none."""
+    """Return the unit in which the text writes the value: the first one of its dimension; None where the text
+    has none."""
     dimension = value.type.dimension
     units = (node.unit for node in walk(value) if isinstance(node, Constant) and node.unit is not None)
     return next((unit for unit in units if unit.dimension == dimension), None)
 
 
 def is_bare_number(value: Typed) -> bool:
-    """Whether this is made of numbers without units alone."""
+    """Return whether this is made of numbers without units alone."""
     match value:
         case Constant(unit=unit):
             return unit is None and not value.type.boolean
@@ -410,19 +410,19 @@ def is_bare_number(value: Typed) -> bool:
 
 
 def is_bare_zero(value: Typed) -> bool:
-    """Whether this is a bare zero, which fits every dimension."""
+    """Return whether this is a bare zero, which fits every dimension."""
     return isinstance(value, Constant) and is_bare_number(value) and not any(value.values)
 
 
 MAX_SIZE = 10_000
-"""Operations of a checked expression: nested vector functions repeat their arguments and could grow to
-millions."""
+"""The maximum number of operations of a checked expression: nested vector functions repeat their arguments
+and could grow to millions."""
 _WORLD_SIZE = 40  # operations of the largest world function, per component of its result
 _READS_PER_ROTATED_COMPONENT = 3  # every component of a turned vector reads all three of the argument
 
 
 def size(node: Typed) -> int:
-    """An upper bound of the number of operations over all components, cut off at twice `MAX_SIZE`."""
+    """Return an upper bound of the number of operations over all components, cut off at twice `MAX_SIZE`."""
     own = len(node.type.components) if node.type.components else 1
     if isinstance(node, (Constant, Reference)):
         return min(own, 2 * MAX_SIZE)

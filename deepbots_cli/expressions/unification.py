@@ -1,6 +1,6 @@
-"""Unification: whether values fit together and fit their field, and what to write where they do not.
+"""Unification: checks that values fit together and fit their field, and suggests corrections.
 
-Truth with truth, dimension with dimension, component with component. What does not fit is reported and raises
+Truth values, dimensions and components must agree. A value that does not fit is reported and raises
 `StopChecking`.
 """
 
@@ -46,14 +46,14 @@ Place = syntax.Node | Typed | TypedRange
 """A node, for its place in the text."""
 
 ANY_SHAPE: Components = ("*",)
-_PLAUSIBLE_LIMIT_FACTOR = 10  # times what is plausible: an engine's sums lose their digits
-_MAX_VALUE = 1e30  # of a dimension without a plausible limit
+_PLAUSIBLE_LIMIT_FACTOR = 10  # times the plausible limit: beyond it, an engine's sums lose their digits
+_MAX_VALUE = 1e30  # the limit of a dimension without a plausible one
 WHEEL_RADIUS = "2 cm"
-"""Of the wheel in examples."""
+"""The radius of the wheel in examples."""
 
 
 class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
-    """A part has a finding; nothing above it is checked."""
+    """The signal that a part has a finding; nothing above it is checked."""
 
 
 def report_at(
@@ -72,7 +72,7 @@ def report_at(
 
 
 def none_after_finding(function: Callable[P, T]) -> Callable[P, T | None]:
-    """The same function, which returns None after a finding."""
+    """Return the same function, which returns None after a finding."""
 
     @wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> T | None:
@@ -120,7 +120,7 @@ def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: b
 def dimension_of(
     values: Sequence[Typed], place: Place, report: FindingReporter, *, is_paid: bool = False
 ) -> Dimension:
-    """The one dimension of all values except bare zeros; DB502 or DB503 where they differ.
+    """Return the one dimension of all values except bare zeros; DB502 or DB503 where they differ.
 
     The summands of a reward (`is_paid`) are plain numbers.
     """
@@ -151,8 +151,8 @@ def require_dimension(
     unit: str | None = None,
     noun: str | None = None,
 ) -> None:
-    """Require a dimension (a bare zero has any); DB502 or DB503 about `what` otherwise. `unit` is probably
-    that of a bare number."""
+    """Require a dimension (a bare zero has any); otherwise report DB502 or DB503 about `what`. `unit` is
+    probably that of a bare number."""
     if is_bare_zero(value) or value.type.dimension == dimension:
         return
     if is_bare_number(value):
@@ -179,10 +179,11 @@ def missing_unit(
     other: Typed | None = None,
     is_paid: bool = False,
 ) -> StopChecking:
-    """DB502 for a bare number; it is probably in `unit` if it is at least 1, otherwise the dimension tells.
+    """Report a number without a unit (DB502); the caller raises the result. If it is at least 1 it is
+    probably in `unit`; otherwise the unit is proposed that its dimension usually has.
 
     Both numbers of a range or of a draw have the unit behind the second. In a sum, the `other` side may be
-    meant as a plain number; the summands of a reward (`is_paid`) are.
+    meant as a plain number; the summands of a reward (`is_paid`) are meant as plain numbers.
     """
     ends: Sequence[Typed] = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
     sign = ".."
@@ -216,7 +217,8 @@ def _number_text(number: float) -> str:
 
 
 def _plain_names(*values: Typed) -> tuple[str | None, list[str]]:
-    """A hint for plain numbers that come from names, and the names: a definition probably lacks a unit."""
+    """Return a hint for plain numbers that come from names, and the names: a definition probably lacks a
+    unit."""
     names = {
         name: text
         for value in values
@@ -234,7 +236,7 @@ def _plain_names(*values: Typed) -> tuple[str | None, list[str]]:
 
 
 def _named_numbers(value: Typed) -> Iterator[tuple[str, str]]:
-    """The named fixed numbers in a sum or product, with the text of those without a unit."""
+    """Yield the named fixed numbers in a sum or product, with the text of those without a unit."""
     if isinstance(value, Reference) and value.symbol.value is not None:
         is_plain = value.type.dimension == NUMBER
         yield value.symbol.name, " ".join(f"{number:g}" for number in value.symbol.value) if is_plain else ""
@@ -244,7 +246,7 @@ def _named_numbers(value: Typed) -> Iterator[tuple[str, str]]:
 
 
 def _remedy(value: Typed, needed: Dimension) -> tuple[str, list[str]]:
-    """The help for a value of another dimension, and the names whose unit may be wrong."""
+    """Return the help for a value of another dimension, and the names whose unit may be wrong."""
     dimension = value.type.dimension
     if needed == NUMBER:
         return (
@@ -274,7 +276,8 @@ def _divisor(dimension: Dimension) -> str:
 
 
 def _line_with_unit(value: Typed, needed: Dimension) -> str | None:
-    """The only named number in a value, or the number itself, in a unit of the dimension that is needed."""
+    """Return the only named number in a value, or the number itself, in a unit of the dimension that is
+    needed."""
     dimension = value.type.dimension
     if isinstance(value, Constant) and value.unit:
         name, numbers, unit = "", tuple(map(value.unit.from_si, value.values)), value.unit.text
@@ -299,7 +302,7 @@ def _line_with_unit(value: Typed, needed: Dimension) -> str | None:
 
 
 def _references(value: Typed) -> Iterator[Reference]:
-    """The names with fixed values in a sum or product."""
+    """Yield the names with fixed values in a sum or product."""
     if isinstance(value, Reference) and value.symbol.value is not None:
         yield value
     elif isinstance(value, Operation) and value.operator in ("add", "sub", "mul", "div", "neg"):
@@ -308,7 +311,7 @@ def _references(value: Typed) -> Iterator[Reference]:
 
 
 def components_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Components | None:
-    """The components of the result, None for a single value; DB404 where vectors differ.
+    """Return the components of the result, None for a single value; DB404 where vectors differ.
 
     A vector for each row combines with a vector that has a value for each row, or for each column.
     """
@@ -325,18 +328,18 @@ def components_of(values: Sequence[Typed], place: Place, report: FindingReporter
 
 
 def _is_part(components: Components | None, whole: Components | None) -> bool:
-    """Whether a vector has a value for each row, or for each column, of the `whole`."""
+    """Return whether a vector has a value for each row, or for each column, of the `whole`."""
     return isinstance(whole, RowComponents) and components in (whole.rows, whole.columns)
 
 
 def aligned(values: Sequence[Typed], place: Place, report: FindingReporter) -> tuple[Typed, ...]:
-    """The values with the same components, single values as they are; DB404 where vectors differ."""
+    """Return the values with the same components, single values as they are; DB404 where vectors differ."""
     components = components_of(values, place, report)
     return tuple(spread(value, components) for value in values)
 
 
 def spread(value: Typed, components: Components | None) -> Typed:
-    """A value for each row, or for each column, as one for each of the components."""
+    """Return a value for each row, or for each column, as one for each of the components."""
     part = value.type.components
     if not isinstance(components, RowComponents) or part not in (components.rows, components.columns):
         return value
@@ -361,7 +364,7 @@ def _differing(first: Components, second: Components, place: Place, report: Find
 
 
 def warn_of_degrees(value: Typed, report: FindingReporter) -> None:
-    """DB504 for radians that look like degrees, such as 30 rad.
+    """Report DB504 for radians that look like degrees, such as 30 rad.
 
     Wheels turn by hundreds of radians; only values up to 180 and from 270 to 360 count.
     """
@@ -381,7 +384,7 @@ def warn_of_degrees(value: Typed, report: FindingReporter) -> None:
 
 @none_after_finding
 def expect_kind(value: Typed, report: FindingReporter, *, boolean: bool) -> Typed:
-    """The value if it is a truth value (`boolean`) or a number, or None after a finding."""
+    """Return the value if it is a truth value (`boolean`) or a number, or None after a finding."""
     require_kind([value], report, boolean=boolean)
     return value
 
@@ -400,16 +403,16 @@ def expect_value(
     noun: str | None = None,
     shape_help: str | None = None,
 ) -> Typed:
-    """The value as a field takes it, or None after a finding.
+    """Return the value as a field takes it, or None after a finding.
 
     Args:
-        what: The field, for a sentence (`the timestep`).
+        what: The name of the field in a sentence (`the timestep`).
         dimension: None takes any; a bare zero has every dimension.
         components: None takes a single value only, a tuple takes those components or a single value for all
             of them, `ANY_SHAPE` takes everything.
         known: When the value must be known at the latest.
         unit: The probable unit of a bare number.
-        noun: What the field calls the dimension.
+        noun: The name of the dimension in the field.
         shape_help: What to write instead of a vector of x, y and z where the components have other names.
     """
     require_kind([value], report, boolean=boolean)
@@ -437,7 +440,7 @@ def expect_range(
     dimension: Dimension | None = None,
     components: Components | None = None,
 ) -> TypedRange:
-    """As `expect_value`, for both ends of a range, which must be fixed."""
+    """Check both ends of a range, which must be fixed, like `expect_value`."""
     if (
         dimension is not None
         and dimension != NUMBER
@@ -508,8 +511,8 @@ def _require_size(value: Typed, known: Known, what: str, report: FindingReporter
 
 
 def negated_text(value: Typed) -> Callable[[str], str]:
-    """Makes the text of the value with its sign turned from the text of the value; of `a when c`, `a` is
-    turned."""
+    """Return a function that makes the text of the negated value from the text of the value; of `a when c`,
+    `a` is negated."""
     is_when = isinstance(value, Operation) and value.operator == "where" and value.args[2].start == value.end
     part = value.args[1] if is_when and isinstance(value, Operation) else value
     length = part.end - part.start
@@ -529,7 +532,7 @@ def negated_text(value: Typed) -> Callable[[str], str]:
 
 
 def divided_text(value: Typed, divisor: str) -> Callable[[str], str]:
-    """Makes the text with `divisor` behind the value from the text; around a sum or a condition come
+    """Return a function that puts `divisor` behind the text of a value; a sum or a condition is put in
     parentheses."""
 
     def divided(text: str) -> str:
@@ -545,7 +548,8 @@ def divided_text(value: Typed, divisor: str) -> Callable[[str], str]:
 
 
 def _is_sum(value: Typed) -> bool:
-    """Whether it is a sum or a difference without parentheses around it, which a node counts as its own."""
+    """Return whether it is a sum or a difference without parentheses around it, which a node counts as its
+    own."""
     return (
         isinstance(value, Operation)
         and value.operator in ("add", "sub")

@@ -13,28 +13,28 @@ _UNIT = re.compile(rf"{NUMBER}\s*({_WORD}(?:[*/]{_WORD})*)")
 _USUAL = {"rad": "deg", "rad/s": "deg/s", "rad/s^2": "deg/s^2"}
 _COMPOUND = re.compile(rf"(?:{NUMBER})\s*\(({_WORD}(?:[*/]{_WORD})*)\)")
 MAX_TEXT = 10_000
-"""Letters of an expression that are searched for a unit."""
+"""The maximum number of letters of an expression that are searched for a unit."""
 
 
 def written_unit(unit: str, *texts: str) -> Unit | None:
-    """The first unit in the texts that measures the same as the SI unit `unit`, or None."""
+    """Return the first unit in the texts that measures the same as the SI unit `unit`, or None."""
     units = (candidate for text in texts for candidate in units_in(text))
     return next((candidate for candidate in units if str(candidate.dimension) == unit), None)
 
 
 def usual_unit(unit: str) -> Unit:
-    """The unit in which people read a quantity in the SI unit `unit` that no text writes: deg for rad, else
-    the SI unit."""
+    """Return the unit in which people read a quantity in the SI unit `unit` that no text writes: deg for rad,
+    else the SI unit."""
     return unit_named(_USUAL.get(unit, unit))
 
 
 def unit_named(text: str) -> Unit:
-    """The unit `deg/s`; one without a dimension where a word of the text is none."""
+    """Return the unit `deg/s`; one without a dimension where a word of the text is none."""
     return ONE if text in ("", "1") else _unit(text) or Unit(text, ONE.dimension)
 
 
 def units_in(text: str) -> Iterator[Unit]:
-    """The units that follow a number in a text, in their order."""
+    """Yield the units that follow a number in a text, in their order."""
     text = text[:MAX_TEXT]
     matches = [*_UNIT.finditer(text), *_COMPOUND.finditer(text)]
     for match in sorted(matches, key=lambda each: each.start()):
@@ -44,7 +44,7 @@ def units_in(text: str) -> Iterator[Unit]:
 
 
 def _unit(text: str) -> Unit | None:
-    """`deg/s` as a unit; None where a word is none."""
+    """Return `deg/s` as a unit; None if a word is no unit."""
     whole, divides = ONE, False
     for word in re.split(r"([*/])", text):
         if word in ("*", "/"):

@@ -5,25 +5,26 @@ A static rule is a generator from a `RuleContext` to findings, a simulated rule 
 rule uses another rule. Each module of rules lists both kinds, in `STATIC_RULES` and `SIMULATED_RULES`. The
 decorator `rule` gives a rule its code; its page is in `rule_pages`, by this code.
 
-names.py         unused definitions, equality of measurements, angles that jump              DB205, DB411, DB506
-robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317,
-                                                                                             DB319, DB322, DB324,
-                                                                                             DB615
-world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316,
-                                                                                             DB323, DB507, DB809,
-                                                                                             DB812
-observations.py  what the policy sees; saturation.py values at the end of their range        DB6
-rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
-cycles.py        what a cycle of states earns that never ends in success                     DB716
-endings.py       when episodes end, goals that cannot be reached                             DB8
-exploits.py      rewards that pay for something other than success                           DB712 to DB715, DB717
+names.py               DB205, DB411, DB506: unused definitions, equality of measurements, angles that jump
+robots.py              DB312 to DB324, DB615: commands, actuators, wheels that slip, rays above everything
+world.py               DB309, DB310, DB316, DB323, DB507, DB809, DB812: scale, engines, starts of episodes
+observations.py        DB6: the observation
+saturation.py          DB6: values at the end of their range
+rewards.py             DB7, DB810: the size of the reward
+shaping.py             DB7: its direction
+incentives.py          DB7: behavior that pays
+cycles.py              DB716: the reward of a cycle of states that avoids success
+endings.py             DB8: ends of episodes, goals that cannot be reached
+exploits.py            DB712 to DB715, DB717: rewards that pay for something other than success
 
-pages.py         the pages of findings, of which `rule_pages` contains the texts
-context.py       the code of a rule, and what a rule is given: the scenario, its analysis, places in its text,
-                 the report of its simulation
-simulation.py    plan, process and report of a simulation; simulation_process.py, rollouts.py and search.py
-                 run in that process
-fixes.py         applies fixes; settings.py which files are linted, and how
+pages.py               the pages of findings, of which `rule_pages` contains the texts
+context.py             the code of a rule, and its arguments: the scenario, its analysis, its simulation
+simulation.py          plan, process and report of a simulation
+simulation_process.py  the process of a simulation
+rollouts.py            resets and episodes in that process
+search.py              the search for exploits in that process
+fixes.py               applies fixes
+settings.py            the files that are linted, and the settings of a project
 """
 
 from __future__ import annotations
@@ -63,13 +64,13 @@ SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(
 )
 
 _CAUSES = frozenset({"DB315"})
-"""Warnings that may explain an error: an arm that cannot reach its target contorts."""
+"""The warnings that may explain an error: an arm that cannot reach its target contorts."""
 _DOUBTFUL = frozenset({"DB304", "DB504", "DB505"})
-"""Findings about a value that is probably wrong, such as `fall_angle: 15 rad`."""
+"""The findings about a value that is probably wrong, such as `fall_angle: 15 rad`."""
 
 
 def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
-    """The findings of all static rules; none for a scenario with errors.
+    """Yield the findings of all static rules; none for a scenario with errors.
 
     A rule that raises an exception is reported as DB903, and the other rules run.
     """
@@ -106,12 +107,12 @@ def all_findings(
     measured: Iterable[Finding] | None = None,
     exploits: Iterable[Finding] | None = None,
 ) -> list[Finding]:
-    """All findings of the compiler and of the rules, without suppressed ones and warnings about robot files
-    of other packages.
+    """Return all findings of the compiler and of the rules, without suppressed ones and warnings about robot
+    files of other packages.
 
     `inspect` of a robot file shows the latter. `measured` are the findings of a simulation, None if there was
-    none; a static finding replaces a measured one at the same place. `exploits` are those of a search for
-    exploits, None if there was none.
+    none; a static finding replaces a measured one at the same place. `exploits` are the findings of a search
+    for exploits, None if there was none.
     """
     models = (checked.robots or {}).values()
     sources = (*checked.document.sources, *(robot.file.source for robot in models))
@@ -130,9 +131,9 @@ def all_findings(
 
 
 def _limited(findings: list[Finding]) -> list[Finding]:
-    """The findings in their order; of too many, errors before warnings and limits before both, with a note on
-    the number of the rest."""
-    limit = MAX_FINDINGS + 1  # the last may be that there are too many
+    """Return the findings in their order; of too many, errors before warnings and limits before both, with a
+    note on the number of the rest."""
+    limit = MAX_FINDINGS + 1  # the last finding may report that there are too many
     if len(findings) > limit:
         by_weight = sorted(
             findings,
@@ -148,7 +149,7 @@ def _limited(findings: list[Finding]) -> list[Finding]:
 
 @dataclass(frozen=True)
 class SimulationFindings:
-    """The findings of a simulation; `incomplete` says why it ended early, where that is no finding."""
+    """The findings of a simulation; `incomplete` is the reason why it ended early, if that is no finding."""
 
     findings: list[Finding]
     incomplete: str | None = None
@@ -156,13 +157,13 @@ class SimulationFindings:
 
 def simulate(
     checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()
-) -> SimulationFindings:  # immutable
+) -> SimulationFindings:
     """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
     If these find errors, warnings are dropped except `_CAUSES`: the behavior would follow from the errors. A
     rule that raises an exception is reported as DB903, and so is a fault of deepbots in the simulation.
     """
-    assert checked.program is not None  # it has no errors
+    assert checked.program is not None  # a scenario without errors has a program
     assert checked.namespace is not None
     source = checked.document.source
     report = measure(checked.inputs, limits, permissions=checked.document.permissions)
@@ -189,8 +190,8 @@ def simulate(
 
 @dataclass(frozen=True)
 class FoundExploits:
-    """The exploits of a reward, how many episodes were played, and how many succeeded; `incomplete` says why
-    there are not all."""
+    """The exploits of a reward, the number of episodes, and the number of successes; `incomplete` is the
+    reason why exploits may be missing."""
 
     exploits: list[Exploit]
     episodes: int
@@ -200,7 +201,7 @@ class FoundExploits:
 
 def find_exploits(checked: CheckedScenario, *, limits: Limits = EXPLOIT_LIMITS) -> FoundExploits:
     """Search for exploits of the reward of a scenario without errors, in a process of its own."""
-    assert checked.program is not None  # it has no errors
+    assert checked.program is not None  # a scenario without errors has a program
     assert checked.namespace is not None
     report = measure(checked.inputs, limits, permissions=checked.document.permissions, search=True)
     if report.fault is not None:
@@ -253,16 +254,16 @@ class _Texts:
             self._spans[span.source].append(span)
 
     def around(self, place: Span) -> Span | None:
-        """The piece that holds `place`."""
+        """Return the piece that contains `place`."""
         spans = self._spans.get(place.source, ())
         at = bisect_right(spans, place.start, key=lambda span: span.start) - 1
         return spans[at] if at >= 0 and place.end <= spans[at].end else None
 
 
 def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
-    """The texts of the doubtful values, and all texts that refer to names that these define, however
+    """Return the texts of the doubtful values, and all texts that refer to names that these define, however
     indirectly."""
-    assert checked.namespace is not None  # the scenario has no errors
+    assert checked.namespace is not None  # a scenario without errors has a namespace
     values = checked.namespace.values
     users: dict[str, set[Span]] = defaultdict(set)
     for reading in values.readings:

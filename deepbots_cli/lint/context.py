@@ -1,5 +1,5 @@
-"""A rule and its code, and what a rule is given: the checked scenario, its program, its analysis, places in
-the text, a simulation."""
+"""A rule and its code, and its arguments: the checked scenario, its program, its analysis, places in its
+text, a simulation."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from deepbots_cli.program.world import ARENA_WALLS, GROUND
 class RuleContext:
     """A scenario without errors, for the rules.
 
-    `program` is what it compiles to, `analysis` what several rules ask about that, and `values` the places in
-    its text.
+    `program` is the compiled scenario, `analysis` has the results that several rules use, and `values` the
+    places in its text.
     """
 
     def __init__(self, checked: CheckedScenario, program: Program, namespace: Namespace) -> None:
@@ -38,14 +38,14 @@ class RuleContext:
             *(stage.program for stage in program.curriculum),
         ]
         self.versions = (self.analysis, *map(Analysis, variants))
-        """The scenario itself, and under the settings of each case and each stage."""
+        """The analyses of the scenario itself, and under the settings of each case and each stage."""
 
     def text(self, owner: str) -> SourceText:
-        """The text of an expression, by its owner."""
+        """Return the text of an expression, by its owner."""
         return self.values.text(tuple(owner.split(".")))
 
     def range_span(self, entry: Observation) -> Span:
-        """The place of the range of an observation."""
+        """Return the place of the range of an observation."""
         return self.values.span(("observation", entry.value.name, "range"))
 
 
@@ -71,10 +71,10 @@ class Simulation(RuleContext):
         self.plan = simulation_plan(program)
         self.report = report
         self.measured = {by: measured for by, measured in report.measured.items() if measured.steps}
-        """By policy; only policies that made a step."""
+        """The statistics by policy; only policies that made a step."""
         self.steps = sum(measured.steps for measured in self.measured.values())
         self.is_complete = report.done and report.stop is None
-        """Whether nothing stopped the simulation, so that absence of an event means something."""
+        """Whether nothing stopped the simulation, so that the absence of an event has a meaning."""
         self.robot_names = tuple(robot.name for robot in program.robots)
         self.walls = {
             piece: name
@@ -85,14 +85,14 @@ class Simulation(RuleContext):
         """The name of the wall that each piece, such as `bay 1`, belongs to."""
 
     def terms(self) -> Iterator[tuple[Expression, dict[str, TermStatistics]]]:
-        """Every term of the reward, with its statistics by policy."""
+        """Yield every term of the reward, with its statistics by policy."""
         for place, term in enumerate(self.program.agent.reward):
             yield term, {by: measured.terms[place] for by, measured in self.measured.items()}
 
     # Places in the scenario
 
     def body_span(self, name: str | None) -> Span:
-        """The definition of a body; the whole world for an unknown one."""
+        """Return the definition of a body; the whole world for an unknown one."""
         base = (name or "").partition("#")[0]
         spec = self.checked.spec
         if base in self.robot_names:
@@ -110,7 +110,7 @@ class Simulation(RuleContext):
         return self.values.key_span(path)
 
     def placement(self, name: str) -> Span | None:
-        """The span at which the scenario places a body; None if it does not."""
+        """Return the span at which the scenario places a body; None if it does not."""
         base = name.partition("#")[0]
         place = next((place for place in self.analysis.placements if place.body == base), None)
         if place is None:
@@ -120,13 +120,13 @@ class Simulation(RuleContext):
     # Words
 
     def called(self, body: str) -> str:
-        """The name of a body in a sentence; a wall with one segment has the name that the scenario gives
-        it."""
+        """Return the name of a body in a sentence; a wall with one segment has the name that the scenario
+        gives it."""
         wall = self.walls.get(body, body)
         return wall if list(self.walls.values()).count(wall) == 1 else body
 
     def when(self, where: SimulationPosition | None = None) -> str:
-        """The progress of the simulation, for a note."""
+        """Return the progress of the simulation, for a note."""
         doing, seed, step = where or self.report.where
         if doing == "build":
             return "while the world was built"
@@ -137,7 +137,7 @@ class Simulation(RuleContext):
 
     @property
     def summary(self) -> str:
-        """How much was simulated, for a note."""
+        """The extent of the simulation, for a note."""
         parts = [f"{measured.steps} steps of {by}" for by, measured in self.measured.items()]
         return (
             f"simulated: {' and '.join(filter(None, (', '.join(parts[:-1]), parts[-1])))}"
@@ -168,8 +168,8 @@ class Simulation(RuleContext):
         return None
 
     def _identifiers(self) -> Iterator[tuple[str, tuple[Expression, Section]]]:
-        """The identifiers of values in generated code, in the order of `codegen.text`, which appends a number
-        to a taken one."""
+        """Yield the identifiers of values in generated code, in the order of `codegen.text`, which appends a
+        number to a taken one."""
         program = self.program
         for entry in program.agent.observation:
             for name in (
@@ -222,7 +222,7 @@ class LintRule(Generic[C, F]):
 
 
 def rule(code: str) -> Callable[[Callable[[C], Iterator[F]]], LintRule[C, F]]:
-    """A decorator that makes a generator of findings the rule of this code."""
+    """Return a decorator that makes a generator of findings the rule of this code."""
 
     def with_code(check: Callable[[C], Iterator[F]]) -> LintRule[C, F]:
         return LintRule(code, check)

@@ -1,4 +1,4 @@
-"""What a cycle of states earns that never ends in success (DB716).
+"""The reward of a cycle of states that avoids success (DB716).
 
 The rule assumes courses of the compared quantities (`analysis.courses`), and adds up the reward along them. A
 cycle is worth its reward per timestep for half of the episode; finishing is worth the reward from the cycle
@@ -38,21 +38,22 @@ from deepbots_cli.lint.incentives import MIN_WORTH, horizon, hovering, steps_fro
 from deepbots_cli.program.values import Expression
 
 _SHARE_OF_EPISODE = 0.5
-"""The rest of an episode passes on the way, and while a cycle is not repeated at once."""
+"""The share of an episode that is left for repeated cycles; the rest passes on the way, and before a cycle is
+repeated."""
 _SHARE_OF_SPEED = 0.8
-"""A robot that turns back again and again is slower than its largest speed."""
+"""The share of its largest speed that a robot has that turns back again and again."""
 _MAX_HELD = 400
-"""Timesteps of a cycle in which a success is nearly held."""
+"""The maximum number of timesteps of a cycle in which a success is nearly held."""
 _MIN_STEPS = 10
-"""Too short a rest of an episode to repeat anything."""
+"""The least number of steps left in an episode in which a cycle can repeat."""
 _MAX_INSIDE, _MAX_WAYS = 2, 4
-"""Ways to succeed, and to avoid success, that are looked at."""
+"""The numbers of ways to succeed, and to avoid success, that are examined."""
 _MAX_PLAYED = 12_000
-"""Timesteps of all courses of a scenario."""
+"""The maximum number of timesteps of all courses of a scenario."""
 
 Values = Mapping[int, Interval]
 Phase = tuple[Values, int]
-"""Values of the quantities, and for how many timesteps."""
+"""The values of the quantities, and the number of timesteps for which they stay."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,8 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Earned:
-    """What a cycle earns: by term and in all per timestep, over the rest of an episode, and what finishing
-    earns from there."""
+    """The reward of a cycle: per timestep, by term and in all; over the rest of an episode; and the reward
+    for finishing instead."""
 
     cycle: Cycle
     rates: Mapping[str, float]
@@ -81,7 +82,7 @@ class Earned:
 
 @rule("DB716")
 def cycle_pays(context: RuleContext) -> Iterator[Finding]:
-    """A cycle of states that never ends in success pays more than success."""
+    """Report a cycle of states that never ends in success and pays more than success."""
     if not context.analysis.reward.is_complete or hovering(context) is not None:
         return
     for success in context.program.successes:
@@ -118,7 +119,7 @@ class _Search:
         self._fine = min(0.0, total_range(final, self._reward.ranges_at(None)).high)
 
     def paid(self) -> Iterator[Earned]:
-        """What cycles earn that earn more than finishing."""
+        """Yield the cycles that pay more than finishing."""
         if self._steps * _SHARE_OF_EPISODE < _MIN_STEPS:
             return
         inside = [way for way in ways(self._analysis, self._condition) if way]
@@ -157,7 +158,7 @@ class _Search:
             yield from self._shaken(out, base)
 
     def _nearly_held(self, within: Way, finish: Values, out: Way, base: Values) -> Iterator[Cycle]:
-        """Success holds but for the time that it must hold."""
+        """Yield cycles that hold the success condition almost as long as required."""
         near = dict(finish)
         for key, required in out.items():
             edge = _across(required)
@@ -176,8 +177,8 @@ class _Search:
             yield Cycle(((near, max(1, held // 2)), (base, max(1, held // 2))), changing)
 
     def _held(self, base: Values, near: Values) -> int:
-        """For how many timesteps the values of success do not yet end the episode; 0 where nothing ends
-        it."""
+        """Return the number of timesteps for which the values of success do not yet end the episode; 0 if
+        nothing ends it."""
         course = self._course({**base, **near}, is_moving=False)
         for _ in range(2):
             course.follow(base)
@@ -188,7 +189,7 @@ class _Search:
         return 0
 
     def _crossings(self, out: Way, base: Values) -> Iterator[Cycle]:
-        """A quantity of the reward crosses a value that a term compares it with."""
+        """Yield cycles in which a quantity crosses a threshold of a reward term."""
         times = {
             1,
             *(
@@ -208,8 +209,8 @@ class _Search:
                 yield Cycle((({**base, **inside}, count), ({**base, **outside}, 1)), key)
 
     def _regions_in_reward(self) -> Iterator[tuple[int, Values, Values]]:
-        """The values of several quantities that meet a condition of a term, and the same with one of them
-        beyond its bound."""
+        """Yield the values of several quantities that meet a condition of a term, and the same with one of
+        them beyond its bound."""
         met: set[int] = set()
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
             identity = self._analysis.identity(part)
@@ -242,7 +243,7 @@ class _Search:
                 yield key, (NEVER, ALWAYS)
 
     def _shaken(self, out: Way, base: Values) -> Iterator[Cycle]:
-        """A quantity whose change is paid goes to and fro."""
+        """Yield cycles in which a quantity whose change is rewarded moves back and forth."""
         for key, node in self._changing():
             rate = rate_of(self._analysis, node) * self._tick * _SHARE_OF_SPEED
             if not 0.0 < rate < INF:
@@ -283,7 +284,7 @@ class _Search:
         return Course(self._analysis, self._watched, quantities, begin=begin, is_moving=is_moving)
 
     def _earned(self, cycle: Cycle, finish: Values) -> Earned | None:
-        """What a cycle earns; None where it ends the episode, or where finishing from it is unknown."""
+        """Return the reward of a cycle; None if it ends the episode, or if finishing from it is unknown."""
         turns = max(3, ceil(self._longest_hold / cycle.ticks) + 1)
         self._left -= (turns + 3) * cycle.ticks
         if self._left < 0:
@@ -299,7 +300,7 @@ class _Search:
                 return None
             early = turn
         course.skip(before, self._counted / cycle.ticks, cycle.ticks)
-        passing = self._turn(course, cycle)  # pays what is paid once, in the time that is skipped
+        passing = self._turn(course, cycle)  # has the payments that occur once, in the time that is skipped
         late = None if passing is None else self._turn(course, cycle)
         if late is None:
             return None
@@ -314,7 +315,7 @@ class _Search:
         return Earned(cycle, rates, rate, rate * self._steps * _SHARE_OF_EPISODE + self._fine, finishing)
 
     def _turn(self, course: Course, cycle: Cycle) -> Mapping[str, float] | None:
-        """What each term pays for certain in one turn of a cycle; None where the episode ends."""
+        """Return the least reward of each term in one turn of a cycle; None if the episode ends."""
         sums: dict[str, float] = {}
         for values, count in cycle.phases:
             for _ in range(count):
@@ -346,7 +347,7 @@ class _Search:
 
 
 def _across(required: Required) -> float | None:
-    """A value just on the other side of the bound of a requirement."""
+    """Return a value just on the other side of the bound of a requirement."""
     low, high = required.within
     if low == high:
         return 1.0 - low if low in (0.0, 1.0) else None
@@ -390,8 +391,8 @@ def _description(context: RuleContext, cycle: Cycle) -> str:
 
 
 def _texts(context: RuleContext) -> dict[int, tuple[str, Dimension | None]]:
-    """How the scenario writes quantities, at the shortest, by their identity, with their dimension; None for
-    truth values."""
+    """Return the shortest text of each quantity in the scenario, by its identity, with its dimension; None
+    for truth values."""
     analysis, texts = context.analysis.ideal, dict[int, tuple[str, Dimension | None]]()
     values = [*context.program.endings, *context.program.signals, *context.program.agent.reward]
     for value in values:

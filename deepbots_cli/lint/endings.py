@@ -1,4 +1,4 @@
-"""When episodes end, and goals that cannot be reached (family DB8)."""
+"""Ends of episodes, and goals that cannot be reached (family DB8)."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
 
 _TOUCHING_FACTOR = 0.98
-"""Engines let bodies penetrate each other a little."""
+"""The factor on distances for engines, which let bodies penetrate each other a little."""
 _CLOCK_NAMES = frozenset({"time", "step"})
 _OF_LAST_STEP = frozenset({"previous_reward", "episode_return"})
 _MAX_SEEDS = 8
-"""Seeds listed in a note."""
+"""The number of seeds in a note."""
 
 
 @rule("DB801")
 def never_true(context: RuleContext) -> Iterator[Finding]:
-    """An ending can never be true."""
+    """Report an ending that can never be true."""
     silent = [
         {ending.name for ending in analysis.program.endings if _truth_over_episode(analysis, ending) == NEVER}
         for analysis in context.versions
@@ -67,7 +67,7 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
 
 
 def _truth_over_episode(analysis: Analysis, ending: Expression) -> Interval:
-    """Whether an ending holds in an episode without time limit; 0 .. 1 where that depends."""
+    """Return whether an ending holds in an episode without time limit; 0 .. 1 if that depends."""
     return TRUTH if ending.foreign else analysis.ranges_in(0.0, INF).of(analysis.scalars(ending)[0])
 
 
@@ -83,7 +83,7 @@ def _help_for_untrue(analysis: Analysis, ending: Expression) -> str:
 
 
 def _impossible_contacts(analysis: Analysis, ending: Expression) -> list[EngineRead]:
-    """Contacts of an object that is not solid."""
+    """Return the contacts of an object that is not solid."""
     (node,) = analysis.scalars(ending)
     touches = (part for part in analysis.walk_definitions(node) if isinstance(part, EngineRead))
     return [
@@ -94,7 +94,8 @@ def _impossible_contacts(analysis: Analysis, ending: Expression) -> list[EngineR
 
 
 def _reasons(analysis: Analysis, ending: Expression) -> Iterator[str]:
-    """Comparisons that never hold, with the ranges of their sides; or why the parts never hold together."""
+    """Yield comparisons that never hold, with the ranges of their sides; or why the parts never hold
+    together."""
     ranges = analysis.ranges_in(0.0, INF)
     never = [
         entry
@@ -123,7 +124,7 @@ def _reasons(analysis: Analysis, ending: Expression) -> Iterator[str]:
 
 
 def _sides(entry: ConditionComparison, ranges: Ranges) -> Iterator[tuple[str, Interval, str]]:
-    """The text, the range and the range in words of both sides of a comparison, except constants."""
+    """Yield the text, the range and the range in words of both sides of a comparison, except constants."""
     for arg in entry.node.args:
         interval = hull([ranges.of(part) for part in ranges.analysis.lowered(arg, entry.value.owner)])
         if not interval.is_single:
@@ -132,7 +133,7 @@ def _sides(entry: ConditionComparison, ranges: Ranges) -> Iterator[tuple[str, In
 
 @rule("DB802")
 def always_true(context: RuleContext) -> Iterator[Finding]:
-    """An ending holds in every step, so that each episode ends at once."""
+    """Report an ending that holds in every step, so that each episode ends at once."""
     for ending in context.program.endings:
         if _truth_over_episode(context.analysis, ending) == ALWAYS:
             headline = f"`{ending.name}` is true in every step"
@@ -141,7 +142,7 @@ def always_true(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB804")
 def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
-    """One of two limits always comes first, so the other has no effect."""
+    """Report one of two limits without effect, because the other always comes first."""
     yield from _later_limit(context)
     yield from _later_ending(context)
     analysis, last = context.analysis, context.analysis.last_step
@@ -170,7 +171,7 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
 
 
 def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
-    """Ranges in these steps, with the range of the return; `first` is 0 or `last`."""
+    """Return ranges in these steps, with the range of the return; `first` is 0 or `last`."""
     reward = analysis.reward
     step = total_range(reward.terms, reward.ranges_while_running())
     ticks = float((last - bool(first)) * analysis.program.action_repeat)
@@ -183,7 +184,7 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
 
 
 def _later_limit(context: RuleContext) -> Iterator[Finding]:
-    """The later one of `max_steps` and `max_time`, if it is the same in every case and every stage."""
+    """Report the later one of `max_steps` and `max_time`, if it is the same in every case and every stage."""
     later = {_later(analysis.program) for analysis in context.versions}
     if len(later) == 1 and (name := later.pop()):
         other = "max_steps" if name == "max_time" else "max_time"
@@ -207,7 +208,7 @@ def _later(program: Program) -> str:
 
 
 def _later_ending(context: RuleContext) -> Iterator[Finding]:
-    """Endings that come too late in every case and every stage."""
+    """Report endings that come too late in every case and every stage."""
     shadowed, failures = context.analysis.shadowed, context.program.failures
     later = [{late.name for late in analysis.shadowed} for analysis in context.versions] if shadowed else []
     for late, first in shadowed.items():
@@ -224,8 +225,8 @@ def _later_ending(context: RuleContext) -> Iterator[Finding]:
 
 
 def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
-    """The names without definition that a value depends on, except parameters; facts of the world by their
-    function."""
+    """Return the names without definition that a value depends on, except parameters; facts of the world by
+    their function."""
     parameters = {value.name for value in analysis.program.parameters}
     nodes = list(analysis.walk_definitions(node))
     names = {part.name for part in nodes if isinstance(part, Name)} - parameters
@@ -234,7 +235,7 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
 
 @rule("DB805")
 def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
-    """An ending depends only on the time, which the agent does not observe."""
+    """Report an ending that depends only on the time, which the agent does not observe."""
     analysis = context.analysis
     shown = {
         name
@@ -254,7 +255,7 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB806")
 def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
-    """An ending is already true at the start of every episode."""
+    """Report an ending that is already true at the start of every episode."""
     analysis, start = context.analysis, context.analysis.start
     for ending in context.program.endings:
         if ending.foreign is None and start.of(analysis.scalars(ending)[0]) == ALWAYS != _truth_over_episode(
@@ -278,7 +279,7 @@ def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB806")
 def sometimes_ends_at_reset(simulation: Simulation) -> Iterator[Finding]:
-    """An ending holds when an episode begins, with at least one seed."""
+    """Report an ending that holds when an episode begins, with at least one seed."""
     for ending in simulation.program.endings:
         seeds = simulation.report.endings_at_reset.get(ending.name, [])
         if seeds:
@@ -307,7 +308,7 @@ def _help_for_early(program: Program, ending: Expression, help_for_failure: str)
 
 @rule("DB808")
 def undefined_value(simulation: Simulation) -> Iterator[Finding]:
-    """An episode cannot begin or continue, for a reason that no other code reports."""
+    """Report an episode that cannot begin or continue, for a reason that no other code reports."""
     stop, failed = simulation.report.stop or {}, simulation.failed
     if failed is not None and failed.section == "other":
         help = (
@@ -329,7 +330,7 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
 
 @rule("DB811")
 def after_the_end(context: RuleContext) -> Iterator[Finding]:
-    """A push, a reading or a message would come only after the end of every episode."""
+    """Report a push, a reading or a message that would come only after the end of every episode."""
     times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
     end = max(analysis.last_step * analysis.period for analysis in context.versions)  # s
     for what, time, path in _delays(context.analysis):
@@ -347,7 +348,7 @@ def after_the_end(context: RuleContext) -> Iterator[Finding]:
 
 
 def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:
-    """Events that come with a delay, the smallest delay (s), and its place."""
+    """Yield events that come with a delay, the smallest delay (s), and its place."""
     program = analysis.program
 
     def low(time: Expression) -> float:
@@ -388,7 +389,7 @@ class SolidProfile(NamedTuple):
     ball: bool = False
 
     def width(self, low: float, high: float) -> float:
-        """The largest radius between two heights."""
+        """Return the largest radius between two heights."""
         if not self.ball:
             return self.radius
         middle = (self.low + self.high) / 2
@@ -398,7 +399,7 @@ class SolidProfile(NamedTuple):
 
 @rule("DB807")
 def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
-    """Success requires a distance that cannot be reached."""
+    """Report a success that requires a distance that cannot be reached."""
     if context.program.world.terrain is not None:
         return
     analysis = context.analysis
@@ -431,7 +432,7 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
 
 
 def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None:
-    """Why two bodies cannot come so near, and a help; None where they can, or where that is unknown."""
+    """Return why two bodies cannot come so near, and a help; None if they can, or if that is unknown."""
     pair = analysis.distance_pair(asked.quantity)
     if pair is None or len(pair) != 2 or isinstance(analysis.resolve_aliases(asked.quantity), EngineRead):
         return None
@@ -457,7 +458,7 @@ def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None
 
 
 def _may_be_above(analysis: Analysis, body: str) -> bool:
-    """Whether a body may be above another: a robot with rotors, or an arm."""
+    """Return whether a body may be above another: a robot with rotors, or an arm."""
     is_fixed = any(robot.name == body and robot.fixed_base for robot in analysis.program.world.robots)
     flying = (
         robot.name
@@ -468,7 +469,8 @@ def _may_be_above(analysis: Analysis, body: str) -> bool:
 
 
 def _touching_distance(first: list[SolidProfile], second: list[SolidProfile]) -> float:
-    """The distance of two origins, seen from above, at which the first parts touch; 0 where none do."""
+    """Return the distance of two origins, seen from above, at which the first parts touch; 0 where none
+    do."""
     distance = 0.0
     for a in first:
         for b in second:
@@ -479,7 +481,7 @@ def _touching_distance(first: list[SolidProfile], second: list[SolidProfile]) ->
 
 
 def _cores(analysis: Analysis, body: str) -> list[SolidProfile]:
-    """The solid parts around the vertical through the origin of a body in its initial attitude."""
+    """Return the solid parts around the vertical through the origin of a body in its initial attitude."""
     world = analysis.program.world
     for thing in world.objects:
         if thing.name == body:
@@ -501,7 +503,8 @@ def _cores(analysis: Analysis, body: str) -> list[SolidProfile]:
 
 
 def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> float | None:
-    """The initial height of the origin, m; None where it is drawn or unknown, or where the body is tilted."""
+    """Return the initial height of the origin, m; None where it is drawn or unknown, or where the body is
+    tilted."""
     start = analysis.start
     if any(start.initial(EngineRead("orientation", (subject,), axis)) != NEVER for axis in "xy"):
         return None
@@ -514,7 +517,8 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
 
 
 def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
-    """The part of a shape that is solid for certain; of a shape that may topple, the sphere within it."""
+    """Return the part of a shape that is solid for certain; of a shape that may topple, the sphere within
+    it."""
     match shape:
         case Sphere(radius):
             return [SolidProfile(height - radius, height + radius, radius, ball=True)]
@@ -527,7 +531,7 @@ def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
 
 
 def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
-    """Whether an object begins farther than `near` (m) beyond the walls of the arena."""
+    """Return whether an object begins farther than `near` (m) beyond the walls of the arena."""
     arena = analysis.program.world.arena
     if arena is None or not any(thing.name == body for thing in analysis.program.world.objects):
         return False
@@ -542,7 +546,7 @@ def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
 
 @rule("DB813")
 def idle_test(context: RuleContext) -> Iterator[Finding]:
-    """A test that can only pass, or only fail."""
+    """Report a test that can only pass, or only fail."""
     program = context.program
     settings = [
         ("", ""),
@@ -566,7 +570,7 @@ def idle_test(context: RuleContext) -> Iterator[Finding]:
 
 
 def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResult) -> bool | None:
-    """Whether an expectation is met in any case (True) or in none (False)."""
+    """Return whether an expectation is met in any case (True) or in none (False)."""
     if expected.endings:
         limits = analysis.program.truncation
         every = {ending.name for ending in analysis.program.endings}

@@ -2,7 +2,7 @@
 
 As in ruff, all fixes that do not overlap are applied at once and the scenario is linted again, until no fix
 is left. Fixes that together cause a new error are halved until the harmful ones are found and left out. An
-error within an edited entry is accepted: the entry could not be read before, which hid the error.
+error within an edited entry is accepted: it was hidden before, because the entry could not be read.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from deepbots_cli.lint import all_findings
 
 _MAX_ROUNDS = 10
 _MAX_LINT_RUNS = 150
-"""How often a scenario of usual size is linted at most; a larger one less often."""
+"""The maximum number of times that a scenario of usual size is linted; a larger one is linted less often."""
 _TYPICAL_SIZE_CHARACTERS = 6_000
-"""Characters; the largest shipped scenario has 5 219."""
+"""The size of a usual scenario in characters; the largest shipped scenario has 5 219."""
 _BOM = b"\xef\xbb\xbf"
 _BETWEEN_ENTRIES = frozenset({"DB002", "DB202"})
 """A duplicate concerns two entries: correcting the name of one makes the conflict, and does not uncover
@@ -51,7 +51,7 @@ class Rewrite:
 class LintResult:
     """The findings of a scenario and the files that it was read from, its own first.
 
-    `root` is None where the text is no YAML; `compiled` says whether lint rules have run.
+    `root` is None if the text is no YAML; `compiled` is true if lint rules have run.
     """
 
     findings: Sequence[Finding]
@@ -86,7 +86,7 @@ class Fixer:
     Args:
         load: Reads and checks a scenario by its name.
         unsafe: Whether to apply unsafe fixes too.
-        wanted: Which findings to fix.
+        wanted: The findings to fix.
         drafts: The contents of files that are open in an editor.
     """
 
@@ -138,7 +138,7 @@ class Fixer:
         )
 
     def _round(self, name: str) -> bool:
-        """Whether any fix of a scenario was applied."""
+        """Return whether any fix of a scenario was applied."""
         before, drafts = dict(self._linted), dict(self.drafts)
         applied: list[Finding] = []
         waiting = [self._applicable(before[name])]
@@ -153,8 +153,8 @@ class Fixer:
         return bool(applied)
 
     def _applicable(self, linted: LintResult) -> list[Finding]:
-        """Findings whose fixes do not overlap. Errors first: a warning may follow from an error that keeps
-        rules from running."""
+        """Return findings whose fixes do not overlap. Errors come first: a warning may follow from an error
+        that keeps rules from running."""
         chosen: list[Finding] = []
         ends: dict[Source, int] = {}
         for finding in sorted(
@@ -213,7 +213,7 @@ class Fixer:
         }
 
     def _byte_order_mark(self, path: Path, source: Source) -> bytes:
-        """The byte order mark of a file, or nothing; keeps the original contents."""
+        """Return the byte order mark of a file, or nothing; the original contents are kept."""
         if path not in self._originals:
             data = files.read(path)
             if files.decode(data, source.name, Findings())[0].text != source.text:
@@ -230,7 +230,7 @@ def _apply(source: Source, edits: Iterable[Edit]) -> str:
 
 
 def _outside(added: Iterable[Finding], root: MappingNode, edits: Iterable[Edit]) -> list[Finding]:
-    """The new errors that are not within an edited entry of the document `root`."""
+    """Return the new errors that are not within an edited entry of the document `root`."""
     entries = []
     shift: Counter[Source] = Counter()
     for edit in sorted(edits, key=lambda edit: edit.span.start):
@@ -249,7 +249,7 @@ def _outside(added: Iterable[Finding], root: MappingNode, edits: Iterable[Edit])
 
 
 def _key(finding: Finding) -> tuple[str, str, str]:
-    """Identifies a finding without its place, which other fixes move."""
+    """Return a key of a finding without its place, which other fixes move."""
     return finding.span.source.name, finding.code, finding.headline
 
 

@@ -1,4 +1,4 @@
-"""What pays: failing early (DB705), staying short of the success (DB708)."""
+"""Behavior that pays: failing early (DB705), staying short of the success (DB708)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, SimulatedEpi
 from deepbots_cli.program.values import Expression
 
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
-"""Facts that are 0 while nothing moves."""
+"""The facts that are 0 while nothing moves."""
 _CLOCKS = frozenset({"time", "step"})
 _ROUNDING = 1e-12
-"""Factors that cancel leave no more than this."""
+"""The largest factor that is left by rounding when factors cancel."""
 MIN_BREAK_EVEN = 0.5
-"""A scenario whose success pays is reported if more of the episodes than this share would have to succeed."""
+"""The share of episodes that would have to succeed, above which a scenario whose success pays is reported."""
 MIN_WORTH = 0.25
-"""Payments worth less than this share of the success, after discounting, are not reported."""
+"""The share of the value of success below which payments, after discounting, are not reported."""
 
 
 # Failing early
@@ -34,7 +34,7 @@ MIN_WORTH = 0.25
 
 @rule("DB705")
 def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
-    """Failing early costs less than an episode that goes on to its time limit."""
+    """Report that failing early costs less than an episode that goes on to its time limit."""
     program, reward = context.program, context.analysis.reward
     ordinary, final = reward.split_by_end()
     running = _short_of_the_goal(reward)
@@ -115,28 +115,28 @@ def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tupl
 
 
 def break_even(living: float, failing: float, success: float) -> float:
-    """The share of episodes that must succeed, at once, before going on is worth more than failing; all three
-    are returns."""
+    """Return the share of episodes that must succeed, at once, before going on is worth more than failing;
+    all three are returns."""
     return (failing - living) / (success - living)
 
 
 def horizon(reward: RewardTerms) -> float:
-    """The steps of the agent that count: those of an episode, or the horizon of the discount factor if it is
-    shorter."""
+    """Return the steps of the agent that matter: those of an episode, or the horizon of the discount factor
+    if it is shorter."""
     gamma = reward.program.agent.discount
     return min(float(reward.analysis.last_step), INF if gamma >= 1.0 else 1.0 / (1.0 - gamma))
 
 
 def _steps_that_count(reward: RewardTerms, ending: Expression) -> float:
-    """The steps of the agent after the first one in which an ending may hold, no more than the discount
-    factor lets count."""
+    """Return the steps of the agent after the first one in which an ending may hold, at most the horizon of
+    the discount factor."""
     return max(
         0.0, min(reward.analysis.last_step - 1.0 - _first_step(reward.analysis, ending), horizon(reward))
     )
 
 
 def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Expression] | None:
-    """The smallest reward for certain, and its failure, of the failure for which this is largest."""
+    """Return the smallest reward for certain, and its failure, of the failure for which this is largest."""
     failed = reward.program.failures
     costs = [
         (total_range(final, reward.ranges_at(ending)).low, ending)
@@ -147,7 +147,7 @@ def _cheapest_failure(reward: RewardTerms, final: Terms) -> tuple[float, Express
 
 
 def _total_sum(terms: Terms, ranges: Ranges, steps: float) -> float:
-    """The largest sum of terms over the first steps of an episode."""
+    """Return the largest sum of terms over the first steps of an episode."""
     total = NEVER
     for _, node in terms:
         total = iv.add(total, _sum_over_steps(ranges, node, steps))
@@ -155,8 +155,8 @@ def _total_sum(terms: Terms, ranges: Ranges, steps: float) -> float:
 
 
 def _sum_over_steps(ranges: Ranges, node: Scalar, steps: float) -> Interval:
-    """The range of the sum of a value over the first steps of an episode. The sum of `delta(x)` is the change
-    of x from its start."""
+    """Return the range of the sum of a value over the first steps of an episode. The sum of `delta(x)` is the
+    change of x from its start."""
     node = ranges.analysis.resolve_aliases(node)
     match node:
         case State("delta", (quantity, *start)):
@@ -177,7 +177,7 @@ def _sum_over_steps(ranges: Ranges, node: Scalar, steps: float) -> Interval:
 
 
 def _short_of_the_goal(reward: RewardTerms) -> Ranges:
-    """Ranges in a step that ends nothing and, where there is a goal, does not reach it."""
+    """Return ranges in a step that ends nothing and, if there is a goal, does not reach it."""
     goal, running = reward.program.agent.goal, reward.ranges_while_running()
     reached = reward.analysis.resolve_aliases(Name("goal_reached"))
     if goal is None or not isinstance(reached, Op):
@@ -189,7 +189,7 @@ def _short_of_the_goal(reward: RewardTerms) -> Ranges:
 
 @rule("DB705")
 def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
-    """Failing early costs less than even the cheapest simulated policy, as with `-distance`."""
+    """Report that failing early costs less than even the cheapest simulated policy, as with `-distance`."""
     reward = simulation.analysis.reward
     ordinary, final = reward.split_by_end()
     failure, successes = _cheapest_failure(reward, final), simulation.program.successes
@@ -204,7 +204,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     ):
         return
     if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
-        return  # the static rule knows the costs
+        return  # the static rule has computed the costs
     if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
         return  # later steps cost something else
     cost, ending = failure
@@ -269,7 +269,7 @@ class _StillRanges(Ranges):
         return super()._op(op, args)
 
     def _sum(self, op: str, args: Sequence[Scalar]) -> Interval:
-        """A sum or difference, in which a quantity and its value one step ago are the same."""
+        """Return a sum or difference, in which a quantity and its value one step ago are the same."""
         shares: dict[int, tuple[Scalar, float]] = {}
         for node, share in ((args[0], 1.0), (args[1], 1.0 if op == "add" else -1.0)):
             for part, factor in self._parts(self._now(node), share):
@@ -282,7 +282,7 @@ class _StillRanges(Ranges):
         return total
 
     def _parts(self, node: Scalar, share: float) -> Iterator[tuple[Scalar, float]]:
-        """What a sum adds, each with its factor."""
+        """Yield the summands of a sum, each with its factor."""
         match self.analysis.resolve_aliases(node):
             case Op("neg", (inner,)):
                 yield from self._parts(inner, -share)
@@ -299,7 +299,7 @@ class _StillRanges(Ranges):
                 yield part, share
 
     def _now(self, node: Scalar) -> Scalar:
-        """The same value, with each quantity one step ago replaced by the quantity."""
+        """Return the same value, with each quantity one step ago replaced by the quantity."""
         if not has_memory(self.analysis, node):
             return node
         match self.analysis.resolve_aliases(node):
@@ -313,14 +313,14 @@ class _StillRanges(Ranges):
 
 @rule("DB708")
 def hovering_pays(context: RuleContext) -> Iterator[Finding]:
-    """An episode can collect more reward without success than success pays."""
+    """Report that an episode can collect more reward without success than success pays."""
     finding = hovering(context)
     if finding is not None:
         yield finding
 
 
 def hovering(context: RuleContext) -> Finding | None:
-    """The state beside the success that pays more than this; None where there is none."""
+    """Return a finding about the state beside the success that pays more than this; None if there is none."""
     analysis, reward = context.analysis, context.analysis.reward
     ordinary, final = reward.split_by_end()
     successes = context.program.successes
@@ -364,8 +364,8 @@ def hovering(context: RuleContext) -> Finding | None:
 
 
 def _pay(waiting: Ranges, node: Scalar, *, is_open: bool) -> float:
-    """What a term pays in each step of waiting: the largest value where other facts are `is_open`, but of
-    memories what is certain.
+    """Return the reward of a term in each step of waiting. If other facts are open (`is_open`), this is the
+    largest value that they allow, and for memories the value that is certain.
 
     A memory such as `running_max` may have any value of its range, but does not pay its rise in each step.
     """
@@ -374,7 +374,7 @@ def _pay(waiting: Ranges, node: Scalar, *, is_open: bool) -> float:
 
 
 def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | None]:
-    """The thresholds of a success, at each of which it may barely not hold; None for one that compares
+    """Return the thresholds of a success, at each of which it may barely not hold; None for one that compares
     nothing, such as a contact."""
     running = analysis.reward.ranges_while_running()
     compared = list(comparisons(analysis, success))
@@ -388,8 +388,8 @@ def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | 
 
 
 def _first_step(analysis: Analysis, ending: Expression) -> float:
-    """The first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) > 5
-    s`."""
+    """Return the first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) >
+    5 s`."""
     first, ranges = 0.0, analysis.ranges_in(0.0, float(analysis.last_step))
     for node in analysis.conjuncts(*analysis.scalars(ending)[:1]) if ending.foreign is None else ():
         match node:
@@ -405,13 +405,13 @@ def _first_step(analysis: Analysis, ending: Expression) -> float:
 
 
 def steps_from(analysis: Analysis, ending: Expression) -> float:
-    """The steps of the agent after the first one in which an ending may hold."""
+    """Return the steps of the agent after the first one in which an ending may hold."""
     return max(0.0, analysis.last_step - ceil(_first_step(analysis, ending)))
 
 
 def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
-    """The ranges while nothing moves, within a fifth of a threshold, on the side where the episode goes
-    on."""
+    """Return the ranges while nothing moves, within a fifth of a threshold, on the side where the episode
+    goes on."""
     kept = None
     if threshold is not None:
         low, high = threshold.bound
@@ -424,7 +424,7 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
 
 @rule("DB708")
 def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
-    """Another behavior pays more over a whole episode than success."""
+    """Report another behavior that pays more over a whole episode than success."""
     successes = simulation.program.successes
     if not successes or not simulation.is_complete:
         return
@@ -460,8 +460,8 @@ PROGRESS_HELP = (
 def _better_than_success(
     episodes: list[SimulatedEpisode],
 ) -> tuple[SimulatedEpisode, SimulatedEpisode] | None:
-    """The best episode that lasted to its limit and the best success, with the same seed, if each seed with
-    both says the same."""
+    """Return the best episode that lasted to its limit and the best success, with the same seed, if the
+    result is the same for each seed with both."""
     pairs = []
     for seed in sorted({episode.seed for episode in episodes}):
         lasting = [episode for episode in episodes if episode.seed == seed and episode.end == "limit"]
@@ -481,8 +481,8 @@ def _better_than_success(
 
 
 def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
-    """As the static rule, for a reward of places whose range the scenario does not tell: the highest that any
-    step paid."""
+    """Report like the static rule a reward that depends on positions of unknown range: it uses the highest
+    reward of any simulated step."""
     analysis, reward = simulation.analysis, simulation.analysis.reward
     ordinary, final = reward.split_by_end()
     if (
@@ -511,7 +511,7 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
 
 
 def _is_motion(analysis: Analysis, node: Scalar) -> bool:
-    """Whether a value depends on a speed."""
+    """Return whether a value depends on a speed."""
     return any(
         isinstance(part, EngineRead) and part.function in _RATE_FUNCTIONS
         for part in analysis.walk_definitions(node)
@@ -519,8 +519,8 @@ def _is_motion(analysis: Analysis, node: Scalar) -> bool:
 
 
 def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
-    """As the static rule: compare what doing nothing pays in the steps that count with what the success pays
-    once."""
+    """Report like the static rule: compare the reward of doing nothing in the steps that matter with the
+    single reward of the success."""
     reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
     ordinary, _ = reward.split_by_end()
     if row is None or not reward.is_complete:

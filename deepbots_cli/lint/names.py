@@ -36,7 +36,7 @@ _COUNTED_ORIGINS = (Origin.PARAMETER, Origin.ACTION, Origin.FIELD, Origin.AUGMEN
 
 @rule("DB205")
 def unused_definition(context: RuleContext) -> Iterator[Finding]:
-    """A definition, a sensor, an actuator or a message value that nothing uses."""
+    """Report a definition, a sensor, an actuator or a message value that nothing uses."""
     used = {
         name
         for each in context.checked.variants
@@ -61,7 +61,7 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
 
 
 def _unused_parts(context: RuleContext) -> Iterator[Finding]:
-    """Sensors and actuators of a robot, and what it receives."""
+    """Report unused sensors, actuators and received values of a robot."""
     read = {
         subject.name
         for value in context.program.computed_expressions
@@ -144,13 +144,13 @@ _SMOOTH_OPERATIONS = frozenset(
         "log",
     }
 )
-"""Operations on a measurement that give a measurement; `clamp`, `min` and `where` give values that can be met
-exactly."""
+"""The operations on a measurement that give a measurement; `clamp`, `min` and `where` give values that can be
+met exactly."""
 
 
 @rule("DB411")
 def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
-    """A condition requires a measurement to be equal to a number."""
+    """Report a condition that requires a measurement to be equal to a number."""
     analysis = context.analysis.ideal
     for value in _written(context.program):
         for node in walk(value.typed):
@@ -179,7 +179,7 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
 
 
 def _written(program: Program) -> Iterator[Expression]:
-    """The signals, reward terms and endings that are not functions of Python."""
+    """Return the signals, reward terms and endings that are not functions of Python."""
     values = (*program.signals, *program.agent.reward, *program.endings)
     return (value for value in values if value.foreign is None)
 
@@ -192,7 +192,8 @@ def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, othe
 
 
 def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) -> bool:
-    """`known` holds the answers for quantities that were asked before."""
+    """Return whether a value is a measurement; `known` has the results for quantities that were checked
+    before."""
     number = analysis.identity(node)
     if number not in known:
         match analysis.resolve_aliases(node):
@@ -213,14 +214,15 @@ def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) ->
 # Angles that jump
 
 _WRAPPING_FUNCTIONS = frozenset({"yaw", "bearing", "path_bearing", "atan2", "wrap"})
-"""Functions that go from 180 deg to -180 deg within a step."""
+"""The functions that go from 180 deg to -180 deg within a step."""
 _PERIODIC_FUNCTIONS = frozenset({"wrap", "sin", "cos", "tan"})
-"""Functions for which a full turn makes no difference."""
+"""The functions for which a full turn makes no difference."""
 
 
 @rule("DB506")
 def angle_jumps(context: RuleContext) -> Iterator[Finding]:
-    """The change of a heading, or the difference of two headings, jumps by a full turn at 180 deg."""
+    """Report the change of a heading, or the difference of two headings, that jumps by a full turn at 180
+    deg."""
     values: list[tuple[Expression, Robot | None]] = [(value, None) for value in _written(context.program)]
     for robot in context.program.robots:
         values += [(value, robot) for value in (*robot.emit, *(command.target for command in robot.commands))]
@@ -238,9 +240,10 @@ def angle_jumps(context: RuleContext) -> Iterator[Finding]:
 
 
 class _AngleWrapping:
-    """Which angles wrap around at 180 deg, in expressions of the supervisor or of a robot controller.
+    """Finds the angles that wrap around at 180 deg, in expressions of the supervisor or of a robot
+    controller.
 
-    `known` holds the answers for names of the supervisor.
+    `known` has the results for names of the supervisor.
     """
 
     def __init__(self, analysis: Analysis, robot: Robot | None, known: dict[str, bool]) -> None:
@@ -249,7 +252,7 @@ class _AngleWrapping:
         self._known = known
 
     def jumps(self, node: Typed) -> Iterator[Typed]:
-        """The parts of an expression that jump."""
+        """Yield the parts of an expression that jump."""
         match node:
             case Invocation(function=function) if function in _PERIODIC_FUNCTIONS:
                 return
@@ -263,7 +266,7 @@ class _AngleWrapping:
             yield from self.jumps(part)
 
     def _differ(self, heading: Typed, other: Typed) -> bool:
-        """Whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
+        """Return whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
         interval = other.type.interval
         return self._wraps(heading) and (
             self._wraps(other) or (interval.is_finite and max(-interval.low, interval.high) > pi / 2 + 1e-9)

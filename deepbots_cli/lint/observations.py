@@ -1,4 +1,4 @@
-"""What the policy sees (family DB6)."""
+"""The observation of the policy (family DB6)."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
 
 _ROUNDING = 1e-6
-"""Relative difference that rounding alone may cause."""
+"""The relative difference that rounding alone may cause."""
 _MIN_COVERED_SHARE = 0.25
-"""Share of the range of a noisy value that an exact value covers at least."""
+"""The share of the range of a noisy value that an exact value covers at least."""
 _MIN_STEPS = 100
-"""Fewer simulated steps allow no conclusion."""
+"""The number of simulated steps below which nothing is concluded."""
 _MIN_RANGE_SHARE = 0.32
-"""Share of the range of all joints that each joint has at least; the arms that we know have 0.33 and more."""
+"""The share of the range of all joints that each joint has at least; the arms that we know have 0.33 and
+more."""
 _MIN_SATURATED_SHARE = 0.5
-"""Share of the steps of every policy in which a value is at the end of its range."""
+"""The share of the steps of every policy in which a value is at the end of its range."""
 
 
 class RangedNumber(NamedTuple):
@@ -59,12 +60,12 @@ class RangedNumber(NamedTuple):
         return _ROUNDING * (self.high - self.low)
 
     def is_outside(self, known: Interval) -> bool:
-        """Whether values of this range never lie in the range of the observation (DB602)."""
+        """Return whether values of this range never lie in the range of the observation (DB602)."""
         return known.low >= self.high or known.high <= self.low
 
 
 def ranged_numbers(analysis: Analysis, *more: Observation) -> Iterator[RangedNumber]:
-    """All numbers of the observation and of `more` entries, without pictures and truth values."""
+    """Yield all numbers of the observation and of `more` entries, without pictures and truth values."""
     parts = [
         (entry, index, number)
         for entry in (*analysis.program.agent.observation, *more)
@@ -78,7 +79,7 @@ def ranged_numbers(analysis: Analysis, *more: Observation) -> Iterator[RangedNum
 
 
 def first_of_each_clipped(analysis: Analysis) -> Iterator[RangedNumber]:
-    """The first component of each clipped entry, and further components whose range differs."""
+    """Yield the first component of each clipped entry, and further components whose range differs."""
     met = set()
     for number in ranged_numbers(analysis):
         key = (id(number.entry), number.low, number.high)
@@ -90,7 +91,7 @@ def first_of_each_clipped(analysis: Analysis) -> Iterator[RangedNumber]:
 def replace_range(
     context: RuleContext, number: RangedNumber, wide: Interval, dimension: Dimension
 ) -> Fix | None:
-    """A fix that writes another range; None where the components have ranges of their own."""
+    """Return a fix that writes another range; None if the components have ranges of their own."""
     is_one = len({*zip(number.entry.low, number.entry.high, strict=True)}) == 1
     return (
         Fix((Edit(context.range_span(number.entry), range_text(wide, dimension)),), safe=False)
@@ -101,7 +102,7 @@ def replace_range(
 
 @rule("DB614")
 def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
-    """With hindsight replay, an entry of the observation depends on the goal."""
+    """Report an entry of the observation that depends on the goal, with hindsight replay."""
     program = context.program
     if program.agent.goal is None or program.agent.training is None or program.agent.training.replay is None:
         return
@@ -134,7 +135,7 @@ class Linear(NamedTuple):
 
 @rule("DB616")
 def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
-    """A value has noise, and the policy sees the exact value elsewhere."""
+    """Report a value with noise whose exact value the policy sees elsewhere."""
     program, analysis = context.program, context.analysis
     if not any(
         (
@@ -169,12 +170,12 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
 
 
 def may_be_noisy(program: Program) -> tuple[Expression, ...]:
-    """The values that may have noise of their own, whether the policy sees them or not."""
+    """Return the values that may have noise of their own, whether the policy sees them or not."""
     return (*program.signals, *([program.agent.goal.achieved] if program.agent.goal else []))
 
 
 def _seen_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
-    """The numbers of the observation and of the goal, without those from messages that may be late."""
+    """Return the numbers of the observation and of the goal, without those from messages that may be late."""
     program = analysis.program
     is_late = program.timing == "delayed" or any(robot.from_route.settings for robot in program.robots)
     goal = program.agent.goal
@@ -194,7 +195,7 @@ def _seen_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
 
 
 def _noises(analysis: Analysis, number: RangedNumber) -> list[Noise]:
-    """The noise that a number has, its own first."""
+    """Return the noise that a number has, its own first."""
     names = [
         part.name
         for part in analysis.walk_definitions(number.node)
@@ -207,8 +208,8 @@ def _noises(analysis: Analysis, number: RangedNumber) -> list[Noise]:
 
 
 def _linear(analysis: Analysis, node: Scalar, known: dict[int, Linear]) -> Linear:
-    """The value without noise; anything but a sum of products with fixed factors is one measurement. `known`
-    is a cache."""
+    """Return the value without noise; anything but a sum of products with fixed factors is one measurement.
+    `known` is a cache."""
     node = analysis.resolve_aliases(node)
     number = analysis.identity(node)
     if number not in known:
@@ -256,7 +257,8 @@ def _sum(one: Linear, other: Linear) -> Linear:
 
 
 def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Linear) -> bool:
-    """Whether `shown` is an affine function of what noise hides in `noisy`, over a good part of its range."""
+    """Return whether `shown` is an affine function of the value under the noise in `noisy`, over a good part
+    of its range."""
     if not hidden.terms or exact.terms.keys() != hidden.terms.keys():
         return False
     factors = [exact.terms[term] / of for term, of in hidden.terms.items()]
@@ -270,7 +272,7 @@ def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Line
 
 @rule("DB601")
 def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
-    """An entry of the observation is not clipped to its range, and can be arbitrarily large."""
+    """Report an entry of the observation that is not clipped to its range, and can be arbitrarily large."""
     analysis = context.analysis
     loose = [
         number
@@ -291,7 +293,7 @@ def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB602")
 def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
-    """A value never lies within its range in the observation."""
+    """Report a value that never lies within its range in the observation."""
     analysis = context.analysis
     for number in first_of_each_clipped(analysis):
         interval = analysis.ranges.of(number.node)
@@ -313,7 +315,7 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB607")
 def outside_space(simulation: Simulation) -> Iterator[Finding]:
-    """A number of the observation is NaN, or outside of the observation space."""
+    """Report a number of the observation that is NaN, or outside of the observation space."""
     stop = simulation.report.stop or {}
     if stop.get("kind") == "space":
         for entry in simulation.program.agent.observation:
@@ -344,7 +346,7 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
 
 @rule("DB608")
 def constant_observation(simulation: Simulation) -> Iterator[Finding]:
-    """A number was the same in every step."""
+    """Report a number that was the same in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     still = [
@@ -382,7 +384,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
 
 
 def _constant(simulation: Simulation, number: RangedNumber) -> float:
-    """The value that it had in every step, from -1 to 1."""
+    """Return the value that it had in every step, from -1 to 1."""
     return next(iter(simulation.measured.values())).numbers[number.place].low
 
 
@@ -393,7 +395,8 @@ def _in_units(simulation: Simulation, number: RangedNumber) -> float:
 
 @rule("DB611")
 def often_saturated(simulation: Simulation) -> Iterator[Finding]:
-    """Under every policy a number is at the same end of its range in most steps, and could lie beyond."""
+    """Report a number that under every policy is at the same end of its range in most steps, and could lie
+    beyond."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     met = set()
@@ -430,7 +433,7 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
 
 @rule("DB318")
 def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
-    """The range `auto` of several joints is much wider than the limits of one of them."""
+    """Report the range `auto` of several joints that is much wider than the limits of one of them."""
     for entry in context.program.agent.observation:
         span, dimension = context.range_span(entry), entry.value.typed.type.dimension
         own = _limits_of_parts(context.program, entry) if span.text == "auto" else []
@@ -451,7 +454,7 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
 
 
 def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:
-    """The limits of each joint, where an entry holds the positions of several; else nothing."""
+    """Return the limits of each joint, if an entry has the positions of several; else nothing."""
     parts, dimension = entry.value.components, entry.value.typed.type.dimension
     for body in program.world.robots if len(parts) > 1 else ():
         joints = {
@@ -466,7 +469,7 @@ def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:
 
 @rule("DB617")
 def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
-    """The policy needs a reading of the world that neither a robot nor `deploy` supplies."""
+    """Report a reading of the world that the policy needs and that neither a robot nor `deploy` supplies."""
     spec = context.checked.spec
     if spec is None or spec.deploy is None:
         return

@@ -2,8 +2,8 @@
 
 The pages of the codes DB6xx are in `rule_pages/db6.yaml`, and so on. An entry has `about`, paragraphs with
 blank lines between, and an `example` with what to write `instead`. An example in YAML is merged into
-CartPole; an example in XML is a whole robot file. The page about what a simulation (`lint --deep`) or a
-search (`lint --exploits`) finds is under `deep`. The page of a rule of a plug-in is in its `Rule`.
+CartPole; an example in XML is a whole robot file. The page about a finding of a simulation (`lint --deep`) or
+of a search (`lint --exploits`) is under `deep`. The page of a rule of a plug-in is in its `Rule`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FOLDER = Path(__file__).with_name("rule_pages")
 class RulePage:
     """The page of a finding: why it matters, an example, and what to write instead.
 
-    `about` holds paragraphs with blank lines between; `example` and `instead` are both given or both empty.
+    `about` has paragraphs with blank lines between; `example` and `instead` are both given or both empty.
 
     A `deep` page is about a rule that simulates.
     """
@@ -43,7 +43,7 @@ class RulePage:
         return "xml" if self.example.startswith("<") else "yaml"
 
     def text(self, width: int = 100) -> str:
-        """For a terminal: paragraphs of at most `width` columns, examples indented."""
+        """Return the page for a terminal: paragraphs of at most `width` columns, examples indented."""
         parts = [
             fill(" ".join(part.split()), width, break_long_words=False, break_on_hyphens=False)
             for part in self.about.split("\n\n")
@@ -53,7 +53,7 @@ class RulePage:
         return "\n\n".join(parts)
 
     def markdown(self) -> str:
-        """For code scanning."""
+        """Return the page for code scanning."""
         if not self.example:
             return self.about
         example, instead = (f"```{self.language}\n{part}\n```" for part in (self.example, self.instead))
@@ -61,13 +61,13 @@ class RulePage:
 
 
 def every_page() -> tuple[RulePage, ...]:
-    """All pages in the order of their codes; of two pages of a code, the one about static analysis comes
-    first."""
+    """Return all pages in the order of their codes; of two pages of a code, the one about static analysis
+    comes first."""
     return tuple(page for code in RULES for page in pages_of(code))
 
 
 def pages_of(code: str) -> tuple[RulePage, ...]:
-    """The pages of one code."""
+    """Return the pages of one code."""
     rule = RULES[code]
     if rule.check is not None:
         return (_page(code, {"about": rule.about, "example": rule.example, "instead": rule.instead}),)

@@ -1,4 +1,4 @@
-"""The size of the reward: terms without bound, terms that dominate or never pay, and what an episode is worth
+"""The size of the reward: terms without bound, terms that dominate or never pay, and the value of an episode
 (family DB7, DB810)."""
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.program.values import Expression
 
 _DOMINANCE_RATIO = 100.0
-"""A term that is so many times what an ending pays makes that invisible."""
+"""The ratio of a term to the payment of an ending from which on it hides the ending."""
 _ROUNDING = 1e-9
 _MIN_STEPS = 200
-"""Fewer simulated steps allow no conclusion."""
+"""The number of simulated steps below which nothing is concluded."""
 _MAX_SHOWN_CHARACTERS = 40
-"""Longest divisor that the help of a finding repeats."""
+"""The length of the longest divisor that the help of a finding repeats."""
 
 
 # Without bound
@@ -44,7 +44,7 @@ class Singularity(NamedTuple):
 
 @rule("DB701")
 def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
-    """A term of the reward has no bound."""
+    """Report a term of the reward without bound."""
     analysis = context.analysis
     search = _PoleSearch(analysis)
     for term in context.program.agent.reward:
@@ -89,10 +89,10 @@ class _PoleSearch:
             for entry in threshold
             if (entry.bound.high < 0.0 if entry.above else entry.bound.low > 0.0)
         }
-        """Quantities that end the episode before they come near zero."""
+        """The quantities that end the episode before they come near zero."""
 
     def pole(self, value: Expression, node: Typed) -> Singularity | None:
-        """The first part that is infinite because of a pole or an exponential."""
+        """Return the first part that is infinite because of a pole or an exponential."""
         if node.type.boolean or all(interval.is_finite for interval in self._known(value, node)):
             return None
         match node:
@@ -120,7 +120,7 @@ class _PoleSearch:
         return [self.ranges.of(part) for part in self._analysis.lowered(node, value.owner)]
 
     def _may_be_zero(self, value: Expression, node: Typed) -> bool:
-        """Whether a divisor may be zero; one whose type has two finite bounds is DB405.
+        """Return whether a divisor may be zero; one whose type has two finite bounds is DB405.
 
         The ranges known here are narrower than that of the type: `step` ends at the time limit.
         """
@@ -139,7 +139,7 @@ class _PoleSearch:
 
 @rule("DB702")
 def term_dominates(context: RuleContext) -> Iterator[Finding]:
-    """Over an episode a term adds up to more than a hundred times what any ending pays."""
+    """Report a term that over an episode adds up to more than a hundred times the payment of any ending."""
     reward = context.analysis.reward
     ordinary, final = reward.split_by_end()
     prize = reward.largest_final(final)
@@ -169,8 +169,8 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
 
 
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
-    """The smallest size of the sum over an episode: block by block, since a term may depend on the number of
-    the step."""
+    """Return the smallest size of the sum over an episode: block by block, since a term may depend on the
+    number of the step."""
     first, last, total, sign = 1, reward.analysis.last_step, 0.0, 0.0
     while first <= last:
         end = min(last, 2 * first - 1)
@@ -191,7 +191,8 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
 
 @rule("DB702")
 def dominating_term(simulation: Simulation) -> Iterator[Finding]:
-    """Under every policy, a term adds up to more than a hundred times all other terms and endings."""
+    """Report a term that under every policy adds up to more than a hundred times all other terms and
+    endings."""
     if not simulation.is_complete or not simulation.measured:
         return
     reward = simulation.analysis.reward
@@ -227,13 +228,13 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
 
 
 def _short(number: float) -> str:
-    """Three digits without an exponent: `6050`, not `6.05e+03`."""
+    """Return three digits without an exponent: `6050`, not `6.05e+03`."""
     return f"{float(f'{number:.3g}'):g}"
 
 
 @rule("DB704")
 def inactive_term(context: RuleContext) -> Iterator[Finding]:
-    """A term of the reward is zero in every step."""
+    """Report a term of the reward that is zero in every step."""
     inactive = [_always_zero(analysis) for analysis in context.versions]
     touching = {
         term.name: context.analysis.own_contacts(node) for term, node in context.analysis.reward.terms
@@ -271,7 +272,7 @@ def _always_zero(analysis: Analysis) -> set[str]:
 
 
 def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
-    """Whether an expression is 0, or has a factor 0, as a number or as a parameter."""
+    """Return whether an expression is 0, or has a factor 0, as a number or as a parameter."""
 
     def is_off(part: Typed) -> bool:
         return _is_turned_off(part, analysis)
@@ -297,7 +298,7 @@ def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
 
 @rule("DB704")
 def silent_term(simulation: Simulation) -> Iterator[Finding]:
-    """A term without a condition was 0 in every step."""
+    """Report a term without a condition that was 0 in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
     analysis = simulation.analysis
@@ -312,7 +313,7 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
 
 
 def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
-    """Whether a value depends on a condition, through any names."""
+    """Return whether a value depends on a condition, through any names."""
     if node.type.boolean:
         return True
     if isinstance(node, Reference) and node.symbol.name not in met:
@@ -326,7 +327,7 @@ def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
 
 @rule("DB707")
 def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
-    """A term is NaN or infinite."""
+    """Report a term that is NaN or infinite."""
     failed = simulation.failed
     if failed is not None and failed.section == "reward":
         help = (
@@ -341,7 +342,7 @@ def non_finite_reward(simulation: Simulation) -> Iterator[Finding]:
 
 @rule("DB711")
 def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
-    """Every episode has the same return, whatever the policy does."""
+    """Report that every episode has the same return, whatever the policy does."""
     if context.program.agent.training is None or not all(
         return_range(analysis).is_single for analysis in context.versions
     ):
@@ -362,7 +363,7 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB810")
 def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
-    """No episode can reach the required mean return, or every episode does."""
+    """Report that no episode can reach the required mean return, or that every episode does."""
     for analysis, wanted, path in _wanted_returns(context):
         possible = return_range(analysis)
         if wanted > possible.high + _ROUNDING * abs(possible.high):
@@ -393,7 +394,8 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
 
 
 def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, NodePath]]:
-    """The mean returns that the scenario asks for, each with the version of the scenario and its place."""
+    """Yield the required mean returns of the scenario, each with the version of the scenario and its
+    place."""
     program = context.program
     if program.agent.solved is not None and program.agent.solved.mean_return is not None:
         yield context.analysis, program.agent.solved.mean_return, ("solved",)

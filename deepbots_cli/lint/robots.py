@@ -38,32 +38,33 @@ from deepbots_cli.robots.meshes import mesh_bounds
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
 _MAX_KNOWN_SPREAD = 0.2
-"""rad or m; the initial position of a joint counts as known if it is drawn from no more."""
+"""The largest range (rad or m) from which the initial position of a joint may be drawn to count as known."""
 _MIN_SHARE = 0.25
-"""Share of what the agent can ask for that an actuator must be able to do."""
+"""The share of the commands of the agent that an actuator must be able to follow."""
 _MIN_MISS_SHARE = 0.1
-"""Share of the commands of an episode: a script may pass over what is out of reach on its way."""
+"""The share of the commands of an episode: a script may pass over positions out of reach on its way."""
 _MIN_SHOWN_DISTANCE_M, _MIN_SHOWN_ANGLE = 0.001, radians(0.5)
-"""m, rad; a finding mentions a smaller miss only by the other measure."""
+"""The least distance (m) and angle (rad) that a finding mentions; a smaller miss is given only by the other
+measure."""
 _SAME_HEIGHT_M = 1e-4
-"""m; heights that differ by less are equal."""
+"""The difference of heights (m) below which they are equal."""
 _FOOT_HEIGHT_M = 0.005
-"""m; wheels and casters that end within so much of the lowest one carry the robot."""
+"""The height (m) above the lowest one up to which wheels and casters carry the robot."""
 _RESTING_GAP_M = 0.05
-"""m; a robot that is placed so close to its resting height comes to rest there."""
+"""The distance (m) from its resting height within which a robot comes to rest there."""
 _MIN_WHEEL_TURN = pi
-"""rad that a driven wheel has turned where its robot should have moved."""
+"""The angle (rad) that a driven wheel has turned where its robot should have moved."""
 _MAX_STAY_M, _MAX_STAY_ANGLE = 0.01, radians(5.0)
-"""m, rad; a robot that slips moves by less."""
+"""The distance (m) and angle (rad) that a robot that slips moves at most."""
 _TOPPLED = radians(45.0)
-"""rad by which a robot has tilted that has toppled."""
+"""The tilt (rad) of a robot that has toppled."""
 _ATTITUDE_SENSORS = frozenset(
     {"gyro", "accelerometer", "projected_gravity", "orientation", "angular_velocity"}
 )
 _MAX_NAMES = 4
-"""Joints that a finding lists."""
+"""The number of joints that a finding lists."""
 _MAX_JOINT_POSITIONS = 12
-"""Positions of all joints together that are tried."""
+"""The number of positions of all joints together that are tried."""
 _RANGE_FACTOR = 1.2
 _DEGREES = Interval(10.0, 360.0)
 """The larger limit (rad) of a joint that is probably in degrees; a whole number, since the turns of a joint
@@ -77,7 +78,7 @@ _JOINT_KEYS = ("joint", "joints")
 
 @rule("DB312")
 def command_cut_off(context: RuleContext) -> Iterator[Finding]:
-    """Most commands of the agent are beyond the limits of an actuator."""
+    """Report that most commands of the agent are beyond the limits of an actuator."""
     analysis = context.analysis
     for robot in context.program.robots:
         for command in robot.commands:
@@ -110,7 +111,7 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
 
 
 def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
-    """The range of commands that all its joints or links can follow; None where there is no limit."""
+    """Return the range of commands that all its joints or links can follow; None where there is no limit."""
     match actuator:
         case Thrust(low=low, high=high) | CustomActuator(low=float() as low, high=float() as high):
             return Interval(low, high)
@@ -130,7 +131,7 @@ def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
 
 
 def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
-    """Whether a command depends on nothing but the action."""
+    """Return whether a command depends on nothing but the action."""
     received = {value.name for value in robot.receive}
     for node in analysis.walk_definitions(target):
         match node:
@@ -145,7 +146,8 @@ def _follows_action(analysis: Analysis, target: Scalar, robot: Robot) -> bool:
 
 @rule("DB313")
 def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
-    """Two actuators drive the motor of the same joint, so the command of the first one is lost."""
+    """Report two actuators that drive the motor of the same joint, so that the command of the first one is
+    lost."""
     for robot in context.program.robots:
         driving: dict[str, str] = {}
         for command in robot.commands:
@@ -168,7 +170,7 @@ def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
 
 
 def _held_joints(actuator: Actuator) -> tuple[str, ...]:
-    """The joints whose motors in the engine an actuator uses."""
+    """Return the joints whose motors in the engine an actuator uses."""
     match actuator:
         case Motor(kind="velocity_motor" | "position_motor", stiffness=None) | Cartesian():
             return actuator.joints
@@ -178,7 +180,8 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
 
 @rule("DB314")
 def limp_at_start(context: RuleContext) -> Iterator[Finding]:
-    """An arm sinks at the start of an episode, because the first command reaches its torque motors late."""
+    """Report an arm that sinks at the start of an episode, because the first command reaches its torque
+    motors late."""
     program, analysis, values = context.program, context.analysis, context.values
     if program.reset.settle or any(varied.what == "gravity" for varied in program.reset.variations):
         return
@@ -227,13 +230,13 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
 
 
 def _is_limp(actuator: Actuator) -> TypeGuard[Motor]:
-    """Whether it exerts nothing until its first command."""
+    """Return whether it exerts nothing until its first command."""
     return isinstance(actuator, Motor) and (actuator.kind == "torque_motor" or actuator.stiffness == 0.0)
 
 
 def _start_positions(analysis: Analysis, body: RobotBody) -> dict[str, float] | None:
-    """The initial positions of the joints of a robot with a fixed base, rad or m; None where they are not
-    known."""
+    """Return the initial positions of the joints of a robot with a fixed base, rad or m; None where they are
+    not known."""
     placements = analysis.program.reset.placements
     is_tilted = any(
         place.body == body.name and place.coordinates.keys() & {"roll", "pitch"} for place in placements
@@ -256,8 +259,8 @@ def _sunk(
     gravity: Triple,
     time: float,
 ) -> tuple[Joint, float] | None:
-    """The joint that gravity moves farthest in a time (s), and how far (rad or m); `joints` maps names to the
-    torque limits of motors."""
+    """Return the joint that gravity moves farthest in a time (s), and how far (rad or m); `joints` maps names
+    to the torque limits of motors."""
     where = link_frames(body.model, positions)
     pull = frames.rotate_back(frames.frame(body.pose)[1], gravity)
     moved = {
@@ -281,7 +284,8 @@ def _moved(
     pull: Triple,
     time: float,
 ) -> float:
-    """How far gravity moves a joint while the other joints are still; 0 where its motor could not hold it."""
+    """Return how far gravity moves a joint while the other joints are still; 0 if its motor could not hold
+    it."""
     pivot, turned = where[joint.child]
     axis = frames.rotate(turned, joint.axis)
     load = inertia = 0.0
@@ -312,7 +316,7 @@ def _moved(
 
 @rule("DB315")
 def pose_out_of_reach(simulation: Simulation) -> Iterator[Finding]:
-    """A `cartesian` actuator is commanded to a pose that the inverse kinematics does not reach."""
+    """Report a pose of a `cartesian` actuator that the inverse kinematics does not reach."""
     reported: set[tuple[str, str]] = set()
     for miss in simulation.report.misses:
         if (miss.turn or miss.unreached_commands >= _MIN_MISS_SHARE * miss.commands) and (
@@ -352,7 +356,8 @@ def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
 
 
 def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
-    """The first command turns a link far in place, because the link starts in another orientation."""
+    """Return a finding about a first command that turns a link far in place, because the link starts in
+    another orientation."""
     span = simulation.values.span(("robots", miss.robot, "actuators", miss.actuator, "rpy"))
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
@@ -369,7 +374,8 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
 
 @rule("DB322")
 def robot_stays(simulation: Simulation) -> Iterator[Finding]:
-    """No action moves or turns a robot, although its wheels turn: they slip, or do not touch the ground."""
+    """Report a robot that no action moves or turns, although its wheels turn: they slip, or do not touch the
+    ground."""
     if not simulation.is_complete:
         return
     for robot, rolling in simulation.report.rolling.items():
@@ -401,8 +407,8 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
 
 @rule("DB324")
 def topples(simulation: Simulation) -> Iterator[Finding]:
-    """A robot with a free base topples while nothing is done, and the scenario does not measure whether it
-    falls."""
+    """Report a robot with a free base that topples while nothing is done, if the scenario does not measure
+    whether it falls."""
     for name, tilt in simulation.report.tilts.items():
         robot = next(each for each in simulation.program.robots if each.name == name)
         if tilt <= _TOPPLED or simulation.program.disturbances or _is_watched(simulation, robot):
@@ -420,7 +426,8 @@ def topples(simulation: Simulation) -> Iterator[Finding]:
 
 
 def _is_watched(simulation: Simulation, robot: Robot) -> bool:
-    """Whether the scenario measures the attitude or the height of the base of a robot, or the robot flies."""
+    """Return whether the scenario measures the attitude or the height of the base of a robot, or the robot
+    flies."""
     if any(isinstance(each, (Thrust, CustomActuator)) for each in robot.actuators):
         return True
     if any(sensor.kind in _ATTITUDE_SENSORS for sensor in robot.sensors):
@@ -440,8 +447,8 @@ def _is_watched(simulation: Simulation, robot: Robot) -> bool:
 
 
 def _links_beside_wheels(model: RobotModel, wheels: tuple[str, ...]) -> Iterator[str]:
-    """A sentence on each link that reaches the ground where the driven wheels do, or before; with all joints
-    at 0, without meshes."""
+    """Yield a sentence on each link that reaches the ground where the driven wheels do, or before; with all
+    joints at 0, without meshes."""
     where = link_frames(model)
     shapes = [
         (link.name, part)
@@ -470,7 +477,7 @@ def _links_beside_wheels(model: RobotModel, wheels: tuple[str, ...]) -> Iterator
 
 @rule("DB319")
 def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
-    """A motor without a limit of torque or force."""
+    """Report a motor without a limit of torque or force."""
     for robot in context.program.robots:
         model = context.analysis.body(robot.name).model
         for actuator in robot.actuators:
@@ -495,7 +502,7 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB317")
 def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
-    """The limits of a joint in a robot file were probably meant in degrees."""
+    """Report limits of a joint in a robot file that were probably meant in degrees."""
     program = context.program
     trees = [tree for value in program.computed_expressions for tree in value.scalars]
     read = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, EngineRead)}
@@ -532,7 +539,7 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB615")
 def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
-    """The rays of a sensor pass over everything in the world, or begin below the ground."""
+    """Report a sensor whose rays pass over everything in the world, or begin below the ground."""
     here, variants = Heights(context.analysis), [Heights(analysis) for analysis in context.versions[1:]]
     for robot in context.program.robots:
         for sensor in robot.sensors:
@@ -548,7 +555,7 @@ def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB615")
 def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
-    """The same as `rays_meet_nothing`, for robots whose height does not follow from the scenario."""
+    """Report the same as `rays_meet_nothing`, for robots whose height does not follow from the scenario."""
     if not simulation.is_complete:
         return
     heights = Heights(simulation.analysis)
@@ -566,7 +573,7 @@ attitude."""
 
 
 class Heights:
-    """The heights of rays and of all solid bodies, as far as a scenario tells."""
+    """The heights of rays and of all solid bodies, as far as they follow from a scenario."""
 
     def __init__(self, analysis: Analysis) -> None:
         self._analysis = analysis
@@ -575,7 +582,7 @@ class Heights:
         self._rays: dict[tuple[str, str], PlacedRays | None] = {}
 
     def clearance(self, robot: str, sensor: str) -> Clearance | None:
-        """Where the rays of a sensor pass, if that is over everything; None if they meet the ground or a
+        """Return the clearance of the rays of a sensor above everything; None if they meet the ground or a
         body, or that is unknown."""
         gravity = self._world.gravity
         if self._world.ground is None or gravity[0] or gravity[1] or gravity[2] >= 0.0:
@@ -592,8 +599,8 @@ class Heights:
         return Clearance(lowest, highest, tallest) if tallest else None
 
     def depth(self, robot: str, sensor: str) -> float | None:
-        """How far below flat ground all rays of a sensor begin, m; None if one begins above, or that is
-        unknown."""
+        """Return how far below flat ground all rays of a sensor begin, in m; None if one begins above, or
+        that is unknown."""
         placed = self._placed_rays(robot, sensor) if self._world.ground is not None else None
         if placed is None:
             return None
@@ -601,8 +608,8 @@ class Heights:
         return -highest if highest < -MAX_SINK else None
 
     def needs_simulation(self, robot: str, sensor: str) -> bool:
-        """Whether the text does not tell the height of the rays, and no robot flies or may lift an object
-        above them later."""
+        """Return whether the height of the rays does not follow from the text, and no robot flies or may lift
+        an object above them later."""
         loose = any(
             thing.solid and not kind.fixed
             for thing in self._world.objects
@@ -619,8 +626,8 @@ class Heights:
         )
 
     def _lowest(self, robot: str, name: str) -> float | None:
-        """The lowest point of any ray within its range, m above the ground; None where it is unknown or a ray
-        meets the ground."""
+        """Return the lowest point of any ray within its range, m above the ground; None where it is unknown
+        or a ray meets the ground."""
         placed = self._placed_rays(robot, name)
         if placed is None:
             return None
@@ -633,7 +640,7 @@ class Heights:
         return lowest if lowest > 0.0 else None
 
     def _placed_rays(self, robot: str, name: str) -> PlacedRays | None:
-        """The rays of a sensor in each attitude of its robot; None where that is unknown."""
+        """Return the rays of a sensor in each attitude of its robot; None where that is unknown."""
         if (robot, name) not in self._rays:
             self._rays[robot, name] = self._place_rays(robot, name)
         return self._rays[robot, name]
@@ -655,8 +662,8 @@ class Heights:
         return sensor.beams.reach, tried
 
     def _root(self, body: RobotBody) -> Frame | None:
-        """The frame of a robot's root, without yaw: of a fixed base, or of a robot that stands level on the
-        ground."""
+        """Return the frame of a robot's root, without yaw: of a fixed base, or of a robot that is level on
+        the ground."""
         if self._flies:
             return None
         height = None if body.fixed_base else _standing_height(body.model)
@@ -678,7 +685,8 @@ class Heights:
         return seen_frames.pop() if len(seen_frames) == 1 else None
 
     def _tops(self, robot: str) -> Iterator[tuple[str, float]]:
-        """The name and the top of everything solid except the robot, m; infinite where it is unknown."""
+        """Yield the name and the top of everything solid except the robot, m; infinite where it is
+        unknown."""
         if self._world.arena is not None:
             yield ARENA, self._world.arena.wall_height
         may_be_lifted = _can_lift(self._world)
@@ -690,7 +698,7 @@ class Heights:
                 yield other.name, self._top_of_robot(other)
 
     def _top(self, thing: ObjectBody, *, may_be_lifted: bool) -> float:
-        """The top of an object; of a movable one with its longest side upright."""
+        """Return the top of an object; of a movable one with its longest side upright."""
         kinds = [(kind.shape, kind.fixed) for kind in thing.variants] or [(thing.shape, thing.fixed)]
         if any(
             (isinstance(shape, Mesh) and mesh_bounds(shape) is None) or (may_be_lifted and not fixed)
@@ -728,8 +736,8 @@ class Heights:
 
 
 def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
-    """All joints at 0, then at positions that differ from joint to joint, spread evenly over their ranges
-    (golden ratio)."""
+    """Yield all joints at 0, then at positions that differ from joint to joint, spread evenly over their
+    ranges (golden ratio)."""
     yield {}
     free = [joint for joint in model.moving_joints if joint.name not in model.followers]
     for number in range(1, _MAX_JOINT_POSITIONS):
@@ -746,8 +754,8 @@ def _position(joint: Joint, share: float) -> float:
 
 
 def _end_is_motionless(model: RobotModel, end: int) -> bool:
-    """Whether no joint moves the lowest (0) or the highest (1) point of a robot: wheels do not, legs move
-    both, arms the highest.
+    """Return whether no joint moves the lowest (0) or the highest (1) point of a robot: wheels do not, legs
+    move both, arms the highest.
 
     Meshes do not count.
     """
@@ -761,8 +769,8 @@ def _can_lift(world: WorldModel) -> bool:
 
 
 def _standing_height(model: RobotModel) -> float | None:
-    """The height (m) of the root's origin on level ground; None for a robot that joints raise, or that has to
-    balance."""
+    """Return the height (m) of the root's origin on level ground; None for a robot that joints raise, or that
+    has to balance."""
     contact_points, center = footprint.contact_points(model, _FOOT_HEIGHT_M), _center_of_mass(model)
     stands = contact_points and all(
         min(foot[axis] for foot in contact_points) < center[axis] < max(foot[axis] for foot in contact_points)
@@ -772,7 +780,7 @@ def _standing_height(model: RobotModel) -> float | None:
 
 
 def _center_of_mass(model: RobotModel) -> tuple[float, float]:
-    """(x, y) in the frame of the root, m, with all joints at 0."""
+    """Return (x, y) of the center of mass in the frame of the root, in m, with all joints at 0."""
     where = footprint.link_frames(model)
     inertials = [(link.name, link.inertial) for link in model.links if link.inertial]
     masses = [

@@ -1,7 +1,7 @@
-"""Resets and episodes of `lint --deep`, and what is measured in them. Runs in a process of its own
+"""Resets and episodes of `lint --deep`, with their measurements. They run in a process of their own
 (`simulation_process`).
 
-Every result is written at once: if an engine crashes, the last line tells how far the simulation had got.
+Every result is written at once: if an engine crashes, the last line shows how far the simulation got.
 """
 
 from __future__ import annotations
@@ -56,16 +56,17 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Cartesian
 
 _ROUNDING = 1e-6
-"""Numbers of the observation, from -1 to 1, that differ by less are equal."""
+"""The difference of numbers of the observation, from -1 to 1, below which they are equal."""
 _MIN_TERM_SIZE = 1e-9
 """The same for a term of the reward."""
 _FIRST_EPISODES, _FIRST_STEPS = 2, 10
-"""Episodes in which the first command of each arm is checked, and the steps within which it must arrive."""
+"""The number of episodes in which the first command of each arm is checked, and the steps within which it
+must arrive."""
 _VARIANTS_LABEL = "cases and stages"
 
 
 class StoppedError(Exception):
-    """The rest of the plan is impossible; the reason has been written."""
+    """The error that ends the plan; its reason has been written."""
 
 
 def compiled(folder: Path) -> Program:
@@ -95,7 +96,7 @@ class Simulator:
         self._tilts = TiltWatch(program)
 
     def run(self) -> None:
-        """Carry out the plan, until something stops it."""
+        """Carry out the plan, until an error stops it."""
         try:
             self._check_starts()
             with closing(self._build(self._program)) as environment:
@@ -229,9 +230,8 @@ class Simulator:
         taken = self._steps(environment, rollout)
         next(taken)
         speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
-        check_wheels = (
-            self._wheels.watch(environment.engine) if report else lambda: None
-        )  # a case may have another robot file
+        # A case may have another robot file, whose wheels are not those of `_wheels`.
+        check_wheels = self._wheels.watch(environment.engine) if report else lambda: None
         if report:
             self._tilts.begin(environment.engine, is_idle=rollout.policy == IDLE)
         rewards: list[float] = []
@@ -256,7 +256,7 @@ class Simulator:
             self._write({"episode": {"policy": rollout.policy, "seed": rollout.seed, **result}})
 
     def _steps(self, environment: Supervisor, rollout: Rollout) -> Iterator[Step]:
-        """The steps of an episode; the number of each is written before it begins."""
+        """Return the steps of an episode; the number of each is written before it begins."""
         actions = _actions(environment, rollout)
         numbers = count(1)
 
@@ -266,11 +266,11 @@ class Simulator:
 
         return islice(steps(environment, Driver(act), Start(rollout.seed)), rollout.steps + 1)
 
-    # What has been constant so far
+    # Observation numbers and terms that are constant
 
     def _constant_numbers(self) -> list[int]:
-        """The places of the numbers of the observation that were the same in every step of every episode;
-        pictures after them."""
+        """Return the places of the numbers of the observation that were the same in every step of every
+        episode; pictures after them."""
         whole = functools.reduce(Counter.joined, self._counters.values(), Counter(self._program))
         return [
             place
@@ -279,14 +279,14 @@ class Simulator:
         ]
 
     def _silent(self) -> list[int]:
-        """The places of the terms of the reward that were always 0."""
+        """Return the places of the terms of the reward that were always 0."""
         places = range(len(self._program.agent.reward))
         return [
             place for place in places if not any(counter.fired[place] for counter in self._counters.values())
         ]
 
     def _run_variants(self) -> None:
-        """Run cases and stages, which may vary what is constant in the scenario itself."""
+        """Run cases and stages, which may vary values that are constant in the scenario itself."""
         own = self._program
         for program in (*(case.program for case in own.cases), *(stage.program for stage in own.curriculum)):
             if not self._constant_numbers() and not self._silent():
@@ -300,7 +300,7 @@ class Simulator:
                     self._run_episodes(environment, variant_plan(program), counted_as=_VARIANTS_LABEL)
 
     def _stopped(self, environment: Supervisor, error: DeepbotsError) -> StoppedError:
-        """Write what stopped an episode; returns the exception to raise."""
+        """Write the reason why an episode stopped, and return the exception to raise."""
         entry: dict[str, Any] = {"text": str(error), "step": environment.step_count}
         lost = SpeedWatch(environment).lost()
         if lost:
@@ -358,15 +358,15 @@ class Counter:
         np.maximum(self.greatest, values, out=self.greatest)
 
     def joined(self, other: Counter) -> Counter:
-        """What the observation was over both: it moved, too, if it was not the same in one as in the
-        other."""
+        """Join the ranges of both. A number that is constant in each, but at different values, then counts as
+        varying."""
         both = Counter(self._program)
         both.low, both.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         both._changed = self._changed | other._changed
         return both
 
     def varies(self, place: int) -> bool:
-        """Whether an entry was not the same throughout."""
+        """Return whether an entry was not the same throughout."""
         numbers = len(self._columns)
         return (
             bool(self.high[place] - self.low[place] > _ROUNDING)
@@ -375,8 +375,7 @@ class Counter:
         )
 
     def rows_by_part(self) -> list[Any]:
-        """Steps, rows, and the statistics of numbers and terms, as `simulation.PolicyStatistics` takes
-        them."""
+        """Return steps, rows, and the statistics of numbers and terms for `simulation.PolicyStatistics`."""
         if not self.steps:
             return [0, 0, [], []]
         numbers = zip(
@@ -391,7 +390,7 @@ class Counter:
 def episode_result(
     last: Step, rewards: Sequence[float] | NDArray[np.float64], discount: float
 ) -> dict[str, Any]:
-    """The result of an episode in a report, from its last step and the reward of each step."""
+    """Return the result of an episode in a report, from its last step and the reward of each step."""
     end: End = "limit" if last.truncated else "left"
     if last.terminated or last.info["is_success"]:
         end = "success" if last.info["is_success"] else "failure"
@@ -400,12 +399,12 @@ def episode_result(
 
 
 def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
-    """An endless sequence of actions, none of them forbidden."""
+    """Return an endless sequence of actions, none of them forbidden."""
     if rollout.script is not None:
         return (environment.script(rollout.script) for _ in count())
     if rollout.policy == IDLE:
         wanted = idle_action(environment.scenario.agent.action)
-        assert wanted is not None  # or it would not be in the plan
+        assert wanted is not None  # the plan has only episodes with an action
         return repeat(environment.make_action(*wanted))
     return _random(environment, HOLD_STEPS if rollout.policy == HELD_RANDOM else 1)
 
@@ -426,7 +425,7 @@ def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
 
 
 def _outside(environment: Supervisor, observation: Any) -> list[str]:
-    """The numbers of an observation that are outside of its space, by name."""
+    """Return the numbers of an observation that are outside of its space, by name."""
     numbers = np.atleast_2d(observation["observation"] if isinstance(observation, dict) else observation)
     return [
         entry.name
@@ -444,20 +443,18 @@ def _infinite(environment: Supervisor) -> list[str]:
 
 
 def _lines(error: BaseException) -> list[str]:
-    """The lines of the generated module in which an expression had no value, the innermost first."""
+    """Return the lines of the generated module in which an expression had no value, the innermost first."""
     raised = [error.__cause__, error] if error.__cause__ else [error]
     frames = [frame for each in raised for frame in reversed(traceback.extract_tb(each.__traceback__))]
     return [frame.line or "" for frame in frames if frame.filename.startswith("<deepbots")]
 
 
-# Speeds
-
 _MAX_SPEED = 300.0
-"""m/s; near the speed of sound. A falling body may become faster."""
+"""The largest plausible speed, in m/s; near the speed of sound. A falling body may become faster."""
 _HALF_TURN = math.pi
-"""rad in one physics step; beyond it, an engine cannot tell the direction of a turn."""
+"""Half a turn, in rad in one physics step; beyond it, an engine cannot determine the direction of a turn."""
 _MAX_SPIN = 1000.0
-"""rad/s; slower turns are plausible, however long the physics step."""
+"""The rotation, in rad/s, below which turns are plausible, however long the physics step."""
 _MIN_SPEED_GROWTH = 4.0
 
 
@@ -493,7 +490,7 @@ class SpeedWatch:
         self.new_maximum: list[Any] = []
 
     def check(self, time: float) -> dict[str, Any]:
-        """The first implausible speed after `time` seconds; empty if there is none."""
+        """Return the first implausible speed after `time` seconds; empty if there is none."""
         self.new_maximum = []
         for watched in self._watched:
             velocity, spin = (math.hypot(*part) for part in watched.motion()[1])
@@ -521,7 +518,7 @@ class SpeedWatch:
         return {}
 
     def lost(self) -> list[str]:
-        """The bodies whose motion is no longer a number."""
+        """Return the bodies whose motion is no longer a number."""
         return [
             watched.body
             for watched in self._watched
@@ -529,11 +526,8 @@ class SpeedWatch:
         ]
 
 
-# Wheels
-
-
 class WheelWatch:
-    """Watches robots that stand on driven wheels. `robots` maps each to its largest motion so far; it is
+    """Measures the motion of robots on driven wheels. `robots` maps each to its largest motion so far; it is
     empty for teams."""
 
     def __init__(self, scenario: Program) -> None:
@@ -550,7 +544,7 @@ class WheelWatch:
         self.robots = {name: Rolling(0.0, 0.0, 0.0) for name, wheels in self._wheels.items() if wheels}
 
     def watch(self, engine: Engine) -> Callable[[], None]:
-        """A function that compares with the present state of an engine, to be called in each step."""
+        """Return a function that compares with the present state of an engine, to be called in each step."""
         checks = [self._watched(engine, robot) for robot in self.robots]
 
         def check() -> None:
@@ -579,10 +573,10 @@ class WheelWatch:
 
 
 class TiltWatch:
-    """Watches robots with a free base while no action moves them; there are none in teams.
+    """Measures how far robots with a free base tilt while no action moves them. Teams are not watched.
 
     `tilts` maps each to the time (s) for which it was watched, and to how far it tilted (rad) from its
-    attitude at the reset. They are those of the episode with the smallest tilt, among the longest ones: an
+    attitude at the reset. Both are taken from the episode with the smallest tilt, among the longest ones: an
     episode counts for `TOPPLING_S` at most.
     """
 
@@ -590,10 +584,10 @@ class TiltWatch:
         is_free = {body.name: not body.fixed_base for body in scenario.world.robots}
         robots = [robot for robot in scenario.robots if is_free[robot.name] and scenario.agent.copies is None]
         self._robots = {robot.name: bool(robot.variables or robot.receive) for robot in robots}
-        """Whether the action moves each."""
+        """Whether the action moves each robot."""
         self.tilts: dict[str, tuple[float, float]] = {}
         self._watched: dict[str, tuple[PoseReader, Triple]] = {}
-        """The pose of each, and where up was in its frame at the reset."""
+        """The pose of each robot, and the direction of up in its frame at the reset."""
         self._time = 0.0
         self._now: dict[str, float] = {}
 
@@ -627,14 +621,12 @@ class TiltWatch:
         self._watched, self._now, self._time = {}, {}, 0.0
 
 
-# Arms
-
 _DISTANCE = 0.005  # m
 _ANGLE = radians(1.0)
-"""Tolerance of a pose. A search that succeeds ends within 0.1 um."""
+"""The tolerance of the angle of a pose, in rad. A search that succeeds ends within 0.1 um."""
 _LARGE_TURN = radians(90.0)
 _MAX_TURNING_DISTANCE_M = 0.2
-"""m; an arm that starts farther away, such as stretched out, turns on its way."""
+"""The distance (m) beyond which the start of an arm, such as stretched out, makes it turn on its way."""
 _LIMIT_TOLERANCE = 1e-6  # rad or m; the search clips positions to the limits exactly
 
 
@@ -659,8 +651,8 @@ class ArmWatch:
                     yield actuator.name
 
     def take_misses(self, by: str, seed: int) -> list[UnreachedPose]:
-        """The first miss of each actuator since the last call; later misses start from where it brought the
-        arm."""
+        """Return the first miss of each actuator since the last call; later misses start from where it
+        brought the arm."""
         misses = [
             replace(miss, policy=by, seed=seed, commands=self.commands[key])
             for key, miss in self._misses.items()
@@ -747,16 +739,13 @@ class ArmWatch:
 
 
 def _angle(q: frames.Quaternion) -> float:
-    """The angle of a rotation, rad from 0 to half a turn."""
+    """Return the angle of a rotation, rad from 0 to half a turn."""
     return 2.0 * atan2(hypot(q[0], q[1], q[2]), abs(q[3]))
 
 
-# Rays
-
-
 class RayWatch:
-    """Watches sensors whose rays have met nothing in all steps so far, above everything solid or from below
-    the ground.
+    """Finds sensors whose rays have met nothing so far, because they pass above all solid bodies or begin
+    below the ground.
 
     `clearances` maps robot and sensor to where their rays pass, `depths` to the smallest depth (m) at which
     they began; both are empty for teams and above terrain.
@@ -780,7 +769,7 @@ class RayWatch:
         )
 
     def watch(self, engine: Engine) -> Callable[[], None]:
-        """A function that checks the world of an engine, to be called in each step."""
+        """Return a function that checks the world of an engine, to be called in each step."""
         if not self.clearances and not self.depths:
             return lambda: None
         tops = {thing.name: _top_of(engine, thing) for thing in self._world.objects if thing.solid}
@@ -823,15 +812,15 @@ def _top_of(engine: Engine, thing: ObjectBody) -> Callable[[], float]:
 
 
 def _top_of_robot(engine: Engine, name: str, box: footprint.Bounds) -> Callable[[], float]:
-    """An upper bound in any attitude of the root, m."""
+    """Return a reader of an upper bound of the height in any attitude of the root, m."""
     pose, reach = engine.pose(name), hypot(*(max(-low, high) for low, high in zip(*box, strict=True)))
     return lambda: pose()[0][2] + reach
 
 
 def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tuple[float, float]]:
-    """The lowest point of any ray within its range, and the highest at which one begins, m; (-inf, inf) while
-    a ray meets something."""
-    assert sensor.beams is not None  # it casts rays
+    """Return a reader of the lowest point of any ray within its range, and the highest at which one begins,
+    in m; (-inf, inf) while a ray meets something."""
+    assert sensor.beams is not None  # only sensors with rays are watched
     mount, reach, part = frames.frame(sensor.mount), sensor.beams.reach, (robot, sensor.subjects[0])
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
     begins = [ray[0] for ray in rays]

@@ -22,17 +22,17 @@ from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, 
 from deepbots_cli.program.values import Expression
 
 _ROUNDING = 1e-6
-"""Relative difference that rounding alone may cause."""
+"""The relative difference that rounding alone may cause."""
 _RANGE_FACTOR = 1.2
-"""Suggested ranges are larger than needed by this factor."""
+"""The factor by which suggested ranges are larger than needed."""
 _MIN_VISIBLE_SHARE = 0.05
-"""Share of the way to a limit, before the limit, in which the policy must see it come."""
+"""The share of the way to a limit, before the limit, in which the policy must see it come."""
 _MAX_BISECTIONS = 40
 
 
 @rule("DB603")
 def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
-    """A value leaves its range in the observation before it ends the episode."""
+    """Report a value that leaves its range in the observation before it ends the episode."""
     analysis = context.analysis.ideal
     ranges = analysis.ranges
     shown = [(number, _parts(analysis, number.node)) for number in ranged_numbers(analysis)]
@@ -60,7 +60,7 @@ class BlindNumber(NamedTuple):
 
 
 def _parts(analysis: Analysis, node: Scalar) -> set[int]:
-    """The identities of a value and of everything that it is made of."""
+    """Return the identities of a value and of everything that it is made of."""
     return set(map(analysis.identity, analysis.walk_definitions(node)))
 
 
@@ -72,7 +72,7 @@ def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:
 def _blind(
     shown: list[tuple[RangedNumber, set[int]]], asked: list[Threshold], ranges: Ranges
 ) -> Iterator[BlindNumber]:
-    """For each threshold of a comparison that no number shows, the first number that should."""
+    """Yield for each threshold of a comparison that no number shows the first number that should."""
     views = []
     for threshold in asked:
         quantity = ranges.analysis.identity(threshold.quantity)
@@ -90,8 +90,8 @@ def _blind(
 
 
 def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
-    """For the quantity itself the end of its range; for a value that depends on it, the point where it stops
-    changing."""
+    """Return the end of the range of the quantity itself; for a value that depends on it, the point where it
+    stops changing."""
     analysis, bound, limit = ranges.analysis, threshold.bound, threshold.limit
     interval, quantity = ranges.of(threshold.quantity), analysis.identity(threshold.quantity)
     if not number.entry.clip:
@@ -103,7 +103,7 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
         return edge if is_short and not number.is_outside(interval) else nan
 
     def is_constant(start: float) -> bool:
-        """Whether the number is constant from `start` to the limit."""
+        """Return whether the number is constant from `start` to the limit."""
         shown = ranges.where(quantity, Interval(min(start, limit), max(start, limit))).of(number.node)
         return min(max(shown.low, number.low), number.high) == min(max(shown.high, number.low), number.high)
 
@@ -164,7 +164,7 @@ def _unseen(
 
 
 def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> Typed | None:
-    """The part of a comparison that is written for the quantity; None where nothing is."""
+    """Return the part of a comparison that is written for the quantity; None where nothing is."""
     wanted = analysis.identity(quantity)
     for part in walk(comparison.node):
         if part is not comparison.node and wanted in map(
@@ -176,7 +176,7 @@ def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scal
 
 @rule("DB611")
 def observation_saturates(context: RuleContext) -> Iterator[Finding]:
-    """A value is at the end of its range in normal operation."""
+    """Report a value that is at the end of its range in normal operation."""
     yield from _saturated_at_start(context)
     yield from _goal_out_of_range(context)
     yield from _saturated_by_gravity(context)
@@ -190,7 +190,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
         first, fact = analysis.start.of(number.node), analysis.resolve_aliases(number.node)
         is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
         drawn = analysis.start.initial(fact) if isinstance(fact, EngineRead) else None
-        if drawn is not None and drawn.is_finite:  # exactly what is drawn, not a wider range around it
+        if drawn is not None and drawn.is_finite:  # exactly the range that is drawn, not a wider one
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
             verb = "starts" if first.is_single else "can start"
@@ -207,7 +207,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
 
 
 def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
-    """A goal that is drawn from more than its range: policy, reward and endings know only the clipped
+    """Report a goal that is drawn from more than its range: policy, reward and endings use only the clipped
     value."""
     analysis, goal = context.analysis, context.program.agent.goal
     if goal is None:
@@ -259,7 +259,7 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
 
 
 def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
-    """The reading (m/s^2) of an axis of an accelerometer while its robot stands upright and still; None where
+    """Return the reading (m/s^2) of an axis of an accelerometer while its robot is upright and still; None if
     that is unknown."""
     reading = analysis.sensor(leaf)
     if reading is None or reading[1].kind != "accelerometer" or not isinstance(leaf, Name):

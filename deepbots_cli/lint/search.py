@@ -30,23 +30,23 @@ from deepbots_cli.rollout.drivers import RANDOM, named_driver
 from deepbots_cli.runtime import Supervisor
 
 _STARTS = 3
-"""Episodes with different starts, from number 0 on."""
+"""The number of episodes with different starts, from number 0 on."""
 _MAX_WORK = 400_000.0
-"""As for `work_per_step`; 10 to 30 s of CPU."""
+"""The work of a search in the unit of `work_per_step`; 10 to 30 s of CPU."""
 _MAX_CONSTANTS, _MAX_PAIRS = 27, 12
 _HOLDS = (2, 10)
-"""Steps for which alternating actions are held."""
+"""The numbers of steps for which alternating actions are held."""
 _CONFIRMED = 3
-"""The best drivers of the first start that are tried on the others, of each kind of end."""
+"""The number of best drivers of the first start that are tried on the others, for each kind of end."""
 _INTERRUPTIONS, _MAX_INTERRUPTIONS, _MIN_BETWEEN = (1, 3), 5, 2
 """Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are
 none that lasts."""
 _SHARE_OF_INTERRUPTIONS = 0.05
-"""Of the steps that are left, for the interruptions from each start."""
+"""The share of the steps that are left for the interruptions from each start."""
 _POPULATION, _ELITES, _GENERATIONS = 12, 3, 12
 _MIN_DEVIATION = 0.1
 _AT_LIMIT = 0.02
-"""Of the range of a joint: nearer to a limit than this, it is at the limit."""
+"""The share of the range of a joint within which it is at a limit."""
 
 
 class ExploitSearch:
@@ -157,7 +157,7 @@ class ExploitSearch:
     # Episodes
 
     def _play(self, driver: str, kind: DriverKind, number: int) -> DrivenEpisode | None:
-        """One episode; None where the steps of the plan are used up, or where it cannot go on."""
+        """Play one episode; None if the steps of the plan are used up, or if it cannot go on."""
         key = driver, number
         if key not in self._played and self._left > 0:
             self._write({"at": [driver[:_MAX_SHOWN], number]})
@@ -259,7 +259,7 @@ _MAX_SHOWN = 80
 
 class Slot(NamedTuple):
     """A number of the action: the names of the options of a choice, or none for a value from -1 to 1; `idle`
-    is what does nothing."""
+    is the value that does nothing."""
 
     options: tuple[str, ...]
     idle: float
@@ -275,7 +275,7 @@ class Slot(NamedTuple):
 
 
 def action_slots(action: Sequence[ActionPart]) -> list[Slot]:
-    """The numbers of an action, in their order in the text of a driver."""
+    """Return the numbers of an action, in their order in the text of a driver."""
     idle = idle_action(action)
     choices, values = (iter(idle[0]), iter(idle[1])) if idle is not None else (repeat(0), repeat(0.0))
     slots = []
@@ -288,7 +288,7 @@ def action_slots(action: Sequence[ActionPart]) -> list[Slot]:
 
 
 def fixed_drivers(program: Program) -> Iterator[tuple[str, DriverKind]]:
-    """Scripts, doing nothing, constant, alternating and random actions."""
+    """Yield scripts, doing nothing, constant, alternating and random actions."""
     for script in program.agent.scripts:
         yield script.name, "script"
     slots = action_slots(program.agent.action)
@@ -305,8 +305,8 @@ def fixed_drivers(program: Program) -> Iterator[tuple[str, DriverKind]]:
 
 
 def _constants(slots: Sequence[Slot]) -> list[tuple[float, ...]]:
-    """Combinations of the extremes; where these are many, each extreme alone, and all at the same end. The
-    first does nothing."""
+    """Return combinations of the extremes; if these are many, each extreme alone, and all at the same end.
+    The first does nothing."""
     idle = tuple(slot.idle for slot in slots)
     if prod(len(slot.extremes) for slot in slots) <= _MAX_CONSTANTS:
         return list(product(*(slot.extremes for slot in slots)))
@@ -318,7 +318,7 @@ def _constants(slots: Sequence[Slot]) -> list[tuple[float, ...]]:
 
 
 def _are_opposite(slots: Sequence[Slot], one: Sequence[float], other: Sequence[float]) -> bool:
-    """Whether every range has the opposite value, and at least one number differs."""
+    """Return whether every range has the opposite value, and at least one number differs."""
     pairs = list(zip(slots, one, other, strict=True))
     return one != other and all(slot.options or a == -b or (a == b == slot.idle) for slot, a, b in pairs)
 
@@ -326,7 +326,7 @@ def _are_opposite(slots: Sequence[Slot], one: Sequence[float], other: Sequence[f
 def driver_text(
     slots: Sequence[Slot], actions: Sequence[Sequence[float]], holds: Sequence[int] | None = None
 ) -> str:
-    """Actions as `--driver` takes them, each for so many steps."""
+    """Return actions as `--driver` takes them, each for so many steps."""
     texts = [
         ":".join(slot.text(value) for slot, value in zip(slots, action, strict=True)) for action in actions
     ]
@@ -354,8 +354,8 @@ class Cycle:
 
 
 def sequence_shapes(longest: int) -> list[tuple[int, ...]]:
-    """The steps for which the actions of a cycle are held: two short cycles, and one that lasts the episode
-    and holds the last longest."""
+    """Return the steps for which the actions of a cycle are held: two short cycles, and one that lasts the
+    episode and holds the last longest."""
     part = ceil(longest / 16)
     return [(4, 4), (part, part), (part, part, 2 * part, 2 * part, 10 * part)]
 
@@ -413,7 +413,7 @@ class Distribution:
 
 
 class MotionWatch:
-    """How the first robot of the agent moves in an episode, from its reset on."""
+    """Measures the motion of the first robot of the agent in an episode, from its reset on."""
 
     def __init__(self, environment: Supervisor) -> None:
         name = environment.scenario.agent.robots[0]
@@ -452,7 +452,7 @@ class MotionWatch:
             )
 
     def summary(self) -> dict[str, Any]:
-        """The fields of a `DrivenEpisode` about motion."""
+        """Return the fields of a `DrivenEpisode` about motion."""
         turns, stopped = abs(self._turned) / (2 * pi), self._stopped / max(1, self._steps)
         return {
             "path": self._path,

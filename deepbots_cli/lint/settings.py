@@ -1,4 +1,4 @@
-"""Which files of a project are scenarios, and how the project wants them linted.
+"""The files of a project that are scenarios, and the settings with which they are linted.
 
 Settings are the table `lint` of `deepbots.toml`, or `tool.deepbots.lint` of `pyproject.toml`, at the root of
 the project. The first file that has the table counts.
@@ -28,14 +28,15 @@ _TABLES = (("deepbots.toml", ("lint",)), ("pyproject.toml", ("tool", "deepbots",
 _TOOL = re.compile(rb"\btool\W{0,9}deepbots|^\s*\[\W*tool\W*\]", re.MULTILINE)
 _MAX_BYTES = 256 << 10
 _MAX_WORDS = 1000
-"""In a list of settings; each pattern is matched against each file of a folder."""
+"""The maximum number of words in a list of settings; each pattern is matched against each file of a
+folder."""
 _WORDS: dict[str, tuple[str, ...]] = {"format": get_args(Format), "fail-on": get_args(FailOn)}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings of a project; None where it has none. `exclude` holds patterns of paths from `root`, such
-    as `drafts/*`."""
+    """The settings of a project; None if it has none. `exclude` has patterns of paths from `root`, such as
+    `drafts/*`."""
 
     root: Path
     select: RuleSelectors | None = None
@@ -46,7 +47,7 @@ class Settings:
     exclude: tuple[str, ...] = ()
 
     def excludes(self, path: Path) -> bool:
-        """Whether a pattern matches the file, or a folder that holds it."""
+        """Return whether a pattern matches the file, or a folder that contains it."""
         path = path.resolve() if self.exclude else path
         inside = path.relative_to(self.root) if path.is_relative_to(self.root) else path
         above = [part.as_posix() for part in (inside, *inside.parents)]
@@ -54,7 +55,7 @@ class Settings:
 
 
 def settings(folder: Path | None = None) -> Settings:
-    """The settings of the project that holds `folder`, by default the working directory.
+    """Return the settings of the project that contains `folder`, by default the working directory.
 
     Raises:
         UsageError: A file is no TOML, or has an unknown key or value; says which, and what was probably
@@ -149,26 +150,25 @@ def _list(value: object, key: str, name: str) -> tuple[str, ...]:
 
 # Scenarios in folders
 
-_VERSION = re.compile(
-    rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE
-)
+_VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
 _MAX_SEARCHED_BYTES = 65_536
-"""Bytes at the beginning of a file in which the key `deepbots` is searched."""
+"""The number of bytes at the beginning of a file in which the key `deepbots` is searched."""
 _SUFFIXES = (".yaml", ".yml")
 _NOT_SEARCHED = frozenset({"run.json", "pyvenv.cfg"})
-"""Files of training directories and virtual environments, which hold copies of scenarios."""
+"""The files of training directories and virtual environments, which contain copies of scenarios."""
 _MAX_LEVELS = 64
-"""Of folders in folders: `os.walk` calls itself for each level, and a path may have two thousand."""
+"""The maximum depth of nested folders: `os.walk` calls itself for each level, and a path may have two
+thousand."""
 
 
 def is_scenario(data: bytes) -> bool:
-    """Whether a text has the key `deepbots` at its top level; a file without it is a part that scenarios
-    include."""
+    """Return whether a text has the key `deepbots` at its top level; a file without it is a part that
+    scenarios include."""
     return _VERSION.search(data, 0, _MAX_SEARCHED_BYTES) is not None
 
 
 def scenarios_in(folder: Path, project: Settings) -> list[Path]:
-    """All `.yaml` and `.yml` files with a `deepbots:` key in a folder and its subfolders.
+    """Return all `.yaml` and `.yml` files with a `deepbots:` key in a folder and its subfolders.
 
     Files that the project excludes are left out, as are hidden folders, `node_modules`, virtual environments
     and training directories. Links to folders are not followed, nor links to files outside the project.
@@ -206,6 +206,6 @@ def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterato
 
 
 def _is_within(path: Path, root: Path) -> bool:
-    """Whether this is a file of the project: a link may lead to a device that blocks its reader, or to a file
-    that `--fix` would write."""
+    """Return whether this is a file of the project: a link may lead to a device that blocks its reader, or to
+    a file that `--fix` would write."""
     return path.is_file() and (not path.is_symlink() or path.resolve().is_relative_to(root))

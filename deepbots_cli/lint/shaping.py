@@ -27,18 +27,19 @@ from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.sensors import SENSORS
 
 _RISING_FUNCTIONS = ORDER_PRESERVING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
-"""Functions that rise with their first argument."""
+"""The functions that rise with their first argument."""
 _MAX_SHOWN = 60
-"""Characters of an expression in a help text."""
+"""The number of characters of an expression in a help text."""
 _EDGE_SHARE = 0.1
 """Near the middle, and near the failure, as a share of the way between both."""
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity"})
-"""Facts that do not depend on where a body is."""
+"""The facts that do not depend on the place of a body."""
 
 
 @rule("DB703")
 def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
-    """A reward has the wrong sign: a failure pays, a success costs, or progress towards success costs."""
+    """Report a reward with the wrong sign: a failure pays, a success costs, or progress towards success
+    costs."""
     reward, program = context.analysis.reward, context.program
     ordinary, final = reward.split_by_end()
     for term, node in final:
@@ -50,7 +51,7 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
                 if other is None or (other.name in program.failures) != failed
             )
             if any(reward.ranges_at(other).of(node) != NEVER for other in others):
-                continue  # paid at ends of another kind as well: its sign says nothing about this one
+                continue  # paid at ends of another kind as well, so its sign has no meaning for this one
             if paid.low > 0.0 if failed else paid.high < 0.0:
                 verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"
                 kind = "a failure" if failed else "a success"
@@ -69,7 +70,7 @@ def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Fin
 
 
 def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Expression) -> Iterator[Finding]:
-    """Terms that pay for the opposite of the one comparison of a success."""
+    """Report terms that pay for the opposite of the one comparison of a success."""
     analysis, running = reward.analysis, reward.ranges_while_running()
     compared = only_comparison(analysis, ending)
     for threshold in thresholds(compared, running) if compared else ():
@@ -173,7 +174,7 @@ def _times(slope: float | None, sign: float | None) -> float | None:
 
 
 def _sum(slopes: list[float | None]) -> float | None:
-    """The slope in which all parts agree that are not 0."""
+    """Return the slope in which all parts agree that are not 0."""
     nonzero = {slope for slope in slopes if slope != 0.0}
     if not nonzero:
         return 0.0
@@ -184,7 +185,8 @@ def _sum(slopes: list[float | None]) -> float | None:
 
 @rule("DB706")
 def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
-    """The reward depends on a value that differs between episodes and that the policy does not observe."""
+    """Report a reward that depends on a value that differs between episodes and that the policy does not
+    observe."""
     analysis, program = context.analysis.ideal, context.program
     shown = [entry.value for entry in program.agent.observation]
     shown += (
@@ -223,7 +225,7 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB710")
 def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
-    """A term pays more as the episode approaches a failure."""
+    """Report a term that pays more as the episode approaches a failure."""
     analysis, reward = context.analysis, context.analysis.reward
     if context.program.agent.goal is not None or not reward.is_complete:
         return
@@ -240,7 +242,7 @@ def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
 
 
 def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:
-    """Whether a quantity counts from a middle up to a limit, and depends on the present alone."""
+    """Return whether a quantity counts from a middle up to a limit, and depends on the present alone."""
     interval = reward.ranges_while_running().of(threshold.quantity)
     is_place = (
         threshold.dimension in (LENGTH, ANGLE)
@@ -253,7 +255,7 @@ def _counts_from_middle(reward: RewardTerms, threshold: Threshold) -> bool:
 
 
 def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Expression]:
-    """The terms that pay more just before the failure than in the middle; none where another term or a
+    """Return the terms that pay more just before the failure than in the middle; none where another term or a
     success concerns the same."""
     analysis = reward.analysis
     running = reward.ranges_while_running()
@@ -273,7 +275,8 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
 
 
 def _concerns(analysis: Analysis, node: Scalar) -> set[str]:
-    """The names without definition that a value depends on, and the bodies on whose places it depends."""
+    """Return the names without definition that a value depends on, and the bodies on whose places it
+    depends."""
     bodies: set[str] = set()
     for part in analysis.walk_definitions(node):
         match part:

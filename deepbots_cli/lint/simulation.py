@@ -1,4 +1,4 @@
-"""`lint --deep`: what is simulated, the process that simulates, and its report, from which rules make
+"""`lint --deep`: the plan of a simulation, the process that simulates, and its report, from which rules make
 findings.
 
 The scenario is simulated by `rollouts` in a process of its own, with limits on time and memory, so that a
@@ -29,25 +29,33 @@ from deepbots_cli.program.robots import Motor, Robot, Sensor
 from deepbots_cli.program.task import idle_action
 from deepbots_cli.robots.model import RobotModel
 
-# What is simulated
+# The plan
 
 HOLD_STEPS = 8
-"""Steps for which a random action is held. Actions that are new in every step cancel each other, and move
-little."""
+"""The number of steps for which a random action is held. Actions that are new in every step cancel each
+other, and move little."""
 RANDOM = "random actions"
 HELD_RANDOM = f"random actions held for {HOLD_STEPS} steps each"
 IDLE = "doing nothing"
 
 _RESETS = 24
+"""The maximum number of resets; a fault of one start in eight is found with 96 %."""
 _RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH_STEPS = 24, 250, 1500
+"""The maximum number of random episodes, the steps of each, and the steps of all after which no other begins."""
 _OTHER_EPISODES, _OTHER_STEPS = 2, 500
+"""The number of episodes of doing nothing and of each script, and the steps of each."""
 _VARIANT_STEPS = 100
+"""The steps of an episode in a case or a stage."""
 _MAX_WORK = 200_000.0
+"""The physics steps of one robot in all episodes, in the unit of `work_per_step`: about 3 s at 15 us each."""
 _MAX_SETTLING = 50_000
+"""The physics steps in which the world settles, in all resets."""
 _PIXELS = 250.0
+"""The number of pixels that cost as much as a physics step."""
 _MIN_STEPS = 10
+"""The least number of steps of an episode, whatever they cost."""
 _MAX_AXIS_RISE = 0.3
-"""Of an axis of a wheel, per length."""
+"""The largest rise of an axis of a wheel, per length."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +73,8 @@ class Rollout:
 
 @dataclass(frozen=True)
 class Plan:
-    """Resets with the seeds from 0 on, then the episodes; those with random actions until they have
-    `min_random_steps` steps together."""
+    """The plan of a simulation: resets with the seeds from 0 on, then the episodes; those with random actions
+    until they have `min_random_steps` steps together."""
 
     resets: int
     rollouts: tuple[Rollout, ...]
@@ -74,7 +82,7 @@ class Plan:
 
 
 def simulation_plan(program: Program) -> Plan:
-    """The plan for the scenario itself."""
+    """Return the plan for the scenario itself."""
     last = program.truncation.max_episode_steps(program.period)
     drawn = [
         Rollout(HELD_RANDOM if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS))
@@ -98,7 +106,7 @@ def simulation_plan(program: Program) -> Plan:
 
 
 def variant_plan(program: Program) -> tuple[Rollout, ...]:
-    """The episodes in a case or a stage, where something has been constant so far."""
+    """Return the episodes in a case or a stage, where something has been constant so far."""
     steps = max(_MIN_STEPS, min(_VARIANT_STEPS, int(_MAX_WORK / 20 / work_per_step(program))))
     return (
         Rollout(HELD_RANDOM, 1, steps),
@@ -114,7 +122,7 @@ def _others(program: Program) -> Iterator[tuple[str, str | None]]:
 
 
 def work_per_step(program: Program) -> float:
-    """The cost of a step of the agent, in physics steps of one robot (about 15 us): ten of them are
+    """Return the cost of a step of the agent, in physics steps of one robot (about 15 us): ten of them are
     overhead."""
     copies = program.agent.copies.count if program.agent.copies else 1
     pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.agent.images)
@@ -126,14 +134,15 @@ def work_per_step(program: Program) -> float:
 # The report
 
 End = Literal["success", "failure", "limit", "left"]
-"""How an episode ended: by the task, by truncation, or left after enough steps."""
+"""The end of an episode: by the task, by truncation, or left after enough steps."""
 ARENA = "arena walls"
-"""Holds a blank, which no name of an object does."""
+"""The name of the walls of the arena, with a blank, which no name of an object has."""
 TOPPLING_S = 2.0
-"""s after a reset in which a robot that topples does so: a published arm, an xArm 6, has tilted by 40 deg
-after 1 s."""
+"""The time (s) after a reset within which a robot that topples does so: a published arm, an xArm 6, has
+tilted by 40 deg after 1 s."""
 MAX_SINK = 0.001
-"""m; engines let bodies sink in by less, and round what rays meet."""
+"""The depth (m) above which bodies have sunk in; engines let bodies sink in by less, and round the hits of
+rays."""
 
 
 class SimulationPosition(NamedTuple):
@@ -165,7 +174,7 @@ class MeasuredOverlap:
 
 @dataclass(frozen=True)
 class SimulatedEpisode:
-    """One episode; `discounted_return` is the discounted return."""
+    """A simulated episode."""
 
     policy: str
     seed: int
@@ -177,18 +186,18 @@ class SimulatedEpisode:
 DriverKind = Literal[
     "idle", "constant", "alternating", "random", "script", "interrupted", "detour", "sequence"
 ]
-"""Who drives, the simplest first; a script is `interrupted` before its success; the search finds detours and
-sequences of actions."""
+"""The kinds of drivers, the simplest first; a script is `interrupted` before its success; the search finds
+detours and sequences of actions."""
 
 
 @dataclass(frozen=True)
 class DrivenEpisode:
     """An episode of the search for exploits (`lint --exploits`).
 
-    `driver` is what `--driver` takes, `number` that of the episode from seed 0. `terms` maps each term of the
-    reward to its sums over the four quarters of the episode. `path` (m) is the way of the robot's base,
-    `distance` (m) how far from its start it ends, and `turns` how often it has turned; `stopped` is the share
-    of the steps in which all of its joints with limits are at a limit.
+    `driver` is the text for `--driver`, `number` is that of the episode from seed 0. `terms` maps each term
+    of the reward to its sums over the four quarters of the episode. `path` (m) is the length of the way of
+    the robot's base, `distance` (m) that from its start to its end, and `turns` the number of turns;
+    `stopped` is the share of the steps in which all of its joints with limits are at a limit.
     """
 
     driver: str
@@ -206,7 +215,7 @@ class DrivenEpisode:
     stopped: float = 0.0
 
     def sum_of(self, term: str) -> float:
-        """What a term gave in the whole episode."""
+        """Return the sum of a term in the whole episode."""
         return sum(self.terms[term])
 
 
@@ -244,8 +253,8 @@ class Clearance(NamedTuple):
 
 
 class Rolling(NamedTuple):
-    """Of a robot since the start of an episode: the largest distance (m), change of heading (rad), and turn
-    of a driven wheel (rad)."""
+    """The motion of a robot since the start of an episode: the largest distance (m), change of heading (rad),
+    and turn of a driven wheel (rad)."""
 
     distance: float
     turn: float
@@ -257,7 +266,8 @@ def casts_rays(sensor: Sensor) -> bool:
 
 
 def driven_wheels(robot: Robot, model: RobotModel) -> tuple[str, ...]:
-    """The continuous joints on level axes that have a velocity or torque motor, if there are two or more.
+    """Return the continuous joints on level axes that have a velocity or torque motor, if there are two or
+    more.
 
     A robot with motors of another kind, or with rotors, has none: it moves by other means.
     """
@@ -303,14 +313,14 @@ class PolicyStatistics(NamedTuple):
 
 @dataclass
 class SimulationReport:
-    """The lines that the simulating process has written. Names in it are only ever looked up in the scenario.
+    """The lines that the simulating process has written. Names in it are only looked up in the scenario.
 
     `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and
     `zero_terms` are the places of the numbers that never changed and of the terms that were always 0.
-    `clearances` and `depths` are about sensors whose rays met nothing: how high they passed over all bodies,
-    and how far below the ground (m) they began. `rolling` is about robots on driven wheels, and `tilts` (rad)
-    about robots with a free base: how far each tilts at least within `TOPPLING_S` of doing nothing. `done`
-    says whether the plan was completed, `fault` which exception of deepbots ended it.
+    `clearances` and `depths` have for sensors whose rays met nothing the height (m) above all bodies, and the
+    depth (m) of their beginning below the ground. `rolling` has the motion of robots on driven wheels, and
+    `tilts` (rad) the least tilt of robots with a free base within `TOPPLING_S` of doing nothing. `done` is
+    true if the plan was completed, `fault` is the exception of deepbots that ended it.
     """
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)
@@ -333,7 +343,7 @@ class SimulationReport:
     done: bool = False
 
     def add_line(self, line: Mapping[str, Any]) -> None:  # one case per kind of line  # noqa: C901
-        """Add one line of the process."""
+        """Add a line that the process wrote; lines of an unknown kind are ignored."""
         match line:
             case {"at": [str(doing), int(seed)]}:
                 self.where, self.fastest = SimulationPosition(doing, seed, 0), None
@@ -397,17 +407,17 @@ class Limits(NamedTuple):
     """
 
     cpu: int = 120
-    """s of CPU time in all."""
+    """The CPU time in all, in s."""
     step_seconds: float = 30.0
-    """s of CPU time for a step."""
+    """The CPU time for a step, in s."""
     memory: int = 4096
-    """MiB of address space."""
+    """The address space, in MiB."""
     wall: float = 900.0
-    """s by the clock in all, on a machine that may be busy."""
+    """The time by the clock in all, in s, on a machine that may be busy."""
 
 
 EXPLOIT_LIMITS = Limits(cpu=60)
-"""Of a search for exploits, which plans for about 20 s."""
+"""The limits of a search for exploits, which plans for about 20 s."""
 
 
 def require_simulator(option: str = "lint --deep") -> None:
@@ -431,7 +441,7 @@ def measure(
 
     Raises:
         UsageError: The copies cannot be written.
-        RuntimeError: The process failed by a fault of deepbots, and DEEPBOTS_DEBUG is 1; holds its traceback.
+        RuntimeError: The process failed by a fault of deepbots, and DEEPBOTS_DEBUG is 1; has its traceback.
     """
     import subprocess  # with tempfile 10 ms of CPU, which static linting does not need
     import tempfile
@@ -480,7 +490,7 @@ def _read(out: bytes) -> SimulationReport:
 
 
 def _halt(code: int, limits: Limits) -> Halt:
-    """Why the process ended before it was done."""
+    """Return why the process ended before it was done."""
     name = signal.Signals(-code).name if -code in signal.valid_signals() else ""
     if name == "SIGPROF":
         return Halt("hang", f"{limits.step_seconds:g} s of CPU time")

@@ -51,7 +51,8 @@ def main(limits: Limits) -> None:
 
 
 def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
-    """Each line grants further `seconds` of CPU time; after these SIGPROF ends the process."""
+    """Simulate, where each line grants further `seconds` of CPU time; after these SIGPROF ends the
+    process."""
 
     def write(line: bytes) -> None:
         if sys.platform != "win32":

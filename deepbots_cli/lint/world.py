@@ -1,5 +1,5 @@
-"""The world: what is out of scale (DB507), engines (DB309, DB316), robots that fall (DB323), how episodes
-begin (DB310, DB809, DB812)."""
+"""The world: implausible scale (DB507), engines (DB309, DB316), robots that fall (DB323), starts of episodes
+(DB310, DB809, DB812)."""
 
 from __future__ import annotations
 
@@ -31,23 +31,25 @@ from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBod
 from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
 
 _MIN_DENSITY, _MAX_DENSITY = 0.1, 25_000.0
-"""kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each m^3."""
+"""The plausible densities in kg/m^3; air has 1.2, osmium 22 600, and a toy balloon weighs 0.2 for each
+m^3."""
 _MAX_SIZE_RATIO = 4.0
-"""Times the size of a robot that begins within an object."""
+"""The width of an object from which a robot in it is too small, as a multiple of the size of the robot."""
 _MIN_LARGE_ROBOT_M, _MIN_ROBOT_DENSITY = 10.0, 1e-5
-"""m, and kg for each cube of the length; a drone of 0.5 m and 1 kg has 8, an arm of 0.75 m and 3.5 kg too."""
+"""The length (m) of a large robot, and the mass (kg) for each cube of the length; a drone of 0.5 m and 1 kg
+has 8, an arm of 0.75 m and 3.5 kg too."""
 _MIN_OVERLAP_M = 0.01
-"""m; the heights of two bodies overlap by so much if one does not stand on the other."""
+"""The overlap (m) of the heights of two bodies of which one does not stand on the other."""
 _MAX_MASS_RATIO = 1e5
-"""Times the mass of all robots together."""
+"""The mass from which an object is implausible, as a multiple of the mass of all robots together."""
 _WATER_DENSITY = 1000.0
-"""kg/m^3"""
+"""The density of water, in kg/m^3."""
 _LENGTHS_IN_METERS = re.compile(r"([\d.]+(?: [\d.]+)*) *m")
 _Robots = list[tuple[RobotBody, float]]
-"""With the size of each, m: the longest side of the box around its links, without meshes."""
+"""The robots with the size of each, in m: the longest side of the box around its links, without meshes."""
 _MAX_DEPTH = 0.005
-"""m; engines let what rests sink in by less than a millimeter, and what is placed by hand is often a little
-off.
+"""The depth (m) up to which bodies may overlap; engines let resting bodies sink in by less than a millimeter,
+and a pose set by hand is often a little off.
 
 A cart or a crate was pushed out of the ground at 0.01 to 0.04 m/s from 4 mm, at up to 0.22 m/s from 5 mm and
 up to 0.5 m/s from 10 mm (physics steps of 8 and of 1 ms); a fall of 1 mm gives 0.14 m/s.
@@ -59,7 +61,8 @@ up to 0.5 m/s from 10 mm (physics steps of 8 and of 1 ms); a fall of 1 mm gives 
 
 @rule("DB323")
 def falls_without_end(context: RuleContext) -> Iterator[Finding]:
-    """A robot falls without end, because its base is free and nothing of it collides with the ground."""
+    """Report a robot that falls without end, because its base is free and nothing of it collides with the
+    ground."""
     program, values = context.program, context.values
     lifted = {
         robot.name
@@ -82,7 +85,7 @@ def falls_without_end(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB316")
 def beyond_engine(context: RuleContext) -> Iterator[Finding]:
-    """The physics engine is not installed, or does not support a part of the world."""
+    """Report a physics engine that is not installed, or does not support a part of the world."""
     world, kind = context.program.world, ENGINES.get(context.program.engine or "")
     terrain = world.terrain
     if kind is None:
@@ -119,7 +122,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
 
 @rule("DB507")
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
-    """The size or the mass of an object or of a robot is implausible."""
+    """Report an implausible size or mass of an object or of a robot."""
     world, values = context.program.world, context.values
     sizes = [
         (robot, max(footprint.box_sides(footprint.robot_bounds(footprint.without_meshes(robot.model)))))
@@ -151,7 +154,7 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
 
 
 def _forms(thing: ObjectBody) -> Iterator[tuple[NodePath, Variant]]:
-    """Each variant of a body, and its place in the scenario."""
+    """Yield each variant of a body, and its place in the scenario."""
     path: NodePath = ("objects", thing.name.partition("#")[0])
     if thing.variants:
         yield from (((*path, "one_of", kind.name), kind) for kind in thing.variants)
@@ -162,7 +165,7 @@ def _forms(thing: ObjectBody) -> Iterator[tuple[NodePath, Variant]]:
 def _object_around_robot(
     start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
 ) -> Finding | None:
-    """An object with a small robot inside, wherever both are placed."""
+    """Return a finding about an object with a small robot inside, wherever both are placed."""
     if not thing.solid or isinstance(kind.shape, Mesh):
         return None
     width = 2.0 * footprint.shape_footprint(kind.shape).inradius
@@ -179,8 +182,8 @@ def _object_around_robot(
 
 
 def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: Shape) -> bool:
-    """Whether the origin of a robot lies within the outline of an object, seen from above, and part of the
-    robot at the same height."""
+    """Return whether the origin of a robot lies within the outline of an object, seen from above, and part of
+    the robot at the same height."""
     radius, half = _inner_cylinder(shape)
     high = footprint.robot_bounds(footprint.without_meshes(robot.model))[1][2]
     standing, lying = footprint.resting_height(robot.model), footprint.resting_height(shape)
@@ -198,7 +201,7 @@ def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: S
 
 
 def _inner_cylinder(shape: Shape) -> tuple[float, float]:
-    """The radius and half the height of an upright cylinder within a shape, m."""
+    """Return the radius and half the height of an upright cylinder within a shape, m."""
     match shape:
         case Sphere(radius):
             return 0.86 * radius, 0.5 * radius
@@ -211,7 +214,8 @@ def _inner_cylinder(shape: Shape) -> tuple[float, float]:
 def _odd_mass(
     thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
 ) -> Finding | None:
-    """A movable object with the density of no material, or one that outweighs all robots by far."""
+    """Return a finding about a movable object with the density of no material, or one that outweighs all
+    robots by far."""
     size = volume(kind.shape)
     if not thing.solid or kind.fixed or not size or kind.mass <= 0.0:
         return None
@@ -237,7 +241,7 @@ def _odd_mass(
 
 
 def _in_centimeters(path: NodePath, values: ValueReader) -> str:
-    """A help with the same size in centimeters, where it is written in meters."""
+    """Return a help with the same size in centimeters, where it is written in meters."""
     written = values.span_of_first(path, "radius", "size").text
     match = _LENGTHS_IN_METERS.fullmatch(written)
     if match is None:
@@ -269,7 +273,7 @@ _KINDS = {
 
 @rule("DB309")
 def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
-    """The engine crashes, hangs, or computes impossible motion."""
+    """Report that the engine crashes, hangs, or computes impossible motion."""
     halt, stop = simulation.report.halt, simulation.report.stop
     if halt is not None and halt.kind in _KINDS:
         headline, help = _KINDS[halt.kind]
@@ -320,7 +324,7 @@ def _implausible_motion(stop: Mapping[str, Any], body: str) -> str:
 
 
 def _body_in(simulation: Simulation, text: str) -> str:
-    """The first body that a message of the engine names; empty if it names none."""
+    """Return the first body that a message of the engine names; empty if it names none."""
     world = simulation.program.world
     bodies = {robot.name for robot in world.robots} | {thing.name for thing in world.objects}
     return next((word for word in re.findall(r"'([^']+)'", text) if word in bodies), "")
@@ -331,7 +335,7 @@ def _body_in(simulation: Simulation, text: str) -> str:
 
 @rule("DB809")
 def identical_episodes(context: RuleContext) -> Iterator[Finding]:
-    """Nothing is random, so all episodes are the same."""
+    """Report that nothing is random, so that all episodes are the same."""
     program = context.program
     if (
         program.agent.training is None
@@ -366,7 +370,7 @@ def identical_episodes(context: RuleContext) -> Iterator[Finding]:
 
 
 def _varies(analysis: Analysis) -> bool:
-    """Whether anything is random that no function of the language draws."""
+    """Return whether anything is random that no function of the language draws."""
     program = analysis.program
     values = [*program.signals, *program.agent.reward, *program.endings]
     routes = [route for robot in program.robots for route in (robot.to_route, robot.from_route)]
@@ -400,7 +404,8 @@ def _draws_coordinates(place: Placement) -> bool:
 
 @rule("DB812")
 def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
-    """`reset.require` depends only on parameters, which are not drawn again if it does not hold."""
+    """Report `reset.require` that depends only on parameters, which are not drawn again if it does not
+    hold."""
     program, analysis, require = context.program, context.analysis, context.program.reset.require
     if require is None:
         return
@@ -440,7 +445,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
 
 
 def _is_of_root(program: Program, fact: EngineRead) -> bool:
-    """Whether a fact concerns the pose of an object or of a root link, which no joint moves."""
+    """Return whether a fact concerns the pose of an object or of a root link, which no joint moves."""
     roots = {f"{robot.name}.{robot.model.root}" for robot in program.world.robots} | {
         thing.name for thing in program.world.objects
     }
@@ -448,8 +453,8 @@ def _is_of_root(program: Program, fact: EngineRead) -> bool:
 
 
 def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -> bool:
-    """Whether the next attempt differs: in the place of a body, in the layout, or in a joint of a robot in
-    `bent`."""
+    """Return whether the next attempt differs: in the place of a body, in the layout, or in a joint of a
+    robot in `bent`."""
     joints = any(
         start.robot in bent and contains_draw(start.position.typed) for start in program.reset.joint_starts
     )
@@ -461,7 +466,7 @@ def _is_drawn_again(program: Program, places: list[Placement], bent: set[str]) -
 
 @rule("DB310")
 def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
-    """Bodies overlap at the start; one pair is reported for all copies of a group."""
+    """Report bodies that overlap at the start; one pair is reported for all copies of a group."""
     deepest: dict[frozenset[str], MeasuredOverlap] = {}
     for overlap in simulation.report.overlaps:
         pair = frozenset(name.partition("#")[0] for name, _ in (overlap.one, overlap.other))
@@ -471,7 +476,7 @@ def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
 
 
 def _overlapping(simulation: Simulation, overlap: MeasuredOverlap) -> Finding:
-    """Reported at the body that the scenario places, a robot first."""
+    """Return a finding at the body that the scenario places, a robot first."""
     one, other = sorted((overlap.one, overlap.other), key=lambda part: _order(simulation, part[0]))
     first, second = simulation.called(one[0]), simulation.called(other[0])
     depth = f"{overlap.depth * 1000:.3g} mm"

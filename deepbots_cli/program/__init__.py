@@ -1,30 +1,31 @@
 """The checked scenario: one structure from the linter to the engine.
 
     Program
-    ├── world                 what an engine builds: timestep, ground, arena, robots as data, objects
-    ├── robots                controllers: sensors, what they emit, what they apply, message layouts, routes
-    ├── parameters            values drawn per episode or more often (fixed ones are folded into the
-    │                         expressions)
+    ├── world                 timestep, ground, arena, robots as data, objects: the input of an engine
+    ├── robots                controllers: sensors, emitted values, commands, message layouts, routes
+    ├── parameters            values drawn per episode or more often (fixed ones are folded)
     ├── signals               augmentation and signals, in order of evaluation
-    ├── agents                by name: robots, action, observation, goal, reward, success, scripts, training,
-    │                         copies of a robot
+    ├── agents                by name: robots, action, observation, goal, reward, success, scripts, training
     ├── action_repeat         control ticks in one step, for which each action is held
-    ├── endings, truncation   when an episode ends
-    ├── reset, disturbances   how an episode begins, what it varies, what disturbs it
+    ├── endings, truncation   the ends of an episode
+    ├── reset, disturbances   the start of an episode, its variations and disturbances
     ├── evaluation
-    └── cases, curriculum     the whole once more for each case of the evaluation and each stage of the
-    │                         curriculum
+    └── cases, curriculum     a complete program for each case and each stage of the curriculum
 
-values.py   Expression, the leaf of all of these      world.py    what an engine builds
-robots.py   sensors, actuators, messages, controllers task.py     agents, endings, training, evaluation
-resets.py   placements, randomized parameters         identity.py canonical JSON, digests, interfaces
-draws.py    what a reset draws, by name                 topics.py   sensors and commands as fields of ROS 2 messages
-dependencies.py  what values are made of, through names
-generated.py  the names in the code that is generated from it
+values.py        Expression, the leaf of all of these
+world.py         the input of an engine
+robots.py        sensors, actuators, messages, controllers
+task.py          agents, endings, training, evaluation
+resets.py        placements, randomized parameters
+identity.py      canonical JSON, digests, interfaces
+draws.py         the draws of a reset, by name
+topics.py        sensors and commands as fields of ROS 2 messages
+dependencies.py  the values that a value is made of, through names
+generated.py     the names in the code that is generated from it
 
 Everything is frozen, in SI units, and free of YAML and of any engine. Rules read the typed tree and the place
-of an expression (`.typed`, `.span`), generated code its scalar trees (`.scalars`), which are made when first
-asked for. `identity` writes a program as canonical JSON, whose digest identifies the scenario.
+of an expression (`.typed`, `.span`), generated code its scalar trees (`.scalars`), which are made on first
+use. `identity` writes a program as canonical JSON, whose digest identifies the scenario.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """One checked scenario, ready to be printed as Python and run.
+    """A checked scenario, ready to be printed as Python and run.
 
     A field belongs to an agent if a second agent would need its own. All other fields are shared by all
     agents:
@@ -61,12 +62,11 @@ class Program:
     - the episode: reset, endings, truncation, and the `action_repeat`. A world is reset and stepped as a
       whole.
 
-    There is one agent, `agent`. `engine` is the engine
-    that the scenario names, None for the default. `stored_signals` names the signals that the supervisor
-    stores after each step, as `last_NAME`; only programs of `insight`, which explains episodes, have some.
-    The compiler returns no `tests`: `deepbots test` adds those whose conditions the generated code computes.
-    `supplied_by` says what supplies readings of the world to a real robot, by reading. `ros` has the topics
-    of sensors and commands that the scenario names.
+    There is one agent, `agent`. `engine` is the engine that the scenario names, None for the default.
+    `stored_signals` names the signals that the supervisor stores after each step, as `last_NAME`; only
+    programs of `insight`, which explains episodes, have any. The compiler returns no `tests`: `deepbots test`
+    adds those whose conditions the generated code computes. `supplied_by` has the supplier of each reading of
+    the world for a real robot. `ros` has the topics of sensors and commands that the scenario names.
     """
 
     name: str
@@ -110,12 +110,12 @@ class Program:
         return agent
 
     def with_agents(self, **changes: Any) -> Program:
-        """The program with the same fields of every agent changed."""
+        """Return the program with the same fields of every agent changed."""
         return replace(self, agents={name: replace(agent, **changes) for name, agent in self.agents.items()})
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
-        """Whether each message arrives in the timestep in which it is sent: `delayed` timing makes either
-        direction a timestep longer."""
+        """Return whether each message arrives in the timestep in which it is sent: `delayed` timing makes
+        either direction a timestep longer."""
         route = robot.to_route if direction == "to_robot" else robot.from_route
         return self.format == "none" or (route.perfect and self.timing == "immediate")
 
@@ -156,7 +156,7 @@ class Program:
 
     @cached_property
     def draws(self) -> EpisodeDraws:
-        """What a reset draws."""
+        """The draws of a reset."""
         return EpisodeDraws(self)
 
     @property
@@ -180,9 +180,9 @@ class Program:
         return self.agent.goal is not None or bool(self.agent.success)
 
     def evaluation_episodes(self, case: str | None = None) -> int:
-        """The number of episodes of an evaluation, or of a case of it.
+        """Return the number of episodes of an evaluation, or of a case of it.
 
-        An evaluation has at least as many as `solved` asks for.
+        An evaluation has at least as many as `solved` requires.
 
         Raises:
             UsageError: There is no such case.
@@ -194,19 +194,19 @@ class Program:
         )
 
     def case(self, name: str) -> EvaluationCase:
-        """The case of the evaluation of that name.
+        """Return the case of the evaluation with that name.
 
         Raises:
-            UsageError: There is none; lists those there are.
+            UsageError: There is none; the message lists the cases.
         """
         return self._named("case", name, self.cases)
 
     def stage(self, name: str) -> CurriculumStage:
-        """The stage of the curriculum with that name."""
+        """Return the stage of the curriculum with that name."""
         return self._named("stage", name, self.curriculum)
 
     def variant(self, case: str | None, stage: str | None) -> Program:
-        """The scenario with the settings of a case or of a stage; itself without either.
+        """Return the scenario with the settings of a case or of a stage; the scenario itself without either.
 
         Raises:
             UsageError: Both are given, or there is no such case or stage.
@@ -220,7 +220,7 @@ class Program:
         return self
 
     def script(self, name: str) -> Script:
-        """The script with that name."""
+        """Return the script with that name."""
         return self._named("script", name, self.agent.scripts)
 
     def _named(self, what: str, name: str, entries: Sequence[Entry]) -> Entry:

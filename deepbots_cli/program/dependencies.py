@@ -1,4 +1,5 @@
-"""What values are made of, through the names of signals and endings, and of the fields that robots send."""
+"""The values that a value is made of, through the names of signals and endings, and of the fields that robots
+send."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ Node = tuple[Robot | None, Scalar]
 class Definitions:
     """The values that a program names.
 
-    `fields` are what robots send, by full name, each with the robot that computes it.
+    `fields` are the fields that robots send, by full name, each with the robot that computes it.
     """
 
     def __init__(self, program: Program) -> None:
@@ -33,7 +34,7 @@ class Definitions:
         }
 
     def nodes(self, trees: Iterable[Scalar]) -> Iterator[Node]:
-        """The nodes of trees of the supervisor, and after each name those of its definition, once.
+        """Return the nodes of trees of the supervisor, and after each name those of its definition, once.
 
         A parameter has no definition here, and a sensor has none.
         """

@@ -1,4 +1,4 @@
-"""What the reset of an episode draws: every number and every name, by its place in the scenario.
+"""The draws of the reset of an episode: every number and every name, by its place in the scenario.
 
 The names are those of `drawn` in the info of a reset, and of the `options` that a reset takes.
 """
@@ -46,7 +46,7 @@ class _Units(TypedDict):
 
 _SI = _Units(si="1", unit=None)
 _FACTOR = Unit("(factor)", NUMBER)
-"""Of a number by which the scenario multiplies another one, as in `urdf * uniform(0.9 .. 1.1)`."""
+"""The unit of a number by which the scenario multiplies another one, as in `urdf * uniform(0.9 .. 1.1)`."""
 
 
 class EpisodeDraw(NamedTuple):
@@ -56,8 +56,8 @@ class EpisodeDraw(NamedTuple):
     for lies from `low` to `high`; a word is one of `words`. With copies of a robot, the draw may be one for
     each copy. It may change within the episode.
 
-    `si` is the SI unit of a number, and `unit` the unit in which the scenario writes it, None where it writes
-    none. `is_parameter` holds for parameters of the scenario.
+    `si` is the SI unit of a number, and `unit` the unit in which the scenario writes it, None if it writes
+    none. `is_parameter` is true for parameters of the scenario.
     """
 
     name: str
@@ -74,8 +74,8 @@ class EpisodeDraw(NamedTuple):
 
 
 def key_of_member(member: str, name: str) -> str:
-    """The key of a draw that is made once for each member `crate#2` of a group; `name` is that of its
-    stream."""
+    """Return the key of a draw that is made once for each member `crate#2` of a group; `name` is the name of
+    its stream."""
     return f"{member}|{name}"
 
 
@@ -83,7 +83,7 @@ _OF_MEMBER = re.compile(r"(?:reset\.place|reset\.layouts\.\w+|objects)\.\w+#\d+\
 
 
 def is_of_member(name: str) -> bool:
-    """Whether a name is that of a draw for one member of a group, such as `reset.place.crate#2.x`."""
+    """Return whether a name is that of a draw for one member of a group, such as `reset.place.crate#2.x`."""
     return _OF_MEMBER.match(name) is not None
 
 
@@ -91,12 +91,12 @@ _OF_COPY = re.compile(r"\w+#\d+\.")
 
 
 def without_copy(name: str) -> str:
-    """The name of a draw without the copy of a robot that it is for, such as `cart#2.`."""
+    """Return the name of a draw without the copy of a robot that it is for, such as `cart#2.`."""
     return _OF_COPY.sub("", name, count=1) if _OF_COPY.match(name) else name
 
 
 def kind_key(body: str) -> str:
-    """The name and the key of the kind of a body that is one of several kinds."""
+    """Return the name and the key of the kind of a body that is one of several kinds."""
     return f"objects.{body}.one_of"
 
 
@@ -108,7 +108,7 @@ class EpisodeDraws:
 
     @cached_property
     def entries(self) -> tuple[EpisodeDraw, ...]:
-        """Every draw: those of the scenario's expressions, then words and positions that are looked for."""
+        """All draws: those of the scenario's expressions, then words and positions that are looked for."""
         copies = self.program.agent.copies
         robot = copies.robot if copies else ""
         entries: dict[str, EpisodeDraw] = {}
@@ -134,10 +134,10 @@ class EpisodeDraws:
         return {entry.name: entry for entry in self.program.settable_draws if entry.components}
 
     def _found(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
-        """Each draw with the body that it belongs to, if it belongs to one."""
+        """Yield each draw with the body that it belongs to, if it belongs to one."""
         reset, agent = self.program.reset, self.program.agent
         robot = agent.copies.robot if agent.copies else None
-        # Parameters with new values within an episode: their own, or those of what they depend on.
+        # Parameters with new values within an episode: their own, or those that they depend on.
         changing: set[str] = set()
         for value in self.program.parameters:
             if value.redraw is not None or _reads(value, changing):
@@ -184,7 +184,7 @@ class EpisodeDraws:
         yield from self._of_placements()
 
     def _of_reset(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
-        """The numbers of poses and joints."""
+        """Yield the numbers of poses and joints."""
         units = self._reset_units
         for named in self.program.reset.drawn:
             body = None if named.name.startswith("reset.layouts.") else named.name.split(".")[2]
@@ -194,7 +194,7 @@ class EpisodeDraws:
                     yield body, EpisodeDraw(full, full, tree, **unit)
 
     def _of_placements(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
-        """The positions that are looked for."""
+        """Yield the positions that are looked for."""
         reset, units = self.program.reset, self._reset_units
         groups = {group.name: group for group in reset.groups}
         arranged = (
@@ -220,7 +220,7 @@ def _reads(value: Expression, names: set[str]) -> bool:
 
 
 def _draws(value: Expression, name: str | None = None) -> Iterator[EpisodeDraw]:
-    """The draws in an expression, each under the name of the component that it is for."""
+    """Yield the draws in an expression, each under the name of the component that it is for."""
     components = value.per_component or value.components
     units: dict[int | None, _Units] = {}
     for call in walk_typed(value.typed):
@@ -233,7 +233,7 @@ def _draws(value: Expression, name: str | None = None) -> Iterator[EpisodeDraw]:
 
 
 def _named(trees: Iterator[tuple[str, Scalar]], member: str = "") -> Iterator[EpisodeDraw]:
-    """The draws in the tree of each name; several in one tree have numbers."""
+    """Yield the draws in the tree of each name; several in one tree have numbers."""
     for name, tree in trees:
         draws = [node for node in walk(tree) if isinstance(node, Draw)]
         for number, draw in enumerate(draws):
@@ -242,8 +242,8 @@ def _named(trees: Iterator[tuple[str, Scalar]], member: str = "") -> Iterator[Ep
 
 
 def _name(variation: RandomizedParameter) -> str:
-    """The place of a randomized value, with the link, joint or member that it is for in place of a pattern or
-    a group."""
+    """Return the place of a randomized value, with the link, joint or member that it is for in place of a
+    pattern or a group."""
     path = variation.value.owner.partition(":")[0].split(".")
     if isinstance(variation.of, OfLink | OfJoint) and path[0] in ("robots", "objects"):
         body, part = variation.of
@@ -256,7 +256,7 @@ def _name(variation: RandomizedParameter) -> str:
 def _places(
     path: str, place: Placement, group: ObjectGroup | None, units: Mapping[str, _Units]
 ) -> Iterator[EpisodeDraw]:
-    """Positions that are looked for, and what is drawn for each member of a group; `units` are those of
+    """Yield positions that are looked for, and the draws for each member of a group; `units` are those of
     coordinates with a value."""
     bounds = _bounds(place, group)
     for body in group.copies if group else (place.body,):
@@ -288,7 +288,7 @@ def _places(
 
 
 def _bounds(place: Placement, group: ObjectGroup | None) -> Sequence[tuple[float, float]]:
-    """The limits of x and y (m) of a position that is looked for; none if it is not."""
+    """Return the limits of x and y (m) of a position that is looked for; none if it is not."""
     match place.spot:
         case Region(low, high):
             return tuple(zip(low, high, strict=True))

@@ -1,6 +1,6 @@
 """The names of attributes and methods in generated classes.
 
-`codegen` prints them; the runtime, `lint`, `insight` and `view` ask for them by the names of the scenario.
+`codegen` prints them; the runtime, `lint`, `insight` and `view` look them up by the names of the scenario.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import Literal
 from deepbots_cli.program.robots import Direction
 
 TestQuestion = Literal["holds", "compared"]
-"""Whether each condition of a test holds, or the values that the conditions compare."""
+"""The question to a test: whether each condition holds, or the values that the conditions compare."""
 
 _TERM = "term_"
 
 
 def identifier(*parts: str | None) -> str:
-    """A name of the scenario, such as `cart.pole_angle`, as an identifier: `cart_pole_angle`."""
+    """Return a name of the scenario, such as `cart.pole_angle`, as an identifier: `cart_pole_angle`."""
     return re.sub(r"\W", "_", "_".join(part for part in parts if part))
 
 
@@ -26,42 +26,42 @@ def identifier(*parts: str | None) -> str:
 
 
 def robot(name: str) -> str:
-    """The controller of a robot."""
+    """Return the name of the controller of a robot."""
     return f"robot_{name}"
 
 
 def channel(robot: str, direction: Direction) -> str:
-    """The path of messages to or from a robot."""
+    """Return the name of the path of messages to or from a robot."""
     return f"to_{robot}" if direction == "to_robot" else f"from_{robot}"
 
 
 def term(name: str) -> str:
-    """A term of the last reward."""
+    """Return the name of a term of the last reward."""
     return f"{_TERM}{name}"
 
 
 def last(local: str) -> str:
-    """A value of the last timestep, by the local that held it."""
+    """Return the name of a value of the last timestep, by its local."""
     return f"last_{local}"
 
 
 def push(disturbance: str) -> str:
-    """The device that pushes."""
+    """Return the name of the device that pushes."""
     return f"push_{disturbance}"
 
 
 def allowed(choice: str) -> str:
-    """Which options of a choice may be chosen next."""
+    """Return the name of the options of a choice that may be chosen next."""
     return f"allowed_{choice}"
 
 
 def script(name: str) -> str:
-    """The method that computes the next action of a script."""
+    """Return the name of the method that computes the next action of a script."""
     return f"script_{name}"
 
 
 def test(name: str, question: TestQuestion) -> str:
-    """The method that answers a question about a test."""
+    """Return the name of the method that answers a question about a test."""
     return f"test_{name}_{question}"
 
 
@@ -69,17 +69,17 @@ def test(name: str, question: TestQuestion) -> str:
 
 
 def drive(actuator: str) -> str:
-    """An actuator."""
+    """Return the name of an actuator."""
     return f"drive_{actuator}"
 
 
 def sense(sensor: str) -> str:
-    """The device of a sensor."""
+    """Return the name of the device of a sensor."""
     return f"sense_{sensor}"
 
 
 def emitted(local: str) -> str:
-    """A value of the last message, by the local that held it."""
+    """Return the name of a value of the last message, by its local."""
     return f"emitted_{local}"
 
 
@@ -87,7 +87,7 @@ def emitted(local: str) -> str:
 
 
 def reader(local: str) -> str:
-    """A reader of the engine, by the local that holds what it returned."""
+    """Return the name of a reader of the engine, by the local of its result."""
     return f"read_{local}"
 
 
@@ -95,11 +95,12 @@ def reader(local: str) -> str:
 
 
 def as_written(statement: str) -> str:
-    """A statement with names as the scenario has them: without `self.`, the prefix of terms, and the
+    """Return a statement with names as the scenario has them: without `self.`, the prefix of terms, and the
     comment."""
     return re.sub(rf"\bself\.({_TERM})?", "", statement.partition("  # ")[0])
 
 
 def names_in(line: str) -> Iterator[str]:
-    """The names in a line in their order: an assignment names its target first, then what it reads."""
+    """Return the names in a line in their order: an assignment names its target first, then the names that it
+    reads."""
     return (match[1] for match in re.finditer(r"(?:self\.)?([A-Za-z_]\w*)", line))

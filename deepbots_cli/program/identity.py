@@ -1,13 +1,13 @@
-"""Whether two programs are the same: canonical JSON with digests, and the interfaces of agents, item by item.
+"""Comparison of programs: canonical JSON with digests, and the interfaces of agents, item by item.
 
 Canonical means: keys sorted, no spaces, floats by their shortest exact form. Every record is an object whose
 key `is` holds the class name. Texts and places in files are left out: an expression is written as its name
 and its scalar trees, a file as its suffix and the digest of its content. The JSON is written and never read
-back: what is loaded is a scenario, which is compiled.
+back: a scenario is loaded and compiled instead.
 
 The interface holds the observation, action and messages that a policy and a world have agreed on. A policy is
 only as good as the meaning of the numbers that it was trained on. Each agreed item has a name and a text. A
-run records them all; they tell whether, and where, a scenario no longer fits its policy.
+run records them all; they show whether, and where, a scenario no longer fits its policy.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ from deepbots_cli.robots.model import Mesh
 
 
 def to_json(program: Program) -> str:
-    """Canonical JSON; equal programs give equal text."""
+    """Return canonical JSON; equal programs give equal text."""
     return json.dumps(_plain(program), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 @lru_cache(maxsize=16)
 def digest(program: Program) -> str:
-    """SHA-256 of the canonical JSON, in hexadecimal.
+    """Return SHA-256 of the canonical JSON, in hexadecimal.
 
-    It is kept, since each copy of an environment asks for it: that of PandaReach takes 30 ms.
+    The digest is kept, since each copy of an environment needs it: that of PandaReach takes 30 ms.
     """
     return hashlib.sha256(to_json(program).encode()).hexdigest()
 
 
 def task_digest(program: Program) -> str:
-    """The digest of what makes an episode: the same for scenarios that differ in their names, training,
-    evaluation or scripts alone."""
+    """Return the digest of the parts that determine an episode: it is the same for scenarios that differ only
+    in their names, training, evaluation or scripts."""
     nameless = replace(program.with_agents(scripts=(), training=None, solved=None), name="", summary="")
     return digest(replace(nameless, curriculum=(), evaluation=Evaluation(), cases=()))
 
 
 def record_members(part: object) -> dict[str, Any] | None:
-    """The members of a record by name, as they count for the digest; None for what is no record. Of a path,
-    the suffix counts."""
+    """Return the members of a record by name, as they count for the digest; None if it is no record. For a
+    path, the suffix counts."""
     if isinstance(part, Scalar):
         return part._asdict()
     if hasattr(part, "digest_fields"):
@@ -84,12 +84,12 @@ def _plain(value: object) -> object:
 
 
 def interface(program: Program) -> dict[str, dict[str, str]]:
-    """The agreed items of each agent in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
+    """Return the agreed items of each agent in order: `observation.speed` to `-0.8 .. 0.8 m/s`."""
     return {name: _agreed(agent, program) for name, agent in program.agents.items()}
 
 
 def _agreed(agent: Agent, program: Program) -> dict[str, str]:
-    """What an agent observes and does, and the messages of its robots."""
+    """Return the agreed items of an agent: its observation and action, and the messages of its robots."""
     items = {f"observation.{observed.full_name}": _observed(observed) for observed in agent.numbers}
     for pictured in agent.images:
         items[f"observation.{pictured.name}"] = (
@@ -110,8 +110,8 @@ def _agreed(agent: Agent, program: Program) -> dict[str, str]:
 
 
 def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
-    """One line for each item that the two, called by `words`, do not share; empty when the policies of one
-    fit the other."""
+    """Return one line for each item that the two, called by `words`, do not share; empty if the policies of
+    one fit the other."""
     return compare_interfaces(interface(one), interface(other), words=words)
 
 
@@ -121,7 +121,7 @@ def compare_interfaces(
     *,
     words: tuple[str, str] = ("run", "scenario"),
 ) -> list[str]:
-    """One line for each item in which two interfaces differ, as in `differences`."""
+    """Return one line for each item in which two interfaces differ, as in `differences`."""
     return [
         line
         for name in dict.fromkeys((*old, *new))
@@ -142,8 +142,8 @@ def _compared(old: Mapping[str, str], new: Mapping[str, str], words: tuple[str, 
 
 
 def timing_differences(run: Program, scenario: Program) -> list[str]:
-    """One line per setting that differs from training but does not break the policy: timing, timestep, action
-    repeat."""
+    """Return one line per setting that differs from training but does not break the policy: timing, timestep,
+    action repeat."""
     circumstances = (
         ("timing", run.timing, scenario.timing),
         ("timestep", f"{run.world.timestep:g} s", f"{scenario.world.timestep:g} s"),
@@ -183,6 +183,6 @@ def _message(layout: MessageLayout) -> dict[str, str]:
 
 
 def _inside(field: MessageField) -> str:
-    """The components of a vector, the sides of a picture."""
+    """Return the components of a vector, the sides of a picture."""
     listed = field.components or tuple(map(str, field.shape))
     return f"[{', '.join(listed)}]" if listed else ""

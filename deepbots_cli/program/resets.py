@@ -1,4 +1,4 @@
-"""How an episode begins, what it varies, and what disturbs it."""
+"""The start of an episode, its variations, and its disturbances."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.program.world import EngineParameter
 from deepbots_cli.robots.model import RobotModel, Shape
 
-MAX_SPOTS = 1_000_000  # of a region with a grid
+MAX_SPOTS = 1_000_000  # the spots of a region with a grid
 
 Triple = tuple[Scalar, Scalar, Scalar]
 
@@ -36,7 +36,7 @@ class Region:
 
     @property
     def spots(self) -> float:
-        """How many cells it has; 1 without a mesh."""
+        """The number of its cells; 1 without a mesh."""
         return (
             math.prod(
                 max(1.0, (end - start) / self.mesh) for start, end in zip(self.low, self.high, strict=True)
@@ -48,18 +48,18 @@ class Region:
 
 @dataclass(frozen=True)
 class Cells:
-    """Certain spots (m), one for each body."""
+    """Fixed spots (m), one for each body."""
 
     spots: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class Top:
-    """The level top of the object `of`, wherever that stands: the body is drawn so that it stands on it as a
+    """The level top of the object `of`, wherever it is: the body is drawn so that it stands on the top as a
     whole.
 
-    With a `region` (world frame) only what of it lies on the top; with a `mesh` (m) from the middles of cells
-    of that size.
+    With a `region` (world frame) only its part on the top is used; with a `mesh` (m) from the middles of
+    cells of that size.
     """
 
     of: str
@@ -73,12 +73,12 @@ class Placement:
     and its velocities.
 
     `coordinates` holds x, y, z in m and roll, pitch, yaw in rad; a coordinate that is not listed is 0, and
-    `heading` (rad) is added to the yaw. Velocities are in m/s and rad/s in the world frame; without, the body
-    is at rest. Where the body `rests`, it has no height: z counts from where it would lie on the ground, or
-    on the top of an object where the `spot` is one. The height of `lying`, its shape on flat ground, is known
+    `heading` (rad) is added to the yaw. Velocities are in m/s and rad/s in the world frame; without them, the
+    body is at rest. If the body `rests`, it has no height: z counts from its height at rest on the ground, or
+    on the top of an object if the `spot` is one. The height of `lying`, its shape on flat ground, is known
     beforehand. With a `spot`, x and y are drawn from there, by a stream named after the `owner`: within the
-    arena's walls and clear of bodies that have a place already, `clearance` m at least. Of a group, `at_most`
-    so many copies are placed, and each stands `spacing` (m along x and y) from the one before.
+    arena's walls and clear of bodies that have a place already, `clearance` m at least. For a group, at most
+    `at_most` copies are placed, and each stands `spacing` (m along x and y) from the one before.
     """
 
     body: str
@@ -163,8 +163,8 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """One way to arrange bodies, and its share of the episodes; the bodies of `Reset.placements` stand in all
-    of them."""
+    """An arrangement of bodies, and its share of the episodes; the bodies of `Reset.placements` are in all
+    arrangements."""
 
     name: str
     share: float
@@ -238,7 +238,7 @@ class OfWalls(tuple[str, ...]):
 
 
 Owner = OfWorld | OfLink | OfJoint | OfActuator | OfSensor | OfWalls
-"""Whose value it is."""
+"""The owner of a value."""
 ActuatorParameter = Literal[
     "actuator_strength",
     "actuator_max_torque",
@@ -254,9 +254,9 @@ Randomizable = EngineParameter | ActuatorParameter | Literal["walls_friction", "
 class RandomizedParameter:
     """A value that is drawn anew in every episode, such as the `mass` of `OfLink("dog", "trunk")`.
 
-    The nominal value stands where the parameter belongs in the program. A single value stands for all of
-    `size` values. `max` cuts values off, one limit per value. The first value of a `color` is the number of
-    one of the colors after it, three shares each.
+    The program has the nominal value in the place of the parameter. A single value is used for all of `size`
+    values. `max` cuts values off, one limit per value. The first value of a `color` is the number of one of
+    the colors after it, three shares each.
     """
 
     what: Randomizable
@@ -363,7 +363,7 @@ class Disturbance:
 
     @property
     def begins(self) -> Scalar:
-        """When the first push begins, in s."""
+        """The time when the first push begins, in s."""
         begins = self.first or self.every
         return Const(0.0) if begins is None else begins.scalar
 

@@ -17,9 +17,9 @@ from deepbots_cli.robots.model import Pose
 # Sensors
 
 MAX_RAYS = 4096
-MAX_SENSED_RAYS = 4 * MAX_RAYS  # of all sensors of a robot
+MAX_SENSED_RAYS = 4 * MAX_RAYS  # for all sensors of a robot together
 MIN_RESOLUTION = 1e-12
-"""Smallest step between two readings, in the sensor's unit."""
+"""The smallest step between two readings, in the sensor's unit."""
 
 Parameter = float | bool | str | tuple[float, ...] | None
 """A parameter of a sensor or an actuator: a number or a vector in SI units, or a word."""
@@ -32,8 +32,8 @@ class NoiseModel:
     """The errors of a sensor: one entry per component, and none where there is no such error.
 
     Noises are standard deviations. Values are in the sensor's unit, `drift` in that unit per second; relative
-    ones are fractions of the reading. `period` is in ticks, `latency` in s. Where a value is drawn in every
-    episode, its nominal value stands here and a `RandomizedParameter` beside it.
+    ones are fractions of the reading. `period` is in ticks, `latency` in s. If a value is drawn in every
+    episode, this is its nominal value, beside a `RandomizedParameter`.
     """
 
     period: int = 1
@@ -60,8 +60,8 @@ class CalibrationTable:
 
 @dataclass(frozen=True)
 class RayConfig:
-    """Rays along x of frames in the sensor's frame, free up to `reach` m; `combined` says what becomes of
-    several.
+    """Rays along x of frames in the sensor's frame, free up to `reach` m; `combined` is the operation that
+    joins several readings.
 
     A reflectance sensor looks along -z of those frames. `upright` rays follow the yaw of the link alone.
     Rays begin so many m `behind` their frames, and readings are distances from the frames.
@@ -75,7 +75,8 @@ class RayConfig:
     behind: float = 0.0
 
     def digest_fields(self) -> dict[str, object]:
-        """Rays that begin in frames of their link count as they did before there were others."""
+        """Return the fields that count for the digest: those of rays that begin in frames of their link are
+        the same as before other rays existed."""
         return {
             entry.name: getattr(self, entry.name)
             for entry in fields(self)
@@ -105,12 +106,12 @@ class CameraIntrinsics:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor of a robot. `subjects` are joints or links, as its kind says; `mount` is its frame in its
+    """A sensor of a robot. `subjects` are joints or links, depending on its kind; `mount` is its frame in its
     link.
 
-    `components` is empty for a single value. `against` lists what a touch sensor feels (full names, or
-    `ground`), None for everything. `faults` None is a perfect sensor. `parameters` are those that the kind
-    has of its own, in SI units. `reader` and `world_function` are those of the kind
+    `components` is empty for a single value. `against` lists the bodies that a touch sensor feels (full
+    names, or `ground`), None for everything. `faults` None is a perfect sensor. `parameters` are the
+    parameters of the kind itself, in SI units. `reader` and `world_function` are those of the kind
     (`scenario.sensors.Sensor`).
     """
 
@@ -135,7 +136,7 @@ class Sensor:
         return self.world_function is not None and self.faults is None and self.mount == Pose()
 
     def world_value(self, robot: str, component: str | None) -> EngineRead:
-        """The call of the world function that gives one component of such a sensor."""
+        """Return the call of the world function that gives one component of such a sensor."""
         if self.components == self.subjects:  # joints under their names
             return EngineRead(self.world_function or "", (f"{robot}.{component or self.subjects[0]}",))
         return EngineRead(self.world_function or "", (f"{robot}.{self.subjects[0]}",), component)
@@ -155,7 +156,7 @@ MotorKind = Literal["velocity_motor", "position_motor", "torque_motor"]
 
 @dataclass(frozen=True)
 class Response:
-    """How an actuator answers its commands; `delay` and `time_constant` in s.
+    """The response of an actuator to its commands; `delay` and `time_constant` in s.
 
     Whatever torque, force or thrust it would exert is multiplied by `strength`. A command takes effect
     `delay` after it was given, and is followed with the `time_constant`.
@@ -170,9 +171,9 @@ class Response:
 class Motor:
     """An actuator with a motor in each of its joints, all of one kind: velocity, position or torque.
 
-    Limits are in N m or N, rad/s or m/s, one per joint; None is unlimited.
-    `max_velocity` bounds the targets of a velocity motor, and how fast those of a position motor move;
-    `max_acceleration` (rad/s^2 or m/s^2) how fast those of a velocity motor change.
+    Limits are in N m or N, rad/s or m/s, one per joint; None is unlimited. `max_velocity` bounds the targets
+    of a velocity motor, and the speed of those of a position motor; `max_acceleration` (rad/s^2 or m/s^2)
+    bounds the change of those of a velocity motor.
     """
 
     name: str
@@ -238,8 +239,8 @@ class CustomActuator:
     """An actuator of a kind of another package, whose control law drives the joints: `drive` is its
     `module:attribute`.
 
-    `parameters` are those that the kind has of its own, in SI units. Commands are clamped to `low` to `high`
-    where they are given. Limits are as those of `Motor`.
+    `parameters` are the parameters of the kind itself, in SI units. Commands are clamped to `low` to `high`
+    if they are given. Limits are as in `Motor`.
     """
 
     name: str
@@ -269,7 +270,7 @@ Order = Literal["sent", "arrival", "newest"]
 OnLoss = Literal["hold", "zero", "skip"]
 
 LAYOUT_VERSION = 2
-"""Of the hash of message layouts."""
+"""The version in the hash of message layouts."""
 
 
 @dataclass(frozen=True)
@@ -285,7 +286,7 @@ class MessageField:
 
     @staticmethod
     def from_expression(value: Expression) -> MessageField:
-        """The field that carries a value."""
+        """Return the field that carries a value."""
         value_type = value.typed.type
         if value_type.picture:
             return MessageField(value.name, "", (), "uint8", value_type.picture)
@@ -321,8 +322,8 @@ class Route:
 
     Latency in s, from sending to arrival, None for 0; loss is a share of the messages, None for 0; `burst`
     the mean number of messages that are lost in a row, None where losses are independent; range in m, from
-    the origin of the world to the robot's root link, None for unlimited. A value with a redraw holds between
-    one draw and the next.
+    the origin of the world to the robot's root link, None for unlimited. A value with a redraw stays the same
+    between one draw and the next.
     """
 
     latency: Expression | None = None
@@ -353,7 +354,7 @@ class Route:
         return tuple((name, value) for name, value in settings if value is not None)
 
     def route_for(self, robot: str, direction: Direction) -> Route:
-        """The route of one robot, whose draws have streams of their own."""
+        """Return the route of one robot, whose draws have streams of their own."""
         own = {name: replace(value, owner=f"{robot}.{direction}.{name}") for name, value in self.settings}
         return replace(self, latency=own.get("latency"), loss=own.get("loss"), range=own.get("range"))
 
@@ -413,7 +414,7 @@ class Command:
 
 
 def _clamped(value: Scalar, low: float, high: float, reach: Interval) -> Scalar:
-    """The value kept within bounds, where it may leave them: it is known to stay within `reach`."""
+    """Return the value kept within bounds, where it may leave them: it is known to stay within `reach`."""
     return (
         value
         if low <= reach.low and reach.high <= high
@@ -423,11 +424,11 @@ def _clamped(value: Scalar, low: float, high: float, reach: Interval) -> Scalar:
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot controller. `receive` holds expressions of the supervisor; `emit` and `commands` see sensors
-    and received fields.
+    """A robot controller. `receive` has expressions of the supervisor; `emit` and `commands` read sensors and
+    received fields.
 
-    `variables` are the action variables that `commands` use: they are sent unasked. `ages` names the sensors
-    whose readings the supervisor asks the age of, each with the field that carries it.
+    `variables` are the action variables that `commands` use: they are sent without a `receive`. `ages` names
+    the sensors whose ages of readings the supervisor uses, each with the field that carries it.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Agents (action, observation, goal, reward, scripts, training), and what they share: endings, time limits
+"""Agents (action, observation, goal, reward, scripts, training), and their shared parts: endings, time limits
 and evaluation."""
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ MAX_OBSERVED_NUMBERS = 100_000
 MAX_OBSERVED_BYTES = 10_000_000
 
 MAX_CONDITIONS = 1000
-"""Of one choice in a script: Python's compiler goes down one level for each."""
+"""The maximum number of conditions of one choice in a script: Python's compiler goes down one level for
+each."""
 
 
 # Action
@@ -28,7 +29,7 @@ MAX_CONDITIONS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """One option of a choice: its name, the value of each variable that it sets, and the condition that
+    """An option of a choice: its name, the value of each variable that it sets, and the condition that
     forbids it."""
 
     name: str
@@ -69,8 +70,8 @@ ActionPart = Choices | ActionRange
 
 
 def action_names(action: Sequence[ActionPart]) -> tuple[str, ...]:
-    """The names of the numbers that the agent itself gives: an option of each choice (one-hot), a component
-    of each range.
+    """Return the names of the numbers that the agent itself gives: an option of each choice (one-hot), a
+    component of each range.
 
     The numbers of several parts carry the name of their part; where that makes two alike, all are numbered
     from 1.
@@ -92,8 +93,8 @@ def action_names(action: Sequence[ActionPart]) -> tuple[str, ...]:
 
 
 def idle_action(action: Sequence[ActionPart]) -> tuple[list[int], list[float]] | None:
-    """The action that does nothing: the number of an option for each choice, and a value from -1 to 1 for
-    each component of a range.
+    """Return the action that does nothing: the number of an option for each choice, and a value from -1 to 1
+    for each component of a range.
 
     It is the option of zeros, and the value of a range that is nearest to 0. None where a choice has no
     option of zeros.
@@ -118,7 +119,7 @@ class RobotCopies:
     """Copies of a robot that share one world and one policy; everything else in the scenario describes one of
     them.
 
-    They stand in a row around the place of the robot, each `spacing` (m) from the one before.
+    They are in a row around the place of the robot, each `spacing` (m) from the one before.
     """
 
     robot: str
@@ -195,7 +196,7 @@ class ImageObservation(Observation):
         return ()
 
     def ages(self, stack: int = 1) -> tuple[int, ...]:
-        """How many steps ago each image that the policy sees was the newest, oldest first."""
+        """The number of steps ago at which each image that the policy sees was the newest, oldest first."""
         return tuple(back + ago for back in reversed(range(stack)) for ago in reversed(range(self.history)))
 
 
@@ -247,7 +248,7 @@ class Goal:
 
     The policy sees both mapped from [low, high] to [-1, 1] and clipped. In rewards, the names `achieved` and
     `desired` mean the clipped values, so that a reward can be recomputed from an observation. The goal is
-    reached when the two are within `tolerance` of each other. The noise on what is achieved is added before
+    reached when the two are within `tolerance` of each other. The noise on the achieved goal is added before
     the mapping.
     """
 
@@ -273,7 +274,7 @@ class Goal:
 
     @cached_property
     def targets(self) -> tuple[Scalar, ...]:
-        """The tree of what is desired, per component."""
+        """The tree of the desired goal, per component."""
         desired = self.desired.scalars
         return desired * (len(self.achieved.scalars) // len(desired))
 
@@ -299,7 +300,8 @@ class Truncation:
     max_time: float | None = None
 
     def max_episode_steps(self, period: float) -> int:
-        """Steps of the agent, of `period` s each, after which an episode is cut short at the latest."""
+        """Return the steps of the agent, of `period` s each, after which an episode is cut short at the
+        latest."""
         time = [math.ceil(self.max_time / period - 1e-9)] if self.max_time else []
         return max(1, min([self.max_steps or 2**63, *time]))
 
@@ -309,7 +311,7 @@ class Truncation:
 
 @dataclass(frozen=True, eq=False)
 class ScriptedChoice:
-    """How a script chooses: the first option whose condition holds, and `otherwise` if none does."""
+    """A choice of a script: the first option whose condition holds, and `otherwise` if none does."""
 
     branches: tuple[tuple[str, Expression], ...]
     otherwise: str
@@ -366,7 +368,7 @@ class FixedAction:
     """A constant action: the index of an option of each choice, and a number in [-1, 1] for each component of
     the ranges.
 
-    `text` is what `deepbots try --driver` takes.
+    `text` is the form for `deepbots try --driver`.
     """
 
     choices: tuple[int, ...]
@@ -379,7 +381,7 @@ ExpectedKey = Literal["success_rate", "failure_rate", "mean_return", "ends_by", 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedResult:
-    """One expected result, its place and its text in the file.
+    """An expected result, its place and its text in the file.
 
     A rate or a return is expected from `low` to `high`; one of the `endings` is expected to end every
     episode; a `condition` has the values that it compares, which a failed test shows.
@@ -535,9 +537,9 @@ class Solved:
 class Agent:
     """The action, observation, goal and reward of one agent, and its training.
 
-    `robots` are those that the action commands. The agent sees `frame_stack` observations in a row, and the
-    goal if there is one. `reward` holds the terms, whose sum is the reward. `success` names the endings that
-    are a success of the agent; all others are failures. With `copies`, the agent acts for each copy of a
+    `robots` are the robots that the action commands. The agent sees `frame_stack` observations in a row, and
+    the goal if there is one. `reward` has the terms, whose sum is the reward. `success` names the endings
+    that are a success of the agent; all others are failures. With `copies`, the agent acts for each copy of a
     robot. `scripts` are hand-written policies for the same action.
     """
 
@@ -561,8 +563,8 @@ class Agent:
 
     @cached_property
     def seen(self) -> tuple[tuple[int, int], ...]:
-        """For every number that the policy sees, in its order: the index of the number, and how many steps
-        ago.
+        """The index of each number that the policy sees, and how many steps ago it was read, in the order of
+        the policy.
 
         The frames of the stack come oldest first; in each, the named values in file order, each with its
         history, oldest first, and within that its components.
@@ -581,7 +583,7 @@ class Agent:
 
     @property
     def newest(self) -> list[int]:
-        """Where the newest value of each number stands among those that the policy sees."""
+        """The index of the newest value of each number among those that the policy sees."""
         return [place for place, (_, age) in enumerate(self.seen) if age == 0]
 
     @cached_property
@@ -634,7 +636,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a stage of the curriculum ends: a mean reaches `threshold`, or `threshold` steps are taken.
+    """The end of a stage of the curriculum: a mean reaches `threshold`, or `threshold` steps are taken.
 
     The mean is over the last `episodes` training episodes of the stage, rounded up to equally many of each
     world; with None, over one evaluation.

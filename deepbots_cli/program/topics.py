@@ -19,13 +19,13 @@ _VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "or
 
 
 def sensor_fields(program: Program) -> list[Field]:
-    """The sensors of the robots that the agent moves."""
+    """Return the sensors of the robots that the agent moves, as fields."""
     return [sensor_field(robot, sensor) for robot in _robots(program) for sensor in robot.sensors]
 
 
 def command_fields(program: Program) -> list[Field]:
-    """The actuators of the robots that the agent moves, in the order of their commands; those without a
-    command are left out."""
+    """Return the actuators of the robots that the agent moves, in the order of their commands; those without
+    a command are left out."""
     return [
         command_field(program, robot, entry.actuator)
         for robot in _robots(program)
@@ -34,7 +34,8 @@ def command_fields(program: Program) -> list[Field]:
 
 
 def reading_fields(program: Program) -> list[Field]:
-    """What expressions read of the world, by names such as `position(ball)`: no robot measures it."""
+    """Return the readings of the world that expressions use, such as `position(ball)`, which no robot
+    measures."""
     roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
     joints = {
         f"{body.name}.{joint.name}": joint for body in program.world.robots for joint in body.model.joints
@@ -62,7 +63,7 @@ def reading_fields(program: Program) -> list[Field]:
 
 
 def sensor_field(robot: Robot, sensor: Sensor) -> Field:
-    """A sensor as a field."""
+    """Return a sensor as a field."""
     on_joints = sensor.kind.startswith("joint_")
     scan = None
     if sensor.beams is not None and sensor.optics is None:
@@ -81,7 +82,7 @@ def sensor_field(robot: Robot, sensor: Sensor) -> Field:
 
 
 def command_field(program: Program, robot: Robot, actuator: Actuator) -> Field:
-    """The command of an actuator as a field."""
+    """Return the command of an actuator as a field."""
     kind = actuator.kind if isinstance(actuator, Motor) else type(actuator).__name__.lower()
     joints = actuator.joints if isinstance(actuator, Motor) else ()
     unit = "1"
@@ -104,8 +105,8 @@ def command_field(program: Program, robot: Robot, actuator: Actuator) -> Field:
 
 
 def mapping(program: Program) -> dict[str, Topic]:
-    """The topic of each sensor, reading of the world and command: as the scenario says under `ros`, else a
-    first one."""
+    """Return the topic of each sensor, reading of the world and command: the one under `ros` in the scenario,
+    or else a default."""
     received = [*sensor_fields(program), *reading_fields(program)]
     return {**first_mapping(received), **first_mapping(command_fields(program), commands=True), **program.ros}
 

@@ -26,7 +26,7 @@ class NamedScalars(NamedTuple):
 
 
 def numbers(name: str, components: Components, scalars: tuple[Scalar, ...]) -> Iterator[tuple[str, Scalar]]:
-    """The tree of each number, by the full name: `mark.x` of a vector."""
+    """Return the tree of each number, by the full name: `mark.x` of a vector."""
     return zip([f"{name}.{component}" for component in components] or [name], scalars, strict=False)
 
 
@@ -44,14 +44,14 @@ class Foreign:
 @dataclass(frozen=True, eq=False, repr=False)
 class Expression:
     """A named expression: its text and place in the file, its typed tree, and its scalar trees, which are
-    made when first asked for.
+    made on first use.
 
     `owner` is the path in the scenario, such as `reward.alive`; streams of draws and memories are named after
     it. With `per_component` there is one scalar tree for each of these components, and a draw that is written
-    once is drawn anew for each. `redraw` says how often draws are repeated within an episode, None for not at
-    all. Of a `foreign` expression, a function of Python, the tree tells the type only. With `noise`, the name
-    has a noisy value, which is drawn once per tick. With `lowered`, these are the scalar trees, and the typed
-    tree tells the type only.
+    once is drawn anew for each. `redraw` is the interval at which draws are repeated within an episode, None
+    for not at all. For a `foreign` expression, a function of Python, the tree has the type only. With
+    `noise`, the name has a noisy value, which is drawn once per tick. With `lowered`, these are the scalar
+    trees, and the typed tree has the type only.
     """
 
     name: str

@@ -9,10 +9,10 @@ from typing import Literal
 from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.robots.model import Mesh, Pose, RobotModel, Shape, Vector
 
-# What one world and one reset may ask of an engine; beyond, building or resetting would take minutes.
+# Limits of one world and one reset; above them, building or resetting takes minutes.
 MAX_BODIES = 500
 MAX_SETTLING_STEPS = 100_000
-MAX_POINTS = 10_000  # of all painted lines together
+MAX_POINTS = 10_000  # for all painted lines together
 
 # Bodies of the world that are not objects; neither word may name one.
 GROUND = "ground"
@@ -28,10 +28,10 @@ LinkParameter = Literal[
 ]
 JointParameter = Literal["joint_damping", "joint_friction"]
 EngineParameter = WorldParameter | LinkParameter | JointParameter
-"""What an engine sets anew for an episode; `port.Engine.set_parameter` gives the units."""
+"""A value that an engine sets anew for an episode; `port.Engine.set_parameter` gives the units."""
 
 WALL_COLOR: Color = (0.55, 0.60, 0.68, 1.0)
-"""Of walls, unless they are given one."""
+"""The color of walls without a color of their own."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,8 @@ class Pit:
 class Picture:
     """Heights from a gray PNG, black at 0 and white at `height` (m); its first row is the farthest along y.
 
-    The path of the file, its digest (sha256, hex), and what it covers along x and y (m), around the origin.
+    The fields are the path of the file, its digest (sha256, hex), and its extent along x and y (m), around
+    the origin.
     """
 
     path: str
@@ -114,7 +115,7 @@ TerrainShape = Pit | Picture | Formula | Tiles | Mesh
 
 @dataclass(frozen=True)
 class Terrain:
-    """Ground that is not flat, in place of the plane; what it is made of is called `GROUND` too."""
+    """Ground that is not flat, in place of the plane; its body has the name `GROUND`, too."""
 
     shape: TerrainShape
     friction: float = 1.0
@@ -196,7 +197,7 @@ class ObjectBody:
 
     @property
     def bodies(self) -> int:
-        """How many bodies an engine builds for it: one for each variant."""
+        """The number of bodies that an engine builds for it: one for each variant."""
         return max(1, len(self.variants))
 
 
@@ -212,7 +213,7 @@ class RobotBody:
 
 @dataclass(frozen=True)
 class WorldModel:
-    """All that an engine needs. `timestep` (s) is one control timestep, made of `substeps` engine steps.
+    """The input of an engine. `timestep` (s) is one control timestep, made of `substeps` engine steps.
 
     Where there is a terrain there is no plane. `light` is the brightness of pictures, 1 the ordinary one.
     """

@@ -1,5 +1,4 @@
-"""The triangles of a COLLADA file, and what is wrong with them. This module needs no numpy, since lint
-imports it.
+"""The triangles of a COLLADA file, and their faults. This module needs no numpy, since lint imports it.
 
 The reader of PyBullet 3.2.7 crashes on an index beyond the vertices, on a reference that leads nowhere and on
 a missing id, and does not end on a count that is too large.
@@ -19,7 +18,7 @@ _REFERENCES = (("geometry", "id"), ("visual_scene", "id"), ("instance_geometry",
 
 
 class FaultyColladaError(ValueError):
-    """Why PyBullet cannot read a file, as a headline."""
+    """The reason why PyBullet cannot read a file, as a headline."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Triangles:
 
 
 def collada_triangles(data: bytes) -> Iterator[Triangles]:
-    """Each `<triangles>` of a COLLADA file without a DOCTYPE, in the frame of its geometry.
+    """Yield each `<triangles>` of a COLLADA file without a DOCTYPE, in the frame of its geometry.
 
     Polygons are left out, as PyBullet does.
 
@@ -87,7 +86,7 @@ class _Input:
 
 
 def _input(holder: ElementTree.Element, semantic: str) -> _Input:
-    """Which source has the numbers of a kind. Raises: FaultyColladaError: There is none."""
+    """Return the source of the numbers of a kind. Raises: FaultyColladaError: There is none."""
     for each in holder.iter("input"):
         if each.attrib.get("semantic") == semantic:
             return _Input(each.attrib.get("source", "").removeprefix("#"), _count(each, "offset", 0))
@@ -95,7 +94,7 @@ def _input(holder: ElementTree.Element, semantic: str) -> _Input:
 
 
 def _count(element: ElementTree.Element, name: str, default: int) -> int:
-    """An attribute that counts. Raises: FaultyColladaError: It is no number from 0 to a billion."""
+    """Return an attribute that counts. Raises: FaultyColladaError: It is no number from 0 to a billion."""
     text = element.attrib.get(name, str(default)).strip()
     if not re.fullmatch("[0-9]{1,9}", text):
         raise FaultyColladaError(f"the {name} of a <{element.tag}> of the COLLADA file is no number")
@@ -103,7 +102,7 @@ def _count(element: ElementTree.Element, name: str, default: int) -> int:
 
 
 def _corners(triangles: ElementTree.Element, offset: int) -> array[int]:
-    """The places of the vertices of triangles."""
+    """Return the places of the vertices of triangles."""
     inputs = [*triangles.iter("input")]
     if any(not {"semantic", "source", "offset"} <= {*each.attrib} for each in inputs):
         raise FaultyColladaError("an <input> of the COLLADA file lacks its semantic, source or offset")

@@ -1,5 +1,5 @@
-"""How many times the triangles of a mesh cover the box around it. This module needs no numpy, since lint
-imports it.
+"""The number of times that the triangles of a mesh cover the box around it. This module needs no numpy, since
+lint imports it.
 
 A renderer without a graphics card shades every triangle in a pixel, hidden or not. PyBullet took 440 s for a
 picture of 640,000 large triangles in one plane, and takes 4 s for a ball of as many triangles. Of 2,432
@@ -38,14 +38,14 @@ class Coverage(NamedTuple):
     box: Vector
 
     def layers(self, scale: Vector) -> float:
-        """How many times the triangles of the scaled mesh cover its box."""
+        """Return how many times the triangles of the scaled mesh cover its box."""
         x, y, z = map(abs, scale)
         seen, box = (max(a * y * z, b * x * z, c * x * y) for a, b, c in self)
         return seen / box if box > 0.0 else 0.0
 
 
 def mesh_coverage(suffix: str, data: bytes, seed: str) -> Coverage | None:
-    """The coverage of a mesh without fault; None of one with few triangles.
+    """Return the coverage of a mesh without fault; None of one with few triangles.
 
     Args:
         suffix: The suffix of the file, in lower case.
@@ -61,7 +61,7 @@ def mesh_coverage(suffix: str, data: bytes, seed: str) -> Coverage | None:
 
 
 def _coverage(count: int, sample: Sequence[Triangle]) -> Coverage:
-    """From the number of all triangles and some of them."""
+    """Return the coverage from the number of all triangles and some of them."""
     x = y = z = 0.0
     for (ax, ay, az), (bx, by, bz), (cx, cy, cz) in sample:
         bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
@@ -73,7 +73,7 @@ def _coverage(count: int, sample: Sequence[Triangle]) -> Coverage:
 
 
 def _chosen(count: int, random: Random) -> list[int]:
-    """The numbers of some of so many triangles, in order; none of a few."""
+    """Return the numbers of some of so many triangles, in order; none if there are few."""
     return sorted(random.sample(range(count), min(count, _SAMPLE))) if count > MAX_LAYERS else []
 
 
@@ -99,7 +99,8 @@ def _stl(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
 
 
 def _obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
-    """Of a face with more than three corners, the triangles around its first corner."""
+    """Return the number of triangles and some of them. A face with more than three corners gives the
+    triangles around its first corner."""
     faces = [(face.start(), _CORNER.findall(face[1])) for face in _FACE.finditer(data)]
     ends = list[int]()
     for _, named in faces:
@@ -122,7 +123,7 @@ def _obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
 
 
 def _dae(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
-    """Without the nodes that place geometries."""
+    """Return the number of triangles and some of them, without the nodes that place geometries."""
     count, sample = 0, list[Triangle]()
     for part in collada_triangles(data):
         for number in _chosen(len(part.corners) // 3, random):

@@ -1,8 +1,9 @@
-"""Strict XML: elements that know their place, and the texts, numbers and vectors in their attributes.
+"""Strict XML: elements with their position in the file, and the texts, numbers and vectors in their
+attributes.
 
 No DOCTYPE, no entities, bounded in depth and number. A value that cannot be read is reported once and
 replaced by a harmless one; `ElementReport.errors` counts these. The loaders for simulation recover silently
-and know no lines, so expat reads the text: it is in the standard library and knows byte offsets. Blanks
+and report no lines, so expat reads the text: it is in the standard library and gives byte offsets. Blanks
 before the XML declaration and zero bytes after the document, which published files have and PyBullet skips,
 are warnings.
 """
@@ -35,12 +36,12 @@ _OPTENV = re.compile(r"\$\(optenv [A-Za-z0-9_]{1,80} ([-+.0-9eE ]{1,120})\)")
 
 
 def quoted(text: str) -> str:
-    """`text` for a message: in quotes, on one line, not longer than 60 characters."""
+    """Return `text` for a message: in quotes, on one line, not longer than 60 characters."""
     return repr(text if len(text) <= 60 else text[:57] + "...")
 
 
 def known_names_help(word: str, known: Iterable[str], kind: str) -> str:
-    """The help for an unknown name: the nearest known one, and a list."""
+    """Return the help for an unknown name: the nearest known one, and a list."""
     names = list(known)
     match = nearest_word(word, names)
     shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
@@ -60,7 +61,7 @@ class ElementReport:
 
 @dataclass(eq=False, slots=True)
 class Element:
-    """One element; `start` is the offset of its `<`. Text between tags is not kept: URDF has none."""
+    """An element; `start` is the offset of its `<`. Text between tags is not kept: URDF has none."""
 
     tag: str
     attributes: dict[str, str]
@@ -76,7 +77,7 @@ class Element:
         return Span(source, self.start, match.end() if match else self.start + 1)
 
     def value_span(self, attribute: str | None) -> Span:
-        """The value of `attribute` without its quotes; the start tag where it is absent or None."""
+        """Return the value of `attribute` without its quotes; the start tag where it is absent or None."""
         tag = self.span
         for match in _ATTRIBUTE.finditer(tag.source.text, tag.start + 1 + len(self.tag), tag.end):
             if match[1] == attribute:
@@ -116,21 +117,21 @@ class Element:
         return [child for child in self.children if child.tag == tag]
 
     def find_one(self, tag: str) -> Element | None:
-        """The first child called `tag`; further ones are reported and not read."""
+        """Return the first child called `tag`; further ones are reported and not read."""
         first = self.find_all(tag)
         for extra in first[1:]:
             extra.warn(f"deepbots ignores a second <{tag}> in the same <{self.tag}>", help="remove it")
         return first[0] if first else None
 
     def require_one(self, tag: str) -> Element | None:
-        """The first child called `tag`; reports an error if there is none."""
+        """Return the first child called `tag`; reports an error if there is none."""
         child = self.find_one(tag)
         if child is None:
             self.error(f"<{self.tag}> without <{tag}>", help=f"add <{tag} .../> inside it")
         return child
 
     def text(self, name: str) -> str | None:
-        """A required attribute that is not empty."""
+        """Return a required attribute that is not empty."""
         value = self.attributes.get(name)
         if value is None:
             self.error(
@@ -142,11 +143,11 @@ class Element:
         return value
 
     def number(self, name: str, default: float | None = None) -> float:
-        """One number; where `default` is None the attribute is required."""
+        """Return one number; if `default` is None the attribute is required."""
         return self._numbers(name, None if default is None else (default,), 1)[0]
 
     def non_negative_number(self, name: str, default: float | None = None) -> float:
-        """A number of at least 0."""
+        """Return a number of at least 0."""
         value = self.number(name, default)
         if value < 0:
             self.error(f"the attribute '{name}' of <{self.tag}> is negative", attribute=name)
@@ -156,17 +157,17 @@ class Element:
     def vector(
         self, name: str, default: tuple[float, float, float] | None = None
     ) -> tuple[float, float, float]:
-        """Three numbers apart by blanks."""
+        """Return three numbers separated by blanks."""
         x, y, z = self._numbers(name, default, 3)
         return x, y, z
 
     def rgba(self) -> tuple[float, float, float, float]:
-        """The four numbers of a color."""
+        """Return the four numbers of a color."""
         red, green, blue, alpha = self._numbers("rgba", None, 4)
         return red, green, blue, alpha
 
     def _numbers(self, name: str, default: tuple[float, ...] | None, size: int) -> tuple[float, ...]:
-        """`size` numbers; ones stand in for a required attribute that cannot be read."""
+        """Return `size` numbers; ones replace a required attribute that cannot be read."""
         stand_in = default or (1.0,) * size
         if name not in self.attributes:
             if default is None:
@@ -191,8 +192,8 @@ class Element:
         return values
 
     def _as_pybullet_reads(self, words: list[str], name: str, size: int) -> list[str]:
-        """The words as PyBullet reads them, with a warning for each difference; `words` where one is no
-        number even so.
+        """Return the words as PyBullet reads them, with a warning for each difference; `words` where one is
+        no number even so.
 
         PyBullet skips a comma or a point after a number, but splits at blanks only: `1,2,3` is one number to
         it. Of four numbers for three it takes the first three.
@@ -211,7 +212,8 @@ class Element:
         return plain
 
     def _expanded(self, name: str) -> str:
-        """The value; `$(optenv NAME default)` of an unexpanded xacro file stands for its default."""
+        """Return the value; `$(optenv NAME default)` of an unexpanded xacro file is replaced by its
+        default."""
         value = self.attributes[name]
         match = _OPTENV.fullmatch(value.strip())
         if match is None:
@@ -225,14 +227,14 @@ class Element:
 
 
 class _RefusedError(Exception):
-    """Leaves the parser from inside a handler."""
+    """The exception that leaves the parser from inside a handler."""
 
     def __init__(self, code: str, headline: str, help: str | None = None) -> None:
         self.code, self.headline, self.help = code, headline, help
 
 
 class _Builder:
-    """Expat's handlers: grow the tree and turn byte offsets into code points.
+    """The handlers of expat, which grow the tree and turn byte offsets into code points.
 
     Expat reads the code points from `begin` to `end` only.
     """
@@ -253,8 +255,8 @@ class _Builder:
         self.parser.StartDoctypeDeclHandler = self._doctype
 
     def offset(self, index: int) -> int:
-        """The code point of the source at byte `index` of `data`; counts on from the last call, so that a
-        file is decoded once."""
+        """Return the code point of the source at byte `index` of `data`; counts on from the last call, so
+        that a file is decoded once."""
         byte, point = self._mark if self._mark[0] <= index else (0, 0)
         self._mark = (index, point + len(self.data[byte:index].decode(errors="ignore")))
         return self.begin + self._mark[1]
@@ -285,7 +287,7 @@ class _Builder:
 
 
 def parse(source: Source, findings: Findings) -> Element | None:
-    """The root element, or None with one finding at the place where reading stopped."""
+    """Return the root element, or None with one finding at the place where reading stopped."""
     text = source.text
     begin, end = len(text) - len(text.lstrip(_BLANKS)), len(text.rstrip(_BLANKS + "\0"))
     early = begin if text.startswith("<?xml", begin) else 0

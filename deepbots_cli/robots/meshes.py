@@ -74,7 +74,7 @@ class CheckedMesh(NamedTuple):
 
 @dataclass(frozen=True)
 class UnusableMesh:
-    """Why a file is not read, as a headline and a remedy."""
+    """The reason why a file is not read, as a headline and a remedy."""
 
     headline: str
     help: str | None = None
@@ -99,14 +99,14 @@ class LoadedMesh(NamedTuple):
 
 
 ResolveMesh = Callable[[str], Path | MeshAboveRobot | UnusableMesh]
-"""From a `filename` as written in the robot file to the real path, where it may be read."""
+"""A function from a `filename` as written in the robot file to the real path, if it may be read."""
 
 
 def locate_mesh(reference: str, folder: Path) -> Path | UnusableMesh:
-    """The real path that `reference` names in a robot file of `folder`, which need not exist.
+    """Return the real path that `reference` names in a robot file of `folder`, which need not exist.
 
-    `package://X/rest` is looked up in the installed package X (found without importing it), then in a
-    folder above called X, then as X/rest beside the robot file, which is what some published robots mean.
+    `package://X/rest` is looked up in the installed package X (found without importing it), then in a folder
+    above called X, then as X/rest beside the robot file, as some published robots mean it.
     """
     scheme, colon, rest = reference.partition("://")
     if not colon:
@@ -126,7 +126,8 @@ def locate_mesh(reference: str, folder: Path) -> Path | UnusableMesh:
 
 
 def package_folder(name: str) -> Path | None:
-    """The folder of an installed package, without importing it; None for namespace packages and modules."""
+    """Return the folder of an installed package, without importing it; None for namespace packages and
+    modules."""
     from importlib.util import find_spec
 
     if not name.isidentifier():
@@ -141,7 +142,8 @@ def package_folder(name: str) -> Path | None:
 
 
 def package_folders(reference: str) -> tuple[Path, ...]:
-    """The folder of the package that `package://X/rest` names; none for a path, or if it is not installed."""
+    """Return the folder of the package that `package://X/rest` names; none for a path, or if it is not
+    installed."""
     home = (
         package_folder(reference.removeprefix("package://").partition("/")[0])
         if reference.startswith("package://")
@@ -151,7 +153,7 @@ def package_folders(reference: str) -> tuple[Path, ...]:
 
 
 def package_file(reference: str) -> Path | None:
-    """The file of an installed package that `package://X/rest` names; None where there is none, or it lies
+    """Return the file of an installed package that `package://X/rest` names; None if there is none, or it is
     outside of X."""
     package, _, inside = reference.removeprefix("package://").partition("/")
     home = package_folder(package)
@@ -165,16 +167,16 @@ def package_file(reference: str) -> Path | None:
 
 
 def library_reference(reference: str) -> str | None:
-    """How to name a file of pybullet_data that `reference` calls by its path there; None unless it is
-    installed and holds one."""
+    """Return how to name a file of pybullet_data that `reference` calls by its path there; None unless it is
+    installed and has one."""
     inside = reference.removeprefix("pybullet_data/")
     names = (f"package://pybullet_data/{inside}{suffix}" for suffix in ("", ".urdf"))
     return None if "://" in reference else next((name for name in names if package_file(name)), None)
 
 
 def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
-    """Allows the folder of the robot file, the `allowed` ones, all below them, and the installed package that
-    a `package://` names."""
+    """Return a resolver that allows the folder of the robot file, the `allowed` ones, all below them, and the
+    installed package that a `package://` names."""
     roots = [os.path.realpath(root) for root in (folder, *allowed)]
 
     def resolve(reference: str) -> Path | MeshAboveRobot | UnusableMesh:
@@ -191,8 +193,8 @@ def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
 
 
 def _above(reference: str, folder: Path, roots: list[str]) -> MeshAboveRobot | None:
-    """The nearest file of that name seen from a folder above; PyBullet's `findExistingMeshFile` looks there
-    in the same order."""
+    """Return the nearest file of that name seen from a folder above; PyBullet's `findExistingMeshFile` looks
+    there in the same order."""
     for above in folder.absolute().parents:
         path = Path(os.path.realpath(above / reference))
         if any(path.is_relative_to(root) for root in roots) and path.is_file():
@@ -209,7 +211,7 @@ class MeshReader:
         self._total = 0
 
     def load(self, reference: str, scale: Vector) -> LoadedMesh | UnusableMesh:
-        """A mesh as a robot file names it, with the factors along its axes."""
+        """Return a mesh as a robot file names it, with the factors along its axes."""
         try:
             resolved = self._resolve(reference)
             if isinstance(resolved, UnusableMesh):
@@ -278,7 +280,7 @@ class MeshReader:
 
 
 def read_verified(mesh: Mesh) -> bytes:
-    """The file of a mesh of a compiled scenario, if it is still the file that the compiler checked.
+    """Return the file of a mesh of a compiled scenario, if it is still the file that the compiler checked.
 
     Raises:
         EngineError: The file cannot be read, or has changed.
@@ -297,8 +299,8 @@ def read_verified(mesh: Mesh) -> bytes:
 
 @lru_cache(maxsize=1000)
 def mesh_bounds(mesh: Mesh) -> tuple[Vector, Vector] | None:
-    """The lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the file is
-    missing or changed."""
+    """Return the lowest and the highest coordinates of a scaled mesh, m; None for a COLLADA file, or if the
+    file is missing or changed."""
     try:
         bounds = mesh_size(Path(mesh.path).suffix.lower(), read_verified(mesh))
     except EngineError:
@@ -317,7 +319,7 @@ def mesh_bounds(mesh: Mesh) -> tuple[Vector, Vector] | None:
 
 
 def mesh_problem(suffix: str, data: bytes) -> str | None:
-    """The headline for the first problem of a mesh; None if an engine may load it."""
+    """Return the headline for the first problem of a mesh; None if an engine may load it."""
     match suffix:
         case ".stl":
             return _stl(data) or _far_out(suffix, data)
@@ -328,7 +330,8 @@ def mesh_problem(suffix: str, data: bytes) -> str | None:
 
 
 def _far_out(suffix: str, data: bytes) -> str | None:
-    """A vertex beyond all plausible sizes: engines search a grid as large as the mesh, and do not end."""
+    """Return the headline for a vertex beyond all plausible sizes: engines search a grid as large as the
+    mesh, and do not end."""
     is_text = suffix == ".obj" or (data.lstrip()[:5].lower() == b"solid" and b"facet" in data)
     if is_text and not _LARGE_NUMBER.search(data):
         return None
@@ -342,7 +345,7 @@ def _far_out(suffix: str, data: bytes) -> str | None:
 
 
 class MeshSize(NamedTuple):
-    """The corners of the box that holds a mesh, in its own units, and how many triangles it has."""
+    """The corners of the box around a mesh, in its own units, and how many triangles it has."""
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
@@ -350,7 +353,8 @@ class MeshSize(NamedTuple):
 
 
 def mesh_size(suffix: str, data: bytes) -> MeshSize | None:
-    """The size of a mesh without fault; None of a COLLADA file, which has units and frames of its own."""
+    """Return the size of a mesh without fault; None of a COLLADA file, which has units and frames of its
+    own."""
     if suffix == ".dae":
         return None
     if suffix == ".obj":
@@ -392,7 +396,7 @@ def _stl(data: bytes) -> str | None:
 
 
 def _stl_numbers(data: bytes) -> array[float]:
-    """The coordinates of all corners of a binary file, one after the other."""
+    """Return the coordinates of all corners of a binary file, one after the other."""
     numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50)))
     if sys.byteorder == "big":
         numbers.byteswap()
@@ -407,9 +411,8 @@ def _obj(data: bytes) -> str | None:
     vertices = len(_VERTEX.findall(data))
     if not vertices:
         return "the OBJ file contains no vertex"
-    lower = (
-        data.lower()
-    )  # two plain searches take a third of the time of the pattern, which they nearly always spare
+    # Two plain searches take a third of the time of the pattern, and nearly always make it unnecessary.
+    lower = data.lower()
     if (b"nan" in lower or b"inf" in lower) and _NOT_FINITE.search(data):
         return "the OBJ file contains a vertex that is not finite"
     if len(_SOUND_VERTEX.findall(data)) != vertices:

@@ -3,8 +3,8 @@ functions that change it.
 
 SI units; rpy in rad, fixed axes x, y, z as in URDF.
 
-Frozen and free of places in the text, so that it can stand in the compiled scenario and be hashed;
-`reader.RobotFile` holds the places.
+The model is frozen and free of places in the text, so that it can be part of the compiled scenario and be
+hashed; `reader.RobotFile` has the places.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """Along the local z axis."""
+    """A cylinder along the local z axis."""
 
     radius: float
     length: float
@@ -102,7 +102,7 @@ class Inertial:
         """Whether a rigid body can have this inertia: positive definite, and no principal moment above the
         sum of the others.
 
-        The second holds exactly if the second moments of the mass, J = tr(I)/2 - I, are positive
+        The second is true exactly if the second moments of the mass, J = tr(I)/2 - I, are positive
         semidefinite.
         """
         tensor = self.matrix
@@ -145,7 +145,8 @@ class Link:
     collisions: tuple[Geometry, ...] = ()
     friction: Friction = Friction()
     density: float | None = None
-    """kg/m^3, of a link whose mesh gives its inertial when it is simulated (`deepbots_cli.geometry`)."""
+    """The density in kg/m^3 of a link whose mesh gives its inertial when it is simulated
+    (`deepbots_cli.geometry`)."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,7 @@ class Mimic:
     offset: float = 0.0
 
     def position(self, leader: float) -> float:
-        """The position (rad or m) of the follower for a position of the leader."""
+        """Return the position (rad or m) of the follower for a position of the leader."""
         return self.multiplier * leader + self.offset
 
 
@@ -230,7 +231,7 @@ class RobotModel:
         return followers
 
     def followers_of(self, leader: str) -> dict[str, Mimic]:
-        """The joints that follow this one."""
+        """Return the joints that follow this one."""
         return {name: mimic for name, mimic in self.followers.items() if mimic.joint == leader}
 
     @property
@@ -247,7 +248,7 @@ class RobotModel:
         return max(reversed(list(carried)), key=carried.__getitem__)
 
     def links_below(self, first: str, *, rigid: bool = False) -> list[str]:
-        """A link and the links that it carries; `rigid` leaves out those behind a joint that moves."""
+        """Return a link and the links that it carries; `rigid` leaves out those behind a joint that moves."""
         links = [first]
         for link in links:
             links += [
@@ -258,7 +259,7 @@ class RobotModel:
         return links
 
     def subtree_mass(self) -> dict[str, float]:
-        """For each link by name, the mass (kg) of the link and of everything below it."""
+        """Return for each link by name the mass (kg) of the link and of everything below it."""
         mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in self.links}
         below: dict[str, list[str]] = {name: [] for name in mass}
         for joint in self.joints:
@@ -279,7 +280,7 @@ _TOLERANCE = 1e-3
 
 
 def volume(shape: Shape) -> float | None:
-    """The volume in m^3; None for a mesh, which may not be closed."""
+    """Return the volume in m^3; None for a mesh, which may not be closed."""
     match shape:
         case Box((x, y, z)):
             return x * y * z
@@ -294,7 +295,8 @@ def volume(shape: Shape) -> float | None:
 
 
 def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _IDENTITY_POSE) -> Inertial | None:
-    """The inertial of a homogeneous body of `mass` kg whose shape has the pose `origin`; None for a mesh."""
+    """Return the inertial of a homogeneous body of `mass` kg whose shape has the pose `origin`; None for a
+    mesh."""
     match shape:
         case Box((x, y, z)):
             return Inertial(
@@ -324,7 +326,7 @@ def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _IDENTITY_POS
 
 
 def second_moments(tensor: Matrix) -> Matrix:
-    """J = tr(I)/2 - I, the integral of r r^T over the mass."""
+    """Return J = tr(I)/2 - I, the integral of r r^T over the mass."""
     return _trace_minus(tensor, 0.5)
 
 
@@ -339,7 +341,7 @@ def _trace_minus(m: Matrix, share: float) -> Matrix:
 
 
 def _is_positive(m: Matrix, shift: float) -> bool:
-    """Whether `m` plus `shift` on the diagonal is positive definite (Sylvester)."""
+    """Return whether `m` plus `shift` on the diagonal is positive definite (Sylvester)."""
     (a, d, e), (_, b, f), (_, _, c) = m
     a, b, c = a + shift, b + shift, c + shift
     return a > 0 and a * b - d * d > 0 and a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e) > 0
@@ -355,8 +357,8 @@ _ESCAPES = str.maketrans(
 
 
 def to_urdf(model: RobotModel) -> str:
-    """The model as URDF text: one element per line, floats to the last digit, meshes by the path that the
-    model holds.
+    """Return the model as URDF text: one element per line, floats to the last digit, meshes by the path in
+    the model.
 
     `reader.read_bytes(write(model).encode(), ...)` gives the same model again. This text, never the user's
     own file, is what an engine loads.
@@ -372,7 +374,7 @@ def to_urdf(model: RobotModel) -> str:
 def _element(
     tag: str, inside: Lines | None = None, **attributes: str | float | tuple[float, ...] | None
 ) -> Lines:
-    """An element with the lines inside it; attributes that are None are left out."""
+    """Return an element with the lines inside it; attributes that are None are left out."""
     written = [f" {name}={_value(value)}" for name, value in attributes.items() if value is not None]
     if inside is None:
         return [f"<{tag}{''.join(written)}/>"]
@@ -467,12 +469,12 @@ _ALIGNMENT_TOLERANCE = 1e-6
 
 
 def with_link(model: RobotModel, link: Link) -> RobotModel:
-    """`model` with the link of the same name exchanged."""
+    """Return `model` with the link of the same name exchanged."""
     return replace(model, links=tuple(link if old.name == link.name else old for old in model.links))
 
 
 def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
-    """The link with `mass` kg; its inertia grows in proportion, as if the material were denser."""
+    """Return the link with `mass` kg; its inertia grows in proportion, as if the material were denser."""
     old = model.link(link)
     if old.inertial is None or old.inertial.mass <= 0:
         return f"the mass of link {link!r} cannot be changed, because the robot file states none"
@@ -483,7 +485,7 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
 
 
 def with_density(model: RobotModel, link: str, density: float) -> RobotModel | str:
-    """The link as a homogeneous body of `density` kg/m^3; the mass of a mesh is computed when it is
+    """Return the link as a homogeneous body of `density` kg/m^3; the mass of a mesh is computed when it is
     simulated."""
     old = model.link(link)
     shapes = old.collisions or old.visuals
@@ -503,14 +505,16 @@ def with_density(model: RobotModel, link: str, density: float) -> RobotModel | s
 
 
 def with_friction(model: RobotModel, link: str, **parameters: float | None) -> RobotModel:
-    """The link with the given contact parameters, by the names of `Friction`; None keeps the old value."""
+    """Return the link with the given contact parameters, by the names of `Friction`; None keeps the old
+    value."""
     old = model.link(link)
     present = {name: value for name, value in parameters.items() if value is not None}
     return with_link(model, replace(old, friction=replace(old.friction, **present)))
 
 
 def with_color(model: RobotModel, link: str, color: Color) -> RobotModel:
-    """The link with all its visuals in one color; a link without visuals shows its collision shapes."""
+    """Return the link with all its visuals in one color; a link without visuals shows its collision
+    shapes."""
     old = model.link(link)
     return with_link(
         model,
@@ -526,8 +530,8 @@ def with_joint(
     friction: float | None = None,
     limit: Limit | None = None,
 ) -> RobotModel:
-    """The joint with `damping` (N m s/rad or N s/m), `friction` (N m or N) and `limit`; None keeps the value
-    of the file."""
+    """Return the joint with `damping` (N m s/rad or N s/m), `friction` (N m or N) and `limit`; None keeps the
+    value of the file."""
     old = model.joint(joint)
     new = replace(
         old,
@@ -543,12 +547,12 @@ def _with_joints(model: RobotModel, changed: dict[str, Joint]) -> RobotModel:
 
 
 class _ShapeError(Exception):
-    """A shape cannot be stretched so; `args` holds the reason."""
+    """The error for a shape that cannot be stretched so; `args` has the reason."""
 
 
 def with_scale(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
-    """The link stretched by `scale` along the axes of its own frame, as if it were made longer from the same
-    material.
+    """Return the link stretched by `scale` along the axes of its own frame, as if it were made longer from
+    the same material.
 
     Shapes, center of mass and the origins of child joints move with it, mass grows with the volume, and the
     inertia is exact for any distribution of mass, since the second moments transform linearly.
@@ -579,14 +583,13 @@ def _along(v: Vector, scale: Vector) -> Vector:
 
 
 def _stretched_inertial(old: Inertial, scale: Vector) -> Inertial:
-    """J' = m'/m S J S with S in the axes of the link; the inertial keeps its own axes."""
+    """Return the inertial J' = m'/m S J S with S in the axes of the link; the inertial keeps its own axes."""
     growth = scale[0] * scale[1] * scale[2]
     axes = rotation_matrix(old.origin.rpy)
     moments = rotate_tensor(second_moments(old.matrix), axes)
     stretched = scaled_matrix(product(product(diagonal(scale), moments), diagonal(scale)), growth)
-    tensor = _trace_minus(
-        rotate_tensor(stretched, transposed(axes)), 1.0
-    )  # I = tr(J) - J, the inverse of `second_moments`
+    # I = tr(J) - J, the inverse of `second_moments`.
+    tensor = _trace_minus(rotate_tensor(stretched, transposed(axes)), 1.0)
     return _with_matrix(
         replace(old, mass=old.mass * growth, origin=replace(old.origin, xyz=_along(old.origin.xyz, scale))),
         tensor,
@@ -599,7 +602,7 @@ def _with_matrix(old: Inertial, tensor: Matrix) -> Inertial:
 
 
 def _stretched(old: Geometry, scale: Vector) -> Geometry:
-    """The shape's own axes stay at right angles exactly if S is diagonal in them."""
+    """Return the stretched shape; its own axes stay at right angles exactly if S is diagonal in them."""
     own = rotate_tensor(diagonal(scale), transposed(rotation_matrix(old.origin.rpy)))
     if max(abs(own[0][1]), abs(own[0][2]), abs(own[1][2])) > _ALIGNMENT_TOLERANCE * max(scale):
         raise _ShapeError("it is rotated relative to the axes of the link, so scaling would skew it")

@@ -45,7 +45,7 @@ MAX_BYTES = 4 * 2**20
 MAX_LINKS = 1000
 MAX_NAME = 200  # PyBullet cuts names off at 1023 bytes
 MAX_WORDS = 200  # unknown words that are compared with the known ones
-_LIMIT_TOLERANCE = 0.02  # of the range that a follower needs; files round
+_LIMIT_TOLERANCE = 0.02  # the share of the range that a follower needs; files round
 _FULL_TURN = 6.29  # rad: above 2 pi as files round it
 _ENDLESS_RANGE = 100.0  # rad; wider limits mean none
 _BALL = "spherical"  # a type of joint that URDF lacks and PyBullet reads
@@ -223,7 +223,7 @@ def _decode(data: bytes, display: str, findings: Findings) -> Source | None:
 
 
 def _check_words(root: Element) -> None:
-    """DB311 for each element or attribute that is unknown and close to a known one."""
+    """Report DB311 for each element or attribute that is unknown and close to a known one."""
     unknown: list[tuple[Element, str, str, str | None]] = []
     waiting = [root]
     while waiting and len(unknown) < MAX_WORDS:
@@ -249,7 +249,7 @@ def _check_words(root: Element) -> None:
 
 
 def _named(root: Element, tag: str) -> dict[str, Element]:
-    """The links or joints by name, in file order."""
+    """Return the links or joints by name, in file order."""
     by_name: dict[str, Element] = {}
     for element in root.find_all(tag):
         name = element.text("name")
@@ -278,7 +278,7 @@ def _named(root: Element, tag: str) -> dict[str, Element]:
 def _model(
     root: Element, links: dict[str, Element], joints: dict[str, Element], meshes: MeshReader
 ) -> RobotModel | None:
-    """The whole model, or None after an error."""
+    """Return the whole model, or None after an error."""
     colors = _colors(root)
     read_links = [_link(element, name, colors, meshes) for name, element in links.items()]
     read_joints = {name: joint for name, element in joints.items() if (joint := _joint(element, name))}
@@ -296,7 +296,7 @@ def _model(
 
 
 def _colors(root: Element) -> dict[str, Color]:
-    """The colors of named materials, first of the robot, then of its visuals."""
+    """Return the colors of named materials, first of the robot, then of its visuals."""
     named: dict[str, Color] = {}
     holders = [root, *(visual for link in root.find_all("link") for visual in link.find_all("visual"))]
     for material in (material for holder in holders for material in holder.find_all("material")):
@@ -307,7 +307,7 @@ def _colors(root: Element) -> dict[str, Color]:
 
 
 def _color(material: Element) -> Color | None:
-    """The material's own color, each part clipped to 0 to 1."""
+    """Return the material's own color, each part clipped to 0 to 1."""
     element = material.find_one("color")
     if element is None:
         return None
@@ -372,7 +372,7 @@ def _inertial(link: Element) -> Inertial | None:
 
 
 def _visual_color(visual: Element, named: dict[str, Color]) -> Color | None:
-    """The color inside the visual, else the color of the material that it names."""
+    """Return the color inside the visual, else the color of the material that it names."""
     material = visual.find_one("material")
     if material is None:
         return None
@@ -397,7 +397,8 @@ def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -
 
 
 def _solid(element: Element, holder: str) -> Shape | None:
-    """A shape whose measures are above 0. A visual of size 0 is a known way to draw nothing, and harmless."""
+    """Return a shape whose measures are above 0. A visual of size 0 is a known way to draw nothing, and
+    harmless."""
     shape: Shape
     if element.tag == "box":
         shape = Box(element.vector("size"))
@@ -452,7 +453,7 @@ def _friction(link: Element) -> Friction:
 
 
 def _joint(element: Element, name: str) -> Joint | None:
-    """One `<joint>`; None if its type, parent or child is missing."""
+    """Return one `<joint>`; None if its type, parent or child is missing."""
     kind = _joint_type(element)
     parent, child = element.require_one("parent"), element.require_one("child")
     above = parent and parent.text("link")
@@ -488,7 +489,7 @@ def _joint_type(element: Element) -> JointType | None:
 
 
 def _axis(joint: Element, kind: JointType) -> Vector:
-    """The axis as a unit vector; fixed and floating joints have none."""
+    """Return the axis as a unit vector; fixed and floating joints have none."""
     element = joint.find_one("axis")
     if element is None or kind in ("fixed", "floating"):
         return (1.0, 0.0, 0.0)
@@ -505,7 +506,7 @@ def _axis(joint: Element, kind: JointType) -> Vector:
 
 
 def _limit(joint: Element, kind: JointType, name: str) -> Limit:
-    """Bounds in rad or m. An effort or velocity of 0 is read as "not stated".
+    """Return bounds in rad or m. An effort or velocity of 0 is read as "not stated".
 
     Many published files write 0 there for joints that are driven; taken literally the joint could never move.
     """
@@ -562,9 +563,9 @@ def _mimic(joint: Element) -> Mimic | None:
 
 
 def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotModel:
-    """The model with three hinges for each ball joint: URDF has no ball joints, PyBullet reads them.
+    """Return the model with three hinges for each ball joint: URDF has no ball joints, PyBullet reads them.
 
-    The hinges stand at one place and turn about x, then y, then z, with two links between them that have
+    The hinges are at one place and turn about x, then y, then z, with two links between them that have
     neither mass nor shape. Their angles are intrinsic rotations about x, y, z. Each hinge has the effort,
     velocity, damping and friction of the ball joint.
     """
@@ -619,7 +620,8 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
 def _check_references(
     joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]
 ) -> bool:
-    """Whether every joint joins two known links; every mimic must follow a known joint other than itself."""
+    """Return whether every joint joins two known links; every mimic must follow a known joint other than
+    itself."""
     complete = True
     for name, joint in joints.items():
         element = elements[name]
@@ -639,7 +641,7 @@ def _check_references(
 
 
 def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], element: Element) -> None:
-    """A joint follows one that is known and moves."""
+    """Check that a joint follows one that is known and moves."""
     leader = joints.get(mimic.joint)
     if leader is None:
         headline = f"joint {quoted(joint.name)} follows the unknown joint {quoted(mimic.joint)}"
@@ -659,7 +661,7 @@ def _check_mimic(joint: Joint, mimic: Mimic, joints: Mapping[str, Joint], elemen
 
 
 def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) -> None:
-    """DB301 where the multipliers or offsets of a chain exceed MAX_MAGNITUDE; a warning where the follower
+    """Report DB301 if the multipliers or offsets of a chain exceed MAX_MAGNITUDE; a warning if the follower
     reaches its limits before its leader does."""
     if not max(abs(mimic.multiplier), abs(mimic.offset)) <= MAX_MAGNITUDE:
         both = f"from joint {quoted(joint.name)} to {quoted(leader.name)}"
@@ -685,7 +687,7 @@ def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) ->
 def _root_link(
     joints: Mapping[str, Joint], links: Mapping[str, Element], elements: Mapping[str, Element]
 ) -> str | None:
-    """The one root link; None after a finding, where the links do not form one tree."""
+    """Return the one root link; None after a finding, where the links do not form one tree."""
     joint_above: dict[str, str] = {}
     errors = 0
     for name, joint in joints.items():
@@ -715,7 +717,7 @@ def _root_link(
 
 
 def _cycles(above: Mapping[str, str]) -> list[list[str]]:
-    """The cycles of a graph in which each name has at most one name above it."""
+    """Return the cycles of a graph in which each name has at most one name above it."""
     cycles = []
     visited: set[str] = set()
     for start in above:
@@ -732,7 +734,7 @@ def _cycles(above: Mapping[str, str]) -> list[list[str]]:
 
 
 def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
-    """DB305 and DB306: links whose inertia is missing or impossible.
+    """Report DB305 and DB306: links whose inertia is missing or impossible.
 
     A link on a fixed joint, or the root, may be a mere frame: such links share one warning, and have none
     without any shape, as `world` and `tool0` are.

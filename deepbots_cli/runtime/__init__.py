@@ -1,26 +1,27 @@
-"""What generated code runs on.
+"""The runtime of generated code.
 
-supervisor.py  base of the generated supervisors, a Gymnasium environment
-controllers.py base of the generated robot controllers; what a supervisor has of its robots
-failures.py    why an episode cannot go on, in words
-copies.py      copies of a robot in one world: a supervisor for each, and that of all; the engine of a batch
-               of such worlds
-spaces.py      action and observation spaces, actions in their forms, observed frames, rewards for other goals
-observing.py   observations from named values, without a world
-formulas.py    functions that generated code calls: pure ones, ones with memory, terms in Python
-messages.py    channels of messages, and their formats
-streams.py     named random streams under one root seed, what an episode draws, and values that `reset` is
-               given in place of draws
-placement.py   where bodies stand when an episode begins
-paths.py       shortest paths around solid objects; painted lines: places beside and along them, light
-overview.py    a camera that sees the whole scene
-actuation.py   actuators that are more than a motor of the engine, and pushes
-sensing.py     sensors that are sampled once per tick, with their faults; readers.py what each kind measures
-batch.py       base of the generated supervisor of a batch of worlds; batch_parts.py its controllers, channels
-               and calls, columns.py its functions, devices.py its sensors
-vector.py      a batch as a vector environment of Gymnasium
+supervisor.py   base of the generated supervisors, a Gymnasium environment
+controllers.py  base of the generated robot controllers; the robots of a supervisor
+failures.py     messages about an episode that cannot go on
+copies.py       copies of a robot in one world, each with a supervisor; the engine of a batch of such worlds
+spaces.py       action and observation spaces, forms of actions, observed frames, rewards for other goals
+observing.py    observations from named values, without a world
+formulas.py     functions that generated code calls: pure ones, ones with memory, terms in Python
+messages.py     channels of messages, and their formats
+streams.py      named random streams under one root seed, draws of an episode, values in place of draws
+placement.py    the poses of bodies at the beginning of an episode
+paths.py        shortest paths around solid objects; painted lines: places beside and along them, light
+overview.py     a camera that sees the whole scene
+actuation.py    actuators that are more than a motor of the engine, and pushes
+sensing.py      sensors that are sampled once per tick, with their faults
+readers.py      the measurement of each kind of sensor
+batch.py        base of the generated supervisor of a batch of worlds
+batch_parts.py  the controllers, channels and calls of a batch
+columns.py      the functions of a batch
+devices.py      the sensors of a batch
+vector.py       a batch as a vector environment of Gymnasium
 
-Nothing here reads YAML or knows an engine beyond the port.
+Nothing here reads YAML, or depends on an engine beyond the port.
 """
 
 from deepbots_cli.frames import quaternion

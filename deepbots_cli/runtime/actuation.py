@@ -1,7 +1,7 @@
 """Actuators that are more than a motor of the engine, because they act in every substep or change from
 episode to episode; and pushes.
 
-Response               what of its commands an actuator follows: delay, lag, limited rates
+Response               the response of an actuator to its commands: delay, lag, limited rates
 Motor, Cartesian       joints that are driven together, and arms that bring a link to a position
 CustomMotor            joints that the control law of a plug-in drives
 Thrust, Push           forces on links: rotors, and disturbances of an episode
@@ -21,17 +21,17 @@ from deepbots_cli.port import ZERO_VECTOR, Engine, MotorWriter, Part, Pusher
 from deepbots_cli.program.robots import CustomActuator, MotorKind
 
 InitialValue = Callable[[], Sequence[float]]
-_TIME_TOLERANCE = 1e-9  # of a substep; what a sum of durations may be off
+_TIME_TOLERANCE = 1e-9  # the error of a sum of durations, as a share of a substep
 PerJoint = float | Sequence[float]
-"""One for all joints, or one for each."""
+"""A value for all joints, or one for each."""
 
 
 class Response:
     """The response of an actuator to its commands, from substep to substep.
 
     A command takes effect in the first substep that begins `delay` after it was sent, or later. From there on
-    what is followed approaches it: in a substep of h seconds by the share 1 - exp(-h / time_constant) of what
-    is left, a lag of first order exactly, and by at most `rate` * h. It starts from what `initial_value` says
+    the followed value approaches it: in a substep of h seconds by the share 1 - exp(-h / time_constant) of
+    the difference, a lag of first order exactly, and by at most `rate` * h. It starts from `initial_value`
     when the first command takes effect.
 
     `delay` and `time_constant` are in s, `rates` in units of the command per s, one per component; they are
@@ -46,7 +46,7 @@ class Response:
         time_constant: float = 0.0,
         rates: Sequence[float] = (),
     ) -> None:
-        """`substep` is the length of one, s; without `rates` a command may jump."""
+        """Create a response; `substep` is the length of a substep, s; without `rates` a command may jump."""
         self.delay = delay
         self.time_constant = time_constant
         self._substep = substep
@@ -56,7 +56,7 @@ class Response:
         self.reset()
 
     def reset(self) -> None:
-        """No command was ever sent."""
+        """Forget all commands."""
         self._sent.clear()
         self._now = 0
         self._wait = max(0, ceil(self.delay / self._substep - _TIME_TOLERANCE))
@@ -74,7 +74,8 @@ class Response:
         self._sent.append((self._now + self._wait, command))
 
     def advance(self) -> Sequence[float] | None:
-        """The value that is followed in this substep; None if it has not changed, or if there is none."""
+        """Return the value that is followed in this substep; None if it has not changed, or if there is
+        none."""
         sent = self._sent
         while sent and sent[0][0] <= self._now:
             self._goal = sent.popleft()[1]
@@ -100,9 +101,9 @@ class Response:
 class Motor:
     """Joints that are driven together; called with one target per joint.
 
-    What `strength` multiplies is the torque or force that the motor would exert without it: its limit, the
-    gains of its spring, the target of a torque motor. Strength, limits and gains may be set between two
-    episodes and are in force from the next `reset`.
+    `strength` multiplies the torque or force that the motor would exert without it: its limit, the gains of
+    its spring, the target of a torque motor. Strength, limits and gains may be set between two episodes and
+    are in force from the next `reset`.
     """
 
     def __init__(
@@ -121,7 +122,7 @@ class Motor:
         time_constant: float = 0.0,
         rates: Sequence[float] = (),
     ) -> None:
-        """`rates` bounds how fast targets change, in their unit per s.
+        """Create a motor; `rates` bounds how fast targets change, in their unit per s.
 
         With `substep`, the length of one in s, the motor follows its commands in every substep; without, at
         once.
@@ -164,7 +165,7 @@ class Motor:
                 self.response.start(rest)
 
     def _rest(self) -> Sequence[float]:
-        """The targets at which the joints stay where they are."""
+        """Return the targets at which the joints stay where they are."""
         if self._kind == "position_motor":
             return [state[0] for state in self._states()]
         return [0.0] * len(self._joints)
@@ -195,7 +196,7 @@ class Motor:
         )
 
     def _scaled(self, gain: PerJoint | None) -> list[float] | None:
-        """A gain of the spring in each joint, as strong as that motor is."""
+        """Return a gain of the spring in each joint, as strong as that motor is."""
         return (
             None
             if gain is None
@@ -209,9 +210,9 @@ class Motor:
 class Cartesian(Motor):
     """Brings the origin of a link to a position (m, world frame); called with x, y and z.
 
-    Joint positions are computed once per command, from where the joints are and within their ranges; what is
-    out of reach is approached. The engine's servo then drives the joints there, with the delay, time constant
-    and rates of a `Motor`.
+    Joint positions are computed once per command, from the present positions and within their ranges; a
+    target out of reach is approached. The engine's servo then drives the joints there, with the delay, time
+    constant and rates of a `Motor`.
     """
 
     def __init__(
@@ -225,13 +226,13 @@ class Cartesian(Motor):
         rpy: tuple[float, float, float] | None = None,
         **response: Any,
     ) -> None:
-        """`rpy` (rad) is the attitude that the link keeps; without, it may have any. `response` are further
-        arguments of a `Motor`."""
+        """Create the actuator. `rpy` (rad) is the attitude that the link keeps; without, it may have any.
+        `response` are further arguments of a `Motor`."""
         self._solve = engine.inverse_kinematics((robot, link), joints)
         self.attitude = None if rpy is None else quaternion(*rpy)
         self.watch: Callable[[Triple, Sequence[float]], object] | None = None
-        """Called with the position of each command (m, world frame) and the joint positions computed for it
-        (rad or m)."""
+        """The function called with the position of each command (m, world frame) and the joint positions
+        computed for it (rad or m)."""
         super().__init__(engine, "position_motor", robot, joints, max_torque, **response)
 
     def __call__(self, targets: Sequence[float]) -> None:
@@ -250,7 +251,7 @@ def _nothing() -> None:
 
 
 class ControlLaw(NamedTuple):
-    """How an actuator answers its commands.
+    """The response of an actuator to its commands.
 
     `act` is called before every engine step, from the first command on. It gets the command in SI units, one
     value per joint, after delay and time constant, and returns the torque (N m) or force (N) on each joint;
@@ -264,8 +265,8 @@ class ControlLaw(NamedTuple):
 
 
 class Site(NamedTuple):
-    """An actuator in a world: what its kind's `drive` makes a control law from. `substep` is the length of an
-    engine step, s."""
+    """An actuator in a world, from which its kind's `drive` makes a control law. `substep` is the length of
+    an engine step, s."""
 
     engine: Engine
     robot: str
@@ -336,10 +337,9 @@ negative for the other sense."""
 class Thrust:
     """Pushes links in every substep; called with one thrust (N) per rotor.
 
-    A thrust t along the axis comes with a torque moment_constant * t (N m) about it, which is what the air
-    does to the link: positive for a rotor that turns clockwise seen from the tip of the axis. `strength`
-    multiplies both, and is in force from the next `reset`. Until the first command takes effect rotors stand
-    still.
+    A thrust t along the axis comes with a torque moment_constant * t (N m) about it, which the air exerts on
+    the link: positive for a rotor that turns clockwise seen from the tip of the axis. `strength` multiplies
+    both, and is in force from the next `reset`. Until the first command takes effect rotors are still.
 
     All rotors on one link make one force and one torque; with four of them, pushing each by itself took seven
     times as long.
@@ -356,7 +356,7 @@ class Thrust:
         delay: float = 0.0,
         time_constant: float = 0.0,
     ) -> None:
-        """`substep` is the length of one, s."""
+        """Create the actuator; `substep` is the length of a substep, s."""
         self.strength = strength
         self._rotors = rotors
         self._push = {carrier: engine.pusher((robot, carrier), "link") for carrier, _, _, _ in rotors}
@@ -386,7 +386,7 @@ class Thrust:
         self.response.reset()
 
     def hold(self) -> None:
-        """Rotors hold nothing by themselves: they stand still."""
+        """Do nothing: rotors exert nothing by themselves until the first command."""
 
     def _act(self) -> None:
         thrusts = self.response.advance()
@@ -396,7 +396,7 @@ class Thrust:
             push(force, torque)
 
     def _load(self, carrier: str, thrusts: Sequence[float]) -> tuple[Triple, Triple]:
-        """Force and torque on one link."""
+        """Return force and torque on one link."""
         fx = fy = fz = tx = ty = tz = 0.0
         for thrust, (link, (ax, ay, az), (bx, by, bz)) in zip(thrusts, self._effects, strict=True):
             if link == carrier:
@@ -410,8 +410,8 @@ class Thrust:
 
 
 Draw = Callable[[], tuple[Triple, Triple, float, float]]
-"""Force (N), torque (N m), how long they act (s), and how long after the beginning of this push the next
-begins (s)."""
+"""The draw of a push: force (N), torque (N m), how long they act (s), and how long after the beginning of
+this push the next begins (s)."""
 
 
 class Push:
@@ -422,7 +422,8 @@ class Push:
     """
 
     def __init__(self, engine: Engine, part: Part, draw: Draw, substep: float) -> None:
-        """`draw` is called once at the beginning of each push; `substep` is the length of one, s."""
+        """Create the push; `draw` is called once at the beginning of each push; `substep` is the length of a
+        substep, s."""
         self._push = engine.pusher(part)
         self._draw = draw
         self._substep = substep
@@ -430,7 +431,7 @@ class Push:
         engine.before_substep(self._act)
 
     def reset(self, first: float, settling: int) -> None:
-        """The first push begins `first` s into the episode, before which there are `settling` substeps."""
+        """Let the first push begin `first` s into the episode, before which there are `settling` substeps."""
         self._now = -settling
         self._due = first / self._substep - _TIME_TOLERANCE
         self._left = 0.0

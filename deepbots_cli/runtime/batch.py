@@ -29,16 +29,16 @@ from deepbots_cli.runtime.supervisor import Supervisor
 __all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", "LostWorld"]
 
 NOT_FINITE = "not_finite"
-"""How an episode ends whose world is no longer finite."""
+"""The name of the end of an episode whose world is no longer finite."""
 
 
 class BatchStep(NamedTuple):
     """The result of a step, one row per agent, or one per world; observations are those that the agent acts
     on next.
 
-    `terms` has a row per term of the reward and a column per agent. `done` holds the numbers of the rows
-    whose episode ended, `final_observations` their last observations, `infos` their infos. Their next
-    episodes have begun.
+    `terms` has a row per term of the reward and a column per agent. `done` has the numbers of the rows whose
+    episode ended, `final_observations` their last observations, `infos` their infos. Their next episodes have
+    begun.
     """
 
     observations: Any
@@ -81,8 +81,8 @@ class EpisodeHistories:
     """Records the running episode of each world.
 
     Attributes:
-        starts: How each episode began: its seed, or the states of its random generators.
-        actions: Those of all worlds, with a row per world; `_first` are the places of the first ones.
+        starts: The start of each episode: its seed, or the states of its random generators.
+        actions: The actions of all worlds, with a row per world; `_first` are the places of the first ones.
     """
 
     def __init__(self, worlds: int) -> None:
@@ -98,7 +98,7 @@ class EpisodeHistories:
             self._first -= ended
 
     def snapshot(self) -> list[EpisodeHistory]:
-        """The running episode of each world, from which `BatchSupervisor.restore` goes on; its size is
+        """Return the running episode of each world, from which `BatchSupervisor.restore` goes on; its size is
         proportional to the number of actions."""
         return [
             EpisodeHistory(start, [by_part(itemgetter(world), each) for each in self.actions[first:]])
@@ -112,12 +112,12 @@ class EpisodeHistories:
 
 
 class BatchSupervisor(BatchRobots, ObservedColumns):
-    """Base of the generated supervisors of a batch, over single supervisors and the engine that holds all of
-    their worlds.
+    """Base of the generated supervisors of a batch, over single supervisors and the engine of all of their
+    worlds.
 
     A row of columns, observations and actions is an agent. Where worlds have copies of a robot, each world
-    has a row for each copy, and the episode ends for all of them when it ends for one. `rows` turns rows into
-    what the single worlds take and give. `histories` are the running episodes.
+    has a row for each copy, and the episode ends for all of them when it ends for one. `rows` converts
+    between rows and the values of the single worlds. `histories` are the running episodes.
     """
 
     TERMS: tuple[str, ...] = ()
@@ -156,25 +156,25 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         self._holds: dict[str, Column] = {}
         self._limit = ""
 
-    # What `bind` makes
+    # Parts that `bind` makes
 
     @abstractmethod
     def _advance(self, action: Any) -> None:
-        """One step of all worlds: act, let them go on, and observe."""
+        """Advance all worlds by one step: act, simulate, and observe."""
 
     # Rows and worlds
 
     # Course
 
     def reset(self, seeds: Sequence[int | None], options: dict[str, Any] | None = None) -> Any:
-        """Begin an episode in all worlds, each with a seed of its own or going on with its streams; the
-        observations.
+        """Begin an episode in all worlds, each with a seed of its own or continuing its streams, and return
+        the observations.
 
         Args:
             options: Values of this episode in place of draws, the same in all worlds.
 
         Raises:
-            UsageError: A world could not draw what `options` hold. The episodes go on.
+            UsageError: A world could not draw a value of `options`. The episodes go on.
         """
         if options:
             self.singles[0].require_drawable(options)
@@ -183,10 +183,10 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         return self.observations()
 
     def step(self, action: Any) -> BatchStep:
-        """One step of all worlds; episodes that end are followed by new ones at once.
+        """Advance all worlds by one step; episodes that end are followed by new ones at once.
 
         A world that is no longer finite is truncated by `not_finite` with a reward of 0. It begins anew, and
-        is told in `losses` and as a warning.
+        is reported in `losses` and as a warning.
 
         Raises:
             EvaluationError: An expression has no value in a world that is finite, all options of a choice are
@@ -203,8 +203,8 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         return outcome._replace(observations=self.observations())
 
     def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
-        """One step of all worlds but those that are `resting` (truth values), whose episodes have ended; no
-        episode begins."""
+        """Advance by one step all worlds except those that are `resting` (truth values), whose episodes have
+        ended; no episode begins."""
         action = by_part(np.array, action)
         self.histories.actions.append(self.rows.by_world(action))
         resting = None if resting is None else resting.repeat(self.copies)
@@ -278,7 +278,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         return self.observations()
 
     def _take_over_from(self, worlds: Sequence[int]) -> None:
-        """Go on from what single worlds have begun with."""
+        """Take over the start of an episode from single worlds."""
         self.engine.begin_episodes(list(worlds))
         rows = list(self.rows.of(worlds))
         for part in (self, *self.controllers.values()):
@@ -312,7 +312,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         self.frames[:, :, lost] = 0.0
 
     def info(self, row: int) -> dict[str, Any]:
-        """The info of a row for the last step of an episode, as its agent gives it."""
+        """Return the info of a row for the last step of an episode, as its agent gives it."""
         held = (
             tuple(name for name, column in self._holds.items() if column[row]) if self.terminated[row] else ()
         )
@@ -331,18 +331,18 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         return {**info, **masks, "reward_terms": terms}
 
     def rewards(self) -> Column:
-        """The rewards of the last step, a copy."""
+        """Return the rewards of the last step, a copy."""
         return np.array(np.broadcast_to(self.reward, self.count), float)
 
     def terms(self) -> Column:
-        """The terms of the last rewards, a row each; a copy."""
+        """Return the terms of the last rewards, a row each; a copy."""
         terms = np.zeros((len(self.TERMS), self.count))
         for row, name in zip(terms, self.TERMS, strict=True):
             row[:] = getattr(self, generated.term(name))
         return terms
 
     def action_masks(self) -> Column:
-        """`Supervisor.action_masks` of each agent, a row each; a copy."""
+        """Return `Supervisor.action_masks` of each agent, a row each; a copy."""
         return self.options.by_row()
 
     def close(self) -> None:
@@ -351,10 +351,10 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
             single.close()
         self.engine.close()
 
-    # What generated code calls
+    # Methods for generated code
 
     def physics(self, substeps: int) -> None:
-        """Let the worlds go on; those that are no longer finite are set aside until the end of the step."""
+        """Simulate the worlds; those that are no longer finite are set aside until the end of the step."""
         self.engine.step(substeps, self.running)
         lost = self.engine.non_finite_worlds()
         if len(lost):
@@ -370,16 +370,16 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
             self.engine.begin_episodes(lost.tolist())
 
     def ranges(self, action: Any) -> Column:
-        """The numbers of an action, a column each, within [-1, 1]."""
+        """Return the numbers of an action, a column each, within [-1, 1]."""
         columns: Column = np.clip(np.asarray(action, float), -1.0, 1.0).T
         return columns
 
     def add(self, column: Any, more: Any) -> Any:
-        """The sum, in worlds whose episode goes on."""
+        """Return the sum, in worlds whose episode goes on."""
         return where_running(self.running, column + more, column)
 
     def ticks(self, count: int) -> Iterator[None]:
-        """The ticks of a step; only worlds whose episode goes on take part in the later ones."""
+        """Yield the ticks of a step; only worlds whose episode goes on take part in the later ones."""
         for number in range(count):
             yield
             if number < count - 1:
@@ -407,7 +407,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
             self.take_columns(rows, names)
 
     def normals(self, stream: str, count: int) -> Column:
-        """Standard normal numbers, a column each."""
+        """Return standard normal numbers, a column each."""
         running = self.running
         drawn = np.zeros((count, self.count))
         for row, single in enumerate(self._singles):
@@ -420,7 +420,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         self.options.allow(choice, allowed, self.running)
 
     def _terminate(self, endings: dict[str, Any], *, success: Any = False) -> None:
-        """End the task where one of the endings holds, of which the first counts."""
+        """End the task where one of the endings holds; the first of them determines the result."""
         self._holds = {
             name: where_running(
                 self.running, np.broadcast_to(column, self.count), self._holds.get(name, False)

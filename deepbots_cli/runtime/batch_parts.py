@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class PerWorldCall:
-    """Asks the single worlds in turn: functions that take and give single numbers, over columns."""
+    """Calls the single worlds in turn: functions that take and give single numbers, over columns."""
 
     def __init__(self, functions: Sequence[Callable[..., Any]], engine: BatchEngine) -> None:
         self._functions, self._engine = functions, engine
@@ -42,7 +42,7 @@ class PerWorldCall:
 
 
 def _rows(argument: Any, count: int) -> list[Any]:
-    """A column, or a vector of columns, as one number or list per world."""
+    """Return a column, or a vector of columns, as one number or list per world."""
     if isinstance(argument, np.ndarray):
         return list(argument.T.tolist())
     if isinstance(argument, (tuple, list)):
@@ -65,7 +65,7 @@ class BatchChannel:
 
 
 class BatchLossyChannel:
-    """A channel on which messages come late or are lost: those of the single worlds, in turn."""
+    """A channel on which messages come late or are lost: the channels of the single worlds, in turn."""
 
     def __init__(self, channels: Sequence[LossyChannel], batch: BatchSupervisor) -> None:
         self._channels, self._batch = channels, batch
@@ -95,7 +95,7 @@ class BatchLossyChannel:
         ]
 
     def receive(self) -> Iterator[Any]:
-        """First the first message of each world that got one, then the second; meanwhile motors of the others
+        """Yield the first message of each world that got one, then the second; meanwhile motors of the others
         are left alone."""
         arrived = [channel.receive() for channel in self._channels]
         for number in range(max(map(len, arrived))):
@@ -108,23 +108,23 @@ class BatchLossyChannel:
 
 
 class BatchPart:
-    """Base of supervisor and controllers, which take over from those of the single worlds when an episode
+    """Base of supervisor and controllers, which copy the state of the single worlds when an episode
     begins."""
 
     STATE: tuple[str, ...] = ()
-    """The attributes whose columns begin with what the single worlds have: drawn values, and values that the
-    next step reads."""
+    """The attributes whose columns begin with the values of the single worlds: drawn values, and values that
+    the next step reads."""
 
     def __init__(self, singles: Sequence[Any], batch: BatchSupervisor) -> None:
         self._singles, self._batch = singles, batch
         self._loaded: list[BatchMemory | BatchDevice] = []
 
     def each(self, attribute: str) -> PerWorldCall:
-        """A call of the attribute of this name of each single world."""
+        """Return a call of the attribute of this name of each single world."""
         return PerWorldCall([getattr(single, attribute) for single in self._singles], self._batch.engine)
 
     def memory(self, attribute: str) -> BatchMemory:
-        """The memory of a stateful function."""
+        """Return the memory of a stateful function."""
         memory = BatchMemory(
             [getattr(single, attribute) for single in self._singles], lambda: self._batch.engine.write_mask
         )
@@ -132,7 +132,7 @@ class BatchPart:
         return memory
 
     def take_over(self, worlds: Sequence[int]) -> None:
-        """Begin with what the single worlds began with."""
+        """Copy the state with which the single worlds began."""
         for part in self._loaded:
             for world in worlds:
                 part.load(world)
@@ -153,7 +153,7 @@ class BatchPart:
 
 
 def columns_array(value: Any, count: int) -> Column:
-    """A column or a vector of columns as an array that can be written."""
+    """Return a column or a vector of columns as an array that can be written."""
     if isinstance(value, (tuple, list)):
         return stacked(value, count)
     return np.array(np.broadcast_to(value, (*np.shape(value)[:-1], count)))
@@ -171,7 +171,7 @@ class BatchController(BatchPart):
         """Take readers and writers from the engine."""
 
     def device(self, name: str) -> BatchDevice:
-        """The devices behind a sensor."""
+        """Return the devices behind a sensor."""
         sensor: Sensor = next(sensor for sensor in self._singles[0].spec.sensors if sensor.name == name)
         device = BatchDevice(
             [single.devices[name] for single in self._singles],
@@ -184,7 +184,7 @@ class BatchController(BatchPart):
         return device
 
     def observe(self) -> None:
-        """Sample what is sampled once per tick."""
+        """Sample the sensors that are sampled once per tick."""
 
 
 class StuckRow(NamedTuple):
@@ -195,7 +195,7 @@ class StuckRow(NamedTuple):
 
 
 class OptionMasks:
-    """Which options of each choice may be chosen next: truth values (option, row)."""
+    """The options of each choice that may be chosen next: truth values (option, row)."""
 
     def __init__(self, agent: Agent, count: int) -> None:
         self._masks = {part.name: np.ones((len(part.options), count), bool) for part in agent.choices}
@@ -206,12 +206,12 @@ class OptionMasks:
             row[:] = where_running(running, may, row)
 
     def load(self, row: int, allowed: Sequence[Sequence[bool]]) -> None:
-        """Allow what a single supervisor allows."""
+        """Allow the options that a single supervisor allows."""
         for mask, may in zip(self._masks.values(), allowed, strict=True):
             mask[:, row] = may
 
     def without_option(self, going_on: Column) -> StuckRow | None:
-        """The first row that goes on although every option of a choice is forbidden."""
+        """Return the first row that goes on although every option of a choice is forbidden."""
         for choice, mask in self._masks.items():
             stuck = going_on & ~mask.any(axis=0)
             if stuck.any():
@@ -219,11 +219,11 @@ class OptionMasks:
         return None
 
     def by_row(self) -> Column:
-        """The options of all choices in a row per agent; a copy."""
+        """Return the options of all choices in a row per agent; a copy."""
         return np.concatenate(list(self._masks.values())).T.copy()
 
     def of_space(self, space: gym.Space[Any], rows: Any = slice(None)) -> Any:
-        """The masks of some rows in the form that `sample` of an action space takes."""
+        """Return the masks of some rows in the form that `sample` of an action space takes."""
         return mask_of_space(space, [mask.T[rows].astype(np.int8) for mask in self._masks.values()])
 
 
@@ -240,19 +240,19 @@ class BatchRobots(BatchPart, ABC):
         """Take readers from the engine."""
 
     def robot(self, name: str, controller: type[BatchController]) -> Any:
-        """The controllers of a robot."""
+        """Return the controllers of a robot."""
         robot = self.controllers[name] = controller(
             [single.controllers[name] for single in self._singles], self._batch
         )
         return robot
 
     def channel(self, name: str, direction: Direction) -> BatchChannel:
-        """The paths of messages to or from a robot, where they are direct."""
+        """Return the paths of messages to or from a robot, if they are direct."""
         channel = self.channels[name, direction] = BatchChannel()
         return channel
 
     def lossy_channel(self, name: str, direction: Direction) -> BatchLossyChannel:
-        """The paths of messages to or from a robot, where messages come late or may be lost."""
+        """Return the paths of messages to or from a robot, where messages come late or may be lost."""
         attribute = generated.channel(name, direction)
         channel = self.channels[name, direction] = BatchLossyChannel(
             [getattr(single, attribute) for single in self._singles], self._batch

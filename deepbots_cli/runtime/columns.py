@@ -2,7 +2,8 @@
 world.
 
 A vector is a sequence of columns, or an array with a row per component. Names and meanings are those of
-`formulas`; what has no value becomes inf or NaN, which the supervisor of the batch reports with the world.
+`formulas`; an operation without a value gives inf or NaN, which the supervisor of the batch reports with the
+world.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def pick(table: dict[int, Any], chosen: Any) -> Any:
-    """The values of each world's option: a column, or one per value of an option."""
+    """Return the values of each world's option: a column, or one per value of an option."""
     return np.array(list(table.values()))[chosen].T
 
 
@@ -49,11 +50,11 @@ any_of, all_of = partial(reduce, np.logical_or), partial(reduce, np.logical_and)
 
 
 class ExactFunction:
-    """A function of `math` in each world; numpy may round its last bit otherwise, and a batch lives the
-    episodes of single worlds.
+    """A function of `math` in each world; numpy may round its last bit otherwise, and the episodes of a batch
+    equal those of single worlds.
 
-    It takes 0.1 us per world. Where a world has no value, all take that of `estimate`, which numpy computes
-    over columns.
+    It takes 0.1 us per world. If a world has no value, all take that of `estimate`, which numpy computes over
+    columns.
     """
 
     def __init__(self, function: Callable[..., float], estimate: Callable[..., Any]) -> None:
@@ -117,18 +118,19 @@ _KEPT: dict[type[formulas.Memory], Callable[..., Any]] = {
     ),
     formulas.Duration: lambda kept, step, condition: np.where(condition, kept + step, 0.0),
 }
-"""What memories that choose between numbers keep and give; all others compute with columns as with
-numbers."""
+"""The memories whose code branches on a number, rewritten for columns. All other memories work with columns
+unchanged."""
 
 
 class BatchMemory:
-    """The memory of a stateful function in all worlds; a new episode takes it over from that of the single
+    """The memory of a stateful function in all worlds; a new episode copies it from the memory of the single
     world."""
 
     def __init__(
         self, singles: Sequence[formulas.Memory | formulas.Memories], chosen: Callable[[], Column | None]
     ) -> None:
-        """`chosen` gives the worlds in which the memory is updated, as truth values; None for all."""
+        """Create the memory; `chosen` gives the worlds in which the memory is updated, as truth values; None
+        for all."""
         self._singles, first, self._chosen = singles, singles[0], chosen
         self._vector = isinstance(first, formulas.Memories | formulas.VectorMemory)
         kind, count = (
@@ -139,8 +141,8 @@ class BatchMemory:
         self._law, self._choose = kind(first.timestep), _KEPT.get(kind)
         self._kept: Column = np.zeros((count, len(singles)))
         self._waiting: Column | None = None
-        """The worlds without a message so far, where the memory begins with the first one; None where there
-        are none."""
+        """The worlds without a message so far, if the memory begins with the first one; None if there are
+        none."""
 
     def load(self, world: int) -> None:
         kept = self._singles[world].kept if self._vector else [self._singles[world].kept]
@@ -155,7 +157,7 @@ class BatchMemory:
         self._kept[:, world] = kept
 
     def update(self, *arguments: Any) -> Any:
-        """The value in this timestep; vectors where the function has one memory per component."""
+        """Return the value in this timestep; vectors where the function has one memory per component."""
         count, worlds = self._kept.shape
         parts = [
             stacked(argument, worlds) if self._vector else np.asarray(argument) for argument in arguments
@@ -175,12 +177,13 @@ class BatchMemory:
 
 
 def where_running(running: Any, now: Any, before: Any) -> Any:
-    """The present values of the `running` rows (truth values, None for all), and of others those before."""
+    """Return the present values of the `running` rows (truth values, None for all), and the values before of
+    the others."""
     return now if running is None else np.where(running, now, before)
 
 
 def stacked(columns: Any, worlds: int) -> Column:
-    """A vector of columns as an array with a row per component."""
+    """Return a vector of columns as an array with a row per component."""
     return (
         columns
         if isinstance(columns, np.ndarray)

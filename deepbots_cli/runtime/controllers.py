@@ -30,13 +30,13 @@ class WithMemories:
         self._memories: list[Memory | Memories] = []
 
     def memory(self, kind: type[M], *, on_message: bool = False) -> M:
-        """A memory that begins at the reset, or else with the first message (`on_message`)."""
+        """Return a memory that begins at the reset, or else with the first message (`on_message`)."""
         memory = kind(self._timestep, on_message=on_message)
         self._memories.append(memory)
         return memory
 
     def memories(self, kind: type[Memory], count: int, *, on_message: bool = False) -> Memory | Memories:
-        """One memory for each component of a vector."""
+        """Return one memory for each component of a vector."""
         memory = memory_of_vector(kind, count, self._timestep, on_message=on_message)
         self._memories.append(memory)
         return memory
@@ -68,15 +68,14 @@ class RobotController(WithMemories):
             drive.hold if hasattr(drive, "hold") else partial(_hold, engine, spec.name, actuator, drive)
             for actuator, drive in driven
         ]
-        self._releases = [
-            drive.reset for _, drive in driven if hasattr(drive, "hold")
-        ]  # actuators with a state of their own
+        # Actuators with `hold` have a state of their own.
+        self._releases = [drive.reset for _, drive in driven if hasattr(drive, "hold")]
 
     def bind(self, engine: Engine) -> None:
         """Take readers and writers from the engine; called once."""
 
     def device(self, name: str) -> Device:
-        """The device behind a sensor, made when it is first asked for."""
+        """Return the device behind a sensor, made on first use."""
         if name not in self.devices:
             sensor = next(sensor for sensor in self.spec.sensors if sensor.name == name)
             device = instrument(sensor, self.spec.name, self._world, self._engine)
@@ -84,15 +83,15 @@ class RobotController(WithMemories):
         return self.devices[name]
 
     def actuator(self, name: str) -> CustomMotor:
-        """An actuator of a plug-in's kind."""
+        """Return an actuator of a plug-in's kind."""
         actuator = next(actuator for actuator in self.spec.actuators if actuator.name == name)
-        assert isinstance(actuator, CustomActuator)  # generated code asks for no other
+        assert isinstance(actuator, CustomActuator)  # generated code uses no other
         return CustomMotor(
             Site(self._engine, self.spec.name, actuator, self._world.timestep / self._world.substeps)
         )
 
     def sees(self, sensor: str, body: str) -> Callable[[], bool]:
-        """Whether the newest picture of a camera shows the body."""
+        """Return whether the newest picture of a camera shows the body."""
         return sees(self.device(sensor), body)
 
     def begin(self, streams: Streams) -> None:
@@ -103,10 +102,10 @@ class RobotController(WithMemories):
         self.reset()
 
     def reset(self) -> None:
-        """Begin what is computed on board with the first readings, and with actions of zeros."""
+        """Begin the values computed on board with the first readings, and with actions of zeros."""
 
     def observe(self) -> None:
-        """Sample what is sampled once per timestep."""
+        """Sample the sensors that are sampled once per timestep."""
 
     def release(self) -> None:
         """Set the values of the actuators for this episode and discard their commands: they exert nothing
@@ -121,7 +120,7 @@ class RobotController(WithMemories):
 
 
 def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter) -> None:
-    """Keep what a plain motor drives where it is; one that commands torques lets its joints go."""
+    """Keep the joints of a plain motor where they are; a motor that commands torques lets its joints go."""
     if isinstance(actuator, Motor) and actuator.kind == "velocity_motor":
         drive((0.0,) * len(actuator.joints))
     elif isinstance(actuator, Motor) and actuator.kind == "position_motor":
@@ -144,13 +143,13 @@ class SupervisedRobots(WithMemories):
         """Take readers from the engine."""
 
     def robot(self, name: str, controller: type[C]) -> C:
-        """The controller of a robot."""
+        """Return the controller of a robot."""
         robot_controller = controller(self._spec(name), self.scenario, self.engine)
         self.controllers[name] = robot_controller
         return robot_controller
 
     def channel(self, name: str, direction: Direction) -> Channel:
-        """The path of messages to or from a robot, where it is direct."""
+        """Return the path of messages to or from a robot, if it is direct."""
         spec = self._spec(name)
         channel = Channel(
             FieldCodec(
@@ -163,7 +162,7 @@ class SupervisedRobots(WithMemories):
         return channel
 
     def lossy_channel(self, name: str, direction: Direction) -> LossyChannel:
-        """The path of messages to or from a robot, where messages come late or may be lost."""
+        """Return the path of messages to or from a robot, where messages come late or may be lost."""
         robot, to_robot = self._spec(name), direction == "to_robot"
         route, layout = (robot.to_route, robot.to_robot) if to_robot else (robot.from_route, robot.from_robot)
         channel = LossyChannel(
@@ -182,7 +181,7 @@ class SupervisedRobots(WithMemories):
         return next(robot for robot in self.scenario.robots if robot.name == name)
 
     def begin_robots(self, streams: Streams) -> None:
-        """Controllers, channels and memories forget the last episode."""
+        """Make controllers, channels and memories forget the last episode."""
         for part in (*self.controllers.values(), *self.channels.values()):
             part.begin(streams)
         self.clear_memories()
@@ -196,7 +195,8 @@ class SupervisedRobots(WithMemories):
     def set_joints(
         self, robot: str, joints: Sequence[str], positions: Sequence[float], velocities: Sequence[float] = ()
     ) -> None:
-        """Let joints start at positions (rad or m) and velocities (rad/s or m/s), at rest without them."""
+        """Set the start positions (rad or m) and velocities (rad/s or m/s) of joints, at rest without
+        them."""
         for joint, position, velocity in zip(
             joints, positions, velocities or (0.0,) * len(joints), strict=True
         ):
@@ -208,5 +208,5 @@ class SupervisedRobots(WithMemories):
             self.engine.set_parameter("lateral_friction", (body, ""), friction)
 
     def _rejected(self, layout: MessageLayout, message: Any) -> MessageError:
-        self.engine.require_finite()  # not every format can carry what a world that blew up gives
+        self.engine.require_finite()  # not every format can carry values that are not finite
         return layout_error(layout, self.scenario.format, message, self.step_count)

@@ -1,9 +1,9 @@
-"""Copies of a robot in one world under one policy: a supervisor for each, and the one that holds them.
+"""Copies of a robot in one world under one policy: a supervisor for each, and the one that contains them.
 
-The generated supervisor of a scenario describes one agent. With a single agent it is the environment and
-holds itself. With copies there is one such supervisor for each, over an engine in which the robot's name
-means this copy, and `CopiesSupervisor` is the environment. Whoever runs an environment finds its agents by
-name in `Supervisor.agents`, and the generated code of a robot does not know of copies.
+The generated supervisor of a scenario describes one agent. With a single agent it is the environment and its
+own agent. With copies there is one such supervisor for each, over an engine in which the robot's name means
+this copy, and `CopiesSupervisor` is the environment. The agents of an environment are in `Supervisor.agents`
+by name, and the generated code of a robot does not depend on copies.
 
 Only the loop over the world differs. A physics step acts on all copies at once, so no copy can call it by
 itself: its `_advance` is a generator that waits there, with its local variables, until every copy has acted.
@@ -39,12 +39,12 @@ _END = object()
 
 
 def copy_name(copies: RobotCopies, number: int) -> str:
-    """The name of a copy in the world, numbered from 1."""
+    """Return the name of a copy in the world, numbered from 1."""
     return f"{copies.robot}#{number}"
 
 
 def world_with_copies(world: WorldModel, copies: RobotCopies) -> WorldModel:
-    """The world with the copies in place of the robot."""
+    """Return the world with the copies in place of the robot."""
     one = next(robot for robot in world.robots if robot.name == copies.robot)
     others = tuple(robot for robot in world.robots if robot is not one)
     return replace(
@@ -58,7 +58,7 @@ def make_environment(
     create: Callable[[WorldModel], Engine],
     render_mode: str | None = None,
 ) -> Supervisor:
-    """The environment of a scenario whose generated supervisor is `kind`."""
+    """Return the environment of a scenario whose generated supervisor is `kind`."""
     copies = scenario.agent.copies
     if copies is None:
         return kind(scenario, create(scenario.world), render_mode)
@@ -73,7 +73,8 @@ def make_batch(
     scenario: Program,
     create: Callable[[WorldModel], BatchEngine],
 ) -> BatchSupervisor:
-    """A batch of worlds whose generated supervisors are `of_batch`, and `kind` for each single world."""
+    """Return a batch of worlds whose generated supervisors are `of_batch`, and `kind` for each single
+    world."""
     copies = scenario.agent.copies
     engine = create(scenario.world if copies is None else world_with_copies(scenario.world, copies))
 
@@ -183,7 +184,8 @@ class BatchOfCopies:
 
 
 def _by_row(readings: Sequence[Any]) -> Any:
-    """The readings of all copies, columns with a number per world, as columns with a number per row."""
+    """Return the readings of all copies, columns with a number per world, as columns with a number per
+    row."""
     first = readings[0]
     if isinstance(first, (tuple, list)):
         return tuple(_by_row(parts) for parts in zip(*readings, strict=True))
@@ -200,7 +202,7 @@ class CopyResult(NamedTuple):
 
 
 def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
-    """The result of a step for the world of these copies."""
+    """Return the result of a step for the world of these copies."""
     ended = [copy for copy in copies if copy.terminated]
     over = ended or [copy for copy in copies if copy.truncated]
     failed = [copy for copy in over if not copy.info["is_success"]]
@@ -232,23 +234,23 @@ class WorldRows:
         self._copies, self._has_copies = per_world, has_copies
 
     def of(self, worlds: Any) -> Any:
-        """The numbers of the rows of these worlds."""
+        """Return the numbers of the rows of these worlds."""
         if self._copies == 1:
             return worlds
         return (self._copies * np.asarray(worlds)[:, None] + np.arange(self._copies)).ravel()
 
     def by_row(self, values: Any) -> Any:
-        """Actions or observations of worlds with a row per agent."""
+        """Return actions or observations of worlds with a row per agent."""
         return by_part(lambda part: part.reshape(-1, *part.shape[2:]), values) if self._has_copies else values
 
     def by_world(self, values: Any) -> Any:
-        """Actions or observations with a row per agent as those of worlds."""
+        """Return actions or observations with a row per agent as those of worlds."""
         if not self._has_copies:
             return values
         return by_part(lambda part: part.reshape(-1, self._copies, *part.shape[1:]), values)
 
     def step_by_world(self, step: BatchStep) -> BatchStep:
-        """The result of a step with a row per world, as the single worlds give it."""
+        """Return the result of a step with a row per world, as the single worlds give it."""
         if not self._has_copies:
             return step
         copies = self._copies
@@ -277,7 +279,7 @@ class WorldRows:
         )
 
     def any_in_world(self, flags: Column) -> Column:
-        """Whether a flag is set in any row of the world, for each row."""
+        """Return whether a flag is set in any row of the world, for each row."""
         if self._copies == 1:
             return flags
         return flags.reshape(-1, self._copies).any(axis=1).repeat(self._copies)
@@ -374,7 +376,7 @@ class CopiesSupervisor(Supervisor):
         self._gather()
 
     def fill_frames(self) -> None:
-        """The agents have frames of their own."""
+        """Do nothing: the agents have frames of their own."""
 
     def _advance(self, action: Any) -> None:
         fitting = canonical_action(self.action_space, action)
@@ -413,11 +415,11 @@ class CopiesSupervisor(Supervisor):
         )
 
     def scripted(self, name: str) -> Any:
-        """Every copy follows the script."""
+        """Return the action of the script for every copy."""
         return joined([agent.scripted(name) for agent in self.agents.values()])
 
     def make_action(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
-        """Every copy takes the same action."""
+        """Return the same action for every copy."""
         return joined([agent.make_action(choices, ranges) for agent in self.agents.values()])
 
     def get_observations(self) -> Any:

@@ -1,9 +1,9 @@
 """The sensors of a batch: the same device in all worlds, with its faults and delays, over columns; see
 `sensing`.
 
-A device takes over from that of the single world, which gave the first reading of the episode, and draws its
-noise from the same stream in the same blocks. A kind whose reader computes with columns as with numbers is
-read at once, any other world by world.
+A device copies the state of that of the single world, which gave the first reading of the episode, and draws
+its noise from the same stream in the same blocks. A kind whose reader computes with columns as with numbers
+is read at once, any other world by world.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Column = NDArray[Any]
 
 
 def stack_worlds(values: Sequence[Any]) -> Any:
-    """One value per world as a column; vectors, and pairs of them, as a column per number."""
+    """Return one value per world as a column; vectors, and pairs of them, as a column per number."""
     first = values[0]
     if isinstance(first, (tuple, list)) and first and isinstance(first[0], (tuple, list)):
         return tuple(stack_worlds(part) for part in zip(*values, strict=True))
@@ -51,7 +51,7 @@ class BatchNormals:
             self._blocks[world] = normals.drawn
 
     def row(self, wanted: Column | None) -> Column:
-        """A row per component; worlds that are not `wanted` keep theirs."""
+        """Return a row per component; worlds that are not `wanted` keep theirs."""
         left = self._left
         empty = left == 0 if wanted is None else (left == 0) & wanted
         for world in np.flatnonzero(empty).tolist():
@@ -192,8 +192,8 @@ class BatchDevice:
         self._deliver(values, running)
 
     def _deliver(self, values: Any, running: Column | None) -> None:
-        """Give each world the reading that is as old as its delay; before the first of them there is that of
-        the reset."""
+        """Give each world the reading that is as old as its delay; before the first one, that of the
+        reset."""
         if running is not None and self._ring:
             values = np.where(running, values, self._ring[0])
         self._ring = [values, *self._ring[: int(self._delay.max())]]
@@ -217,7 +217,8 @@ class BatchDevice:
         return values if self._faults is None else self._faults(values, self._tick * self._timestep, sampled)
 
     def _single(self, world: int, sampled: Column | None) -> Column:
-        """The reading of the instrument of one world; without a reading, the instrument is only updated."""
+        """Return the reading of the instrument of one world; without a reading, the instrument is only
+        updated."""
         device = self._devices[world]
         if sampled is None or sampled[world]:
             return np.asarray(device.instrument.read())

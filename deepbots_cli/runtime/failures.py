@@ -1,5 +1,5 @@
-"""Why an episode cannot go on, in words: an expression without a value, a reward that is not finite, a choice
-without an option."""
+"""Messages about an episode that cannot go on: an expression without a value, a reward that is not finite, a
+choice without an option."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from deepbots_cli.program.task import Agent
 
 
 def without_value(error: Exception, engine: Engine, step: int) -> Exception:
-    """An `EvaluationError` that shows the generated line, or the error itself where it is a fault of ours."""
+    """Return an `EvaluationError` that shows the generated line, or the error itself where it is a fault of
+    ours."""
     frames = [
         frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename.startswith("<deepbots")
     ]
@@ -26,7 +27,7 @@ def without_value(error: Exception, engine: Engine, step: int) -> Exception:
 
 
 def infinite_reward(terms: Mapping[str, float]) -> str:
-    """Which of the terms makes a reward infinite or NaN."""
+    """Return the message about the terms that make a reward infinite or NaN."""
     culprit = next(
         (f"the reward term '{name}'" for name, value in terms.items() if not math.isfinite(value)), None
     )
@@ -34,6 +35,6 @@ def infinite_reward(terms: Mapping[str, float]) -> str:
 
 
 def without_option(agent: Agent, choice: str) -> str:
-    """That the conditions of the scenario forbid all options of a choice."""
+    """Return the message for a choice whose options are all forbidden by conditions of the scenario."""
     options = next(part.options for part in agent.choices if part.name == choice)
     return f"every option of '{choice}' is forbidden: {', '.join(option.name for option in options)}"

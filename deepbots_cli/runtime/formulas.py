@@ -1,7 +1,7 @@
-"""The functions that generated code calls for what would be long to write out.
+"""The functions that generated code calls instead of long expressions.
 
-A pose is the position (m) of a link's origin in the world and its orientation, a quaternion (x, y, z, w).
-What a function of the language means is its entry in `expressions.functions`; the formulas here compute the
+A pose is the position (m) of a link's origin in the world and its orientation, a quaternion (x, y, z, w). The
+meaning of a function of the language is its entry in `expressions.functions`; the formulas here compute the
 same to the bit.
 """
 
@@ -31,19 +31,19 @@ _SUM_COMPENSATES = sys.version_info >= (3, 12)
 
 
 def clamp(x: float, low: float, high: float) -> float:
-    """`min(max(x, low), high)`, in a third of the time."""
+    """Return `min(max(x, low), high)`, in a third of the time."""
     x = low if x < low else x
     return high if x > high else x
 
 
 def wrap_angle(angle: float) -> float:
-    """The same angle (rad), above -pi and up to pi."""
+    """Return the same angle (rad), above -pi and up to pi."""
     return pi - (pi - angle) % tau
 
 
 def total(values: Iterable[float]) -> float:
-    """The sum of one or more values from left to right; `sum` is five times as fast, but from Python 3.12 on
-    compensates for rounding."""
+    """Return the sum of one or more values from left to right; `sum` is five times as fast, but from Python
+    3.12 on compensates for rounding."""
     return reduce(operator.add, values) if _SUM_COMPENSATES else sum(values, -0.0)
 
 
@@ -51,7 +51,7 @@ def total(values: Iterable[float]) -> float:
 
 
 def scale(value: float, low: float, high: float) -> float:
-    """Map [low, high] to [-1, 1], and what is beyond to its ends.
+    """Map [low, high] to [-1, 1], and values beyond to its ends.
 
     Raises:
         FloatingPointError: The value is not a number.
@@ -69,7 +69,7 @@ def scale_each(values: Iterable[float], low: float, high: float) -> list[float]:
 
 
 def scale_freely(value: float, low: float, high: float) -> float:
-    """Map [low, high] to [-1, 1], and what is beyond to beyond.
+    """Map [low, high] to [-1, 1], and values beyond to values beyond.
 
     Raises:
         FloatingPointError: The result is not finite, or too large for a float32.
@@ -81,7 +81,7 @@ def scale_freely(value: float, low: float, high: float) -> float:
 
 
 def clip(value: float) -> float:
-    """The value within [-1, 1].
+    """Return the value within [-1, 1].
 
     Raises:
         FloatingPointError: The value is not a number.
@@ -97,44 +97,44 @@ def clip(value: float) -> float:
 
 
 def pose_functions(atan2: Callable[..., Any], hypot: Callable[..., Any]) -> tuple[Callable[..., Any], ...]:
-    """Distance, distance in the plane, bearing, roll, pitch, yaw and tilt, of numbers or of columns by the
-    functions given."""
+    """Return functions for distance, distance in the plane, bearing, roll, pitch, yaw and tilt, of numbers or
+    of columns by the given functions."""
 
     def distance(pose: Frame, other: Frame) -> Any:
-        """The distance (m) between two origins."""
+        """Return the distance (m) between two origins."""
         (x, y, z), (to_x, to_y, to_z) = pose[0], other[0]
         return hypot(to_x - x, to_y - y, to_z - z)
 
     def ground_distance(pose: Frame, other: Frame) -> Any:
-        """The distance (m) between two origins in the plane."""
+        """Return the distance (m) between two origins in the plane."""
         (x, y, _), (to_x, to_y, _) = pose[0], other[0]
         return hypot(to_x - x, to_y - y)
 
     def bearing(pose: Frame, other: Frame) -> Any:
-        """The horizontal angle (rad) from straight ahead to the other origin; left is positive."""
+        """Return the horizontal angle (rad) from straight ahead to the other origin; left is positive."""
         (x, y, _), (to_x, to_y, _) = pose[0], other[0]
         ahead_x, ahead_y = _ahead(pose[1])
         dx, dy = to_x - x, to_y - y
         return atan2(ahead_x * dy - ahead_y * dx, ahead_x * dx + ahead_y * dy)
 
     def roll(pose: Frame) -> Any:
-        """The turn about the forward axis (rad)."""
+        """Return the turn about the forward axis (rad)."""
         x, y, z, w = pose[1]
         return atan2(2.0 * (z * y + x * w), 1.0 - 2.0 * (x * x + y * y))
 
     def pitch(pose: Frame) -> Any:
-        """The turn about the sideways axis (rad); nose down is positive."""
+        """Return the turn about the sideways axis (rad); nose down is positive."""
         x, y, z, w = pose[1]
         ahead_x, ahead_y = _ahead(pose[1])
         return atan2(-(2.0 * (z * x - y * w)), hypot(ahead_x, ahead_y))
 
     def yaw(pose: Frame) -> Any:
-        """The turn about the vertical (rad); left is positive."""
+        """Return the turn about the vertical (rad); left is positive."""
         ahead_x, ahead_y = _ahead(pose[1])
         return atan2(ahead_y, ahead_x)
 
     def tilt(pose: Frame) -> Any:
-        """The angle (rad) between the link's own vertical and that of the world."""
+        """Return the angle (rad) between the link's own vertical and that of the world."""
         x, y, z, w = pose[1]
         return 2.0 * atan2(hypot(x, y), hypot(z, w))
 
@@ -145,7 +145,7 @@ distance, ground_distance, bearing, roll, pitch, yaw, tilt = pose_functions(math
 
 
 def to_body_frame(pose: Frame, vector: Sequence[float]) -> Triple:
-    """A vector of the world as seen from the body: the transposed rotation matrix times the vector."""
+    """Return a vector of the world as seen from the body: the transposed rotation matrix times the vector."""
     x, y, z, w = pose[1]
     a, b, c = vector
     xx, yy, zz, xy, xz, yz, xw, yw, zw = x * x, y * y, z * z, x * y, x * z, y * z, x * w, y * w, z * w
@@ -157,7 +157,7 @@ def to_body_frame(pose: Frame, vector: Sequence[float]) -> Triple:
 
 
 def _ahead(turn: Quaternion) -> tuple[float, float]:
-    """The body's forward axis, seen from above: the first column of the rotation matrix."""
+    """Return the body's forward axis, seen from above: the first column of the rotation matrix."""
     x, y, z, w = turn
     return 1.0 - 2.0 * (y * y + z * z), 2.0 * (y * x + z * w)
 
@@ -166,7 +166,7 @@ class Memory(ABC):
     """The memory of a stateful function of the language for one number or truth value; `timestep` in s.
 
     `update` is called once per timestep, whether or not its value is used. The first call of an episode, with
-    what holds right after the reset, is `begin`, and every other is `advance`. All take the arguments that
+    the values right after the reset, is `begin`, and every other is `advance`. All take the arguments that
     the function has in the language. A memory `on_message` has no value before the first message: its first
     call begins with the values of that message and advances.
     """
@@ -188,7 +188,7 @@ class Memory(ABC):
         return self.first_update(*arguments)
 
     def begin_and_advance(self, *arguments: Any) -> Any:
-        """The first value where no value was known at the reset."""
+        """Return the first value, if no value was known at the reset."""
         self.begin(*arguments)
         return self.advance(*arguments)
 
@@ -199,11 +199,11 @@ class Memory(ABC):
 
     @abstractmethod
     def advance(self, *arguments: Any) -> Any:
-        """The value in this timestep."""
+        """Return the value in this timestep."""
 
 
 class Memories:
-    """One memory for each component of a vector; `update` takes and gives vectors."""
+    """One memory for each component of a vector; `update` takes and returns vectors."""
 
     def __init__(self, kind: type[Memory], count: int, timestep: float, *, on_message: bool = False) -> None:
         self.component, self.count, self.timestep = kind, count, timestep
@@ -219,12 +219,12 @@ class Memories:
 
     @property
     def kept(self) -> list[Any]:
-        """What each of them keeps."""
+        """The value that each of them keeps."""
         return [memory.kept for memory in self.parts]
 
     def update(self, *arguments: Iterable[Any]) -> list[Any]:
-        """The value of each component in this timestep; one vector per argument that the function has in the
-        language."""
+        """Return the value of each component in this timestep; one vector per argument that the function has
+        in the language."""
         update, self._update = self._update, self._advance
         return list(map(operator.call, update, *arguments))
 
@@ -232,7 +232,7 @@ class Memories:
 def memory_of_vector(
     kind: type[Memory], count: int, timestep: float, *, on_message: bool = False
 ) -> Memory | Memories:
-    """The memory of a stateful function for a vector of `count` components; `update` takes and returns
+    """Return the memory of a stateful function for a vector of `count` components; `update` takes and returns
     vectors."""
     whole = _VECTOR_MEMORIES.get(kind)
     return (
@@ -325,7 +325,7 @@ class Accumulate(Memory):
 
 
 class Duration(Memory):
-    """How long (s) the condition has held without a break."""
+    """The time (s) for which the condition has held without a break."""
 
     def begin(self, condition: bool) -> Any:
         self.kept = 0.0
@@ -400,7 +400,8 @@ _VECTOR_MEMORIES: dict[type[Memory], type[VectorMemory]] = {
 
 
 def foreign(what: str, name: str, module: str, function: str, truth: bool) -> Callable[[Supervisor], Any]:
-    """The function that gives the term `name`, a truth value if `truth`, else a number, from the supervisor.
+    """Return the function that gives the term `name`, a truth value if `truth`, else a number, from the
+    supervisor.
 
     Raises:
         UsageError: There is no such function, or its module cannot be imported.

@@ -1,13 +1,13 @@
 """Messages between robot and supervisor: channels that deliver them, and codecs, one per format, made for one
 layout.
 
-A channel delivers every message at once; a lossy one, where the scenario asks for it, late, in another order
-or not at all.
+A channel delivers every message at once; a lossy one, if the scenario requires it, late, in another order or
+not at all.
 
-Every message opens with the layout's stamp, so that one of another layout, version or robot is
-recognized. A codec takes the values in field order (a vector as its components); decoding returns
-the stamp and the values. All formats carry 64-bit floats exactly. A picture is its bytes, in formats of text
-in base64. `FieldCodec` is what a channel uses: it takes and gives one value per field, and checks the layout.
+Every message opens with the layout's stamp, so that a message of another layout, version or robot is
+recognized. A codec takes the values in field order (a vector as its components); decoding returns the stamp
+and the values. All formats carry 64-bit floats exactly. A picture is its bytes, in formats of text in base64.
+A channel uses a `FieldCodec`, which takes and gives one value per field, and checks the layout.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from deepbots_cli.runtime.streams import Streams
 Value = float | bool | bytes
 
 DECODING_ERRORS = (ValueError, TypeError, AttributeError, RecursionError, struct.error, msgspec.MsgspecError)
-"""What decoding raises for a message that is not of the layout."""
+"""The exceptions that decoding raises for a message that is not of the layout."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class FieldCodec:
     def __init__(
         self, layout: MessageLayout, format: str, refuse: Callable[[MessageLayout, Any], Exception]
     ) -> None:
-        """`refuse` makes the error for a message that is not of the layout. With `format` none, messages are
-        their values."""
+        """Create the codec. `refuse` makes the error for a message that is not of the layout. With `format`
+        none, messages are their values."""
         self.layout = layout
         self._refuse = refuse
         self.silence: Any = _each(value_slots(layout), zero_values(layout))
@@ -107,7 +107,7 @@ class FieldCodec:
         self.silence = message_codec.encode(*zero_values(layout))
 
     def decode(self, message: Any) -> Sequence[Any]:
-        """The value of each field.
+        """Return the value of each field.
 
         Raises:
             MessageError: The message is not of the layout; names robot, direction, step and field.
@@ -122,7 +122,7 @@ class FieldCodec:
 
 
 def value_slots(layout: MessageLayout, start: int = 0) -> list[int | slice]:
-    """The index or slice of each field among the values; the first value has the index `start`."""
+    """Return the index or slice of each field among the values; the first value has the index `start`."""
     slots: list[int | slice] = []
     for field in layout.fields:
         size = max(1, len(field.components))
@@ -136,7 +136,7 @@ def _each(slots: Sequence[int | slice], values: Sequence[Any]) -> list[Any]:
 
 
 def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:
-    """Name and dtype of every single value in a message, in order: `pole_angle`, `gyro.x` ..."""
+    """Return name and dtype of every single value in a message, in order: `pole_angle`, `gyro.x` ..."""
     fields = [
         (field, [f"{field.name}.{c}" for c in field.components] or [field.name]) for field in layout.fields
     ]
@@ -144,7 +144,7 @@ def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:
 
 
 def zero_values(layout: MessageLayout) -> list[Any]:
-    """The values of a message of zeros."""
+    """Return the values of a message of zeros."""
     usual = {"bool": False, "float64": 0.0}
     return [
         np.zeros(field.shape, np.uint8) if field.dtype == "uint8" else usual[field.dtype]
@@ -154,7 +154,7 @@ def zero_values(layout: MessageLayout) -> list[Any]:
 
 
 def codec(layout: MessageLayout, format: str) -> Codec:
-    """The codec of `format` for `layout`; `none` has no messages and no codec."""
+    """Return the codec of `format` for `layout`; `none` has no messages and no codec."""
     plain_codec: Codec = import_attribute(FORMATS[format].codec)(layout.layout_hash, struct_codes(layout))
     pictures = {
         index: value.shape for index, value in enumerate(zero_values(layout)) if isinstance(value, np.ndarray)
@@ -163,7 +163,7 @@ def codec(layout: MessageLayout, format: str) -> Codec:
 
 
 def struct_codes(layout: MessageLayout) -> list[str]:
-    """How `struct` writes each value."""
+    """Return the `struct` format of each value."""
     codes = {"bool": "?", "float64": "d"}
     fields = [
         (codes.get(field.dtype) or f"{math.prod(field.shape)}s", field.components) for field in layout.fields
@@ -172,7 +172,8 @@ def struct_codes(layout: MessageLayout) -> list[str]:
 
 
 def _with_pictures(inner: Codec, shapes: Mapping[int, tuple[int, ...]]) -> Codec:
-    """The codec with pictures as arrays of these shapes, by the number of the value, instead of bytes."""
+    """Return the codec with pictures as arrays of these shapes, by the number of the value, instead of
+    bytes."""
 
     def encode(*values: Any) -> Any:
         plain = list(values)
@@ -265,7 +266,8 @@ json_codec, msgpack_codec = partial(_msgspec_codec, msgspec.json), partial(_msgs
 
 
 def layout_error(layout: MessageLayout, format: str, message: object, step: int) -> MessageError:
-    """Why `message` does not fit `layout`: names robot, direction, step and field."""
+    """Return the error for a `message` that does not fit `layout`: it names robot, direction, step and
+    field."""
     place = (
         f"robot '{layout.robot}', {'to' if layout.direction == 'to_robot' else 'from'} the robot, step {step}"
     )
@@ -318,7 +320,7 @@ def _fits(value: object, dtype: str) -> bool:
 
 
 def excerpt(value: object) -> str:
-    """How a value is shown in an error: on one line, and not at length."""
+    """Return a value for an error: on one line, and shortened."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -326,7 +328,8 @@ def excerpt(value: object) -> str:
 # Channels
 
 _ROUNDING = 1e-9
-"""In timesteps: a latency of a whole number of timesteps must not become one more by rounding."""
+"""The tolerance in timesteps with which a latency of a whole number of timesteps does not become one more by
+rounding."""
 
 PositionReader = Callable[[], tuple[Triple, Any]]
 
@@ -334,16 +337,16 @@ PositionReader = Callable[[], tuple[Triple, Any]]
 class LossyChannel:
     """Delivers messages late, in another order, or not at all.
 
-    `receive` or `newest` is called once in each timestep, after what is sent in that timestep. A message that
-    was sent in one timestep is delivered in the first that begins at or after its arrival. A lost one leaves
-    a gap, which is treated as the route says when the message would have been delivered.
+    `receive` or `newest` is called once in each timestep, after the messages of that timestep are sent. A
+    message is delivered in the first timestep that begins at or after its arrival. A lost one leaves a gap,
+    to which the setting of the route is applied when the message would have been delivered.
 
     Losses are a Gilbert-Elliott chain of two states, lost and not: after a lost message the next is lost with
     1 - 1/burst, after another with loss / (burst (1 - loss)), so that the share of losses is `loss`.
     """
 
     latency: float
-    """In s; that of the next message, as are `loss` and `range`."""
+    """The latency of the next message, in s; `loss` and `range` are those of the next message, too."""
     loss: float
     range: float
     message_received: bool
@@ -364,8 +367,8 @@ class LossyChannel:
         *,
         first_at_once: bool = False,
     ) -> None:
-        """Each message takes `delay` timesteps besides its latency, but for the first one of an episode where
-        that arrives `first_at_once`.
+        """Create the channel. Each message takes `delay` timesteps besides its latency, except for the first
+        one of an episode if that arrives `first_at_once`.
 
         `where` gives the position of the robot (m), `wire` encodes and decodes; without, messages go as they
         are.
@@ -434,13 +437,13 @@ class LossyChannel:
         )
 
     def receive(self) -> list[Any]:
-        """The messages that the receiver takes in this timestep, in order."""
+        """Return the messages that the receiver takes in this timestep, in order."""
         taken = self._arrived()
         return [self.wire.decode(message) for message in taken] if self.wire else taken
 
     def newest(self) -> Any:
-        """The message that the receiver uses in this timestep. It arrived in this timestep or in an earlier
-        one."""
+        """Return the message that the receiver uses in this timestep. It arrived in this timestep or in an
+        earlier one."""
         if self._begins:
             self._begins = False
         else:
@@ -468,29 +471,29 @@ class LossyChannel:
         return taken
 
     def __len__(self) -> int:
-        """The number of messages in flight."""
+        """Return the number of messages in flight."""
         return len(self._queue)
 
 
 class Channel:
     """Delivers each message in the timestep in which it was sent.
 
-    What is sent is one value per field of the layout, and so is what is received: messages are encoded on the
-    way, decoded and checked.
+    Sender and receiver use one value per field of the layout: messages are encoded, decoded and checked on
+    the way.
     """
 
     def __init__(self, wire: FieldCodec) -> None:
         self.wire = wire
         self._queue: deque[Any] = deque()
         self.transmit: Callable[[Any], None] = self._queue.append
-        """Sends a message that is encoded already."""
+        """The function that sends a message that is encoded already."""
 
     def send(self, message: Sequence[Any]) -> None:
         """Send one value per field."""
         self._queue.append(self.wire.encode(message))
 
     def receive(self) -> Sequence[Any]:
-        """One value per field of the next message.
+        """Return one value per field of the next message.
 
         Raises:
             MessageError: The message is not of the layout.

@@ -1,5 +1,5 @@
-"""The observation of a policy from named values in SI units, without a world: what an environment computes in
-each step."""
+"""The observation of a policy from named values in SI units, without a world, as an environment computes it
+in each step."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Observer:
     """Makes observations of one policy.
 
     Attributes:
-        values: The names of the values that an observation is made of: its own numbers, and with a goal what
-            is achieved. What is achieved is computed from the fields of messages (`panda.tip.x`) where the
-            scenario does so, and given (`achieved.x`) elsewhere.
+        values: The names of the values that an observation is made of: its own numbers, and with a goal the
+            achieved goal. The achieved goal is computed from message fields (`panda.tip.x`) if the scenario
+            computes it from them; otherwise its components (`achieved.x`) must be given.
     """
 
     def __init__(self, program: Program) -> None:
@@ -57,10 +57,10 @@ class Observer:
         }
 
     def observe(self, values: Mapping[str, float], desired: Sequence[float] | None = None) -> Any:
-        """The observation, float32: an array, or with a goal a dictionary of arrays.
+        """Return the observation, float32: an array, or with a goal a dictionary of arrays.
 
         Args:
-            values: The value of each name of `values`, in its unit. What is beyond its range is clipped, as
+            values: The value of each name of `values`, in its unit. A value beyond its range is clipped, as
                 in an environment.
             desired: The goal, a number per component in its unit; only for a policy with a goal.
 
@@ -133,14 +133,14 @@ class Observer:
                 raise UsageError(f"the value of {name} is {number}; it must be finite")
 
     def _mapped(self, numbers: Sequence[float]) -> NDArray[np.float32]:
-        """Numbers of a goal in [-1, 1], as `Supervisor.set_goal_observation` maps them."""
+        """Return numbers of a goal in [-1, 1], like `Supervisor.set_goal_observation`."""
         assert self._goal is not None
         ends = zip(numbers, self._goal.low, self._goal.high, strict=True)
         mapped = [(value - (high + low) / 2) / ((high - low) / 2) for value, low, high in ends]
         return np.array([x if -1.0 <= x <= 1.0 else clip(x) for x in mapped], np.float32)
 
     def _reason(self, program: Program) -> str:
-        """Why present values are not enough; empty if they are."""
+        """Return why the present values are not enough for an observation; empty if they are."""
         if program.agent.images:
             return (
                 f"this policy sees the image '{program.agent.images[0].key}'; take observations from the"
@@ -155,8 +155,8 @@ class Observer:
 
 
 def _from_messages(tree: Scalar, sent: set[str], signals: Mapping[str, Scalar]) -> Scalar | None:
-    """The tree over full names of the fields that are `sent`, through `signals`; None if it reads something
-    else."""
+    """Return the tree over full names of the fields that are `sent`, through `signals`; None if it reads
+    something else."""
     match tree:
         case Const():
             return tree

@@ -15,37 +15,30 @@ from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
 from deepbots_cli.runtime.placement import copy_offset
 
-_EYE_DIRECTION = (
-    0.25,
-    -0.94,
-    0.34,
-)  # the direction of the eye from the middle: the right, a little to the front, above
+# The direction of the eye from the middle: the right, a little to the front, above.
+_EYE_DIRECTION = (0.25, -0.94, 0.34)
 _MIN_FRONT_ASPECT = 2.0  # how many times as long as wide a scene is that is seen from the front
-_FLAT_EYE_RISE = 0.9  # how much higher the eye stands over what is flat
+_FLAT_EYE_RISE = 0.9  # how much higher the eye is over flat scenes
 _VIEW_MARGIN = 1.08
 _SCENE_SPACING = 1.1  # how far apart two scenes stand, as a factor
 _MIN_HALF_SIDE_M = 0.05  # m; half the side of the smallest scene
-_LARGE, _ROOM_IN_THE_LARGE = (
-    15.0,
-    3.0,
-)  # times the side of a robot: what dwarfs it, and what is shown of that on each side
-_LEG_ROOM, _ARM_ROOM = (
-    0.2,
-    0.12,
-)  # of its largest side, around a robot that the view follows, and one with a fixed base
+# Multiples of the side of a robot: the size that dwarfs it, and the part of it that is shown on each side.
+_LARGE, _ROOM_IN_THE_LARGE = (15.0, 3.0)
+# Shares of the largest side, as room around a robot that the view follows, and one with a fixed base.
+_LEG_ROOM, _ARM_ROOM = (0.2, 0.12)
 
 Parameters = Mapping[tuple[str, str | None], Scalar]
-"""What each component of a parameter is."""
+"""The tree of each component of a parameter."""
 
 
 def overview(scenario: Program, width: int = 480, height: int = 320) -> View:
-    """A view on the arena or the ground that matters, on objects, and on robots wherever an episode may
-    begin."""
+    """Return a view on the arena or the ground that matters, on objects, and on robots wherever an episode
+    may begin."""
     return view_around(extent(scenario), width, height)
 
 
 def extent(scenario: Program) -> list[Bounds]:
-    """Boxes (m) around all that an overview shows."""
+    """Return boxes (m) around everything that an overview shows."""
     places = {place.body: place for place in scenario.reset.placements}
     for layout in scenario.reset.layouts:
         places = {place.body: place for place in layout.placements} | places
@@ -65,15 +58,14 @@ def extent(scenario: Program) -> list[Bounds]:
     boxes = [*robots, *around]
     if world.arena is None:
         return boxes
-    x, y = (
-        side / 2 + world.arena.wall_thickness for side in world.arena.size
-    )  # what looks for a place stays within the walls
+    # Bodies that look for a place stay within the walls.
+    x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
     return [((max(a[0], -x), max(a[1], -y), a[2]), (min(b[0], x), min(b[1], y), b[2])) for a, b in boxes]
 
 
 def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) -> View:
-    """A view that just holds all boxes, each given by its least and its greatest corner: from the right,
-    above, or from the front where the boxes extend far to the sides.
+    """Return a view that just contains all boxes, each given by its least and its greatest corner: from the
+    right, above, or from the front if the boxes extend far to the sides.
     """
     middle, (right, up, back) = _axes(boxes)
     corners = _corners(
@@ -93,7 +85,7 @@ def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) ->
 
 
 def shift_beside(boxes: Sequence[Bounds], others: Sequence[Bounds]) -> Triple:
-    """The shift (m) that puts other boxes to the right of boxes, as `view_around` sees these."""
+    """Return the shift (m) that puts other boxes to the right of boxes, as `view_around` sees these."""
     _, (right, _, _) = _axes(boxes)
     gap = max(dot(corner, right) for corner in _corners([box_around(boxes)])) - min(
         dot(corner, right) for corner in _corners([box_around(others)])
@@ -102,7 +94,7 @@ def shift_beside(boxes: Sequence[Bounds], others: Sequence[Bounds]) -> Triple:
 
 
 def _axes(boxes: Sequence[Bounds]) -> tuple[Triple, tuple[Triple, Triple, Triple]]:
-    """The middle of all boxes, and the directions right, up and back of who looks at them."""
+    """Return the middle of all boxes, and the directions right, up and back of the viewer at them."""
     (x, y, z), (x_end, y_end, z_end) = box_around(boxes)
     wide, deep, tall = (max(2 * _MIN_HALF_SIDE_M, extent) for extent in (x_end - x, y_end - y, z_end - z))
     away, aside, above = _EYE_DIRECTION
@@ -118,7 +110,7 @@ def _corners(boxes: Iterable[Bounds]) -> list[Triple]:
 
 
 def _surroundings(world: WorldModel) -> Iterator[Bounds]:
-    """Walls, painted lines, and the part of a terrain that is not level."""
+    """Yield walls, painted lines, and the part of a terrain that is not level."""
     if world.arena is not None:
         x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
         yield (-x, -y, 0.0), (x, y, world.arena.wall_height)
@@ -137,7 +129,7 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
 
 
 def follows_robot(world: WorldModel) -> bool:
-    """Whether a view follows the first free robot: nothing else shows where it is."""
+    """Return whether a view follows the first free robot: nothing else shows where it is."""
     return (
         world.arena is None
         and world.terrain is None
@@ -147,7 +139,8 @@ def follows_robot(world: WorldModel) -> bool:
 
 
 def _robots(scenario: Program, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
-    """Robots, wherever they may stand when an episode begins; of copies the two at the ends of their row."""
+    """Yield robots, wherever they may be when an episode begins; for copies the two at the ends of their
+    row."""
     copies = scenario.agent.copies
     shifts = [copy_offset(copies, number) for number in (1, copies.count)] if copies else [ZERO_VECTOR]
     for robot in scenario.world.robots:
@@ -175,7 +168,7 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
 def _object(
     thing: ObjectBody, world: WorldModel, places: dict[str, Placement], parameters: Parameters
 ) -> Iterator[Bounds]:
-    """An object in each of its forms, wherever it may stand."""
+    """Yield an object in each of its forms, wherever it may be."""
     place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
     for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
         low, high = bounds_of_shape(shape)
@@ -190,8 +183,8 @@ def _object(
 
 
 def _near(robots: Sequence[Bounds], boxes: Iterable[Bounds]) -> Iterator[Bounds]:
-    """The boxes, of which those that dwarf the robots are cut to the part around them: on a field of 20 m, a
-    robot is a dot."""
+    """Yield the boxes, of which those that dwarf the robots are cut to the part around them: on a field of 20
+    m, a robot is a dot."""
     side = max(high - low for box in robots for low, high in zip(*box, strict=True))
     low, high = box_around(robots)
     room = (_ROOM_IN_THE_LARGE * side,) * 3
@@ -206,7 +199,7 @@ def _near(robots: Sequence[Bounds], boxes: Iterable[Bounds]) -> Iterator[Bounds]
 
 
 def _all_round(box: Bounds) -> Bounds:
-    """The box that holds the box however it is turned about the vertical through its origin."""
+    """Return the box that contains the box however it is turned about the vertical through its origin."""
     low, high = box
     reach = max(math.hypot(x, y) for x in (low[0], high[0]) for y in (low[1], high[1]))
     return (-reach, -reach, low[2]), (reach, reach, high[2])
@@ -240,7 +233,7 @@ def _placed(
 
 
 def _ends(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
-    """Roughly the least and the greatest value of a coordinate; 0 where nothing is known of it."""
+    """Return roughly the least and the greatest value of a coordinate; 0 if nothing is known of it."""
     match scalar:
         case Const(value=value):
             return float(value), float(value)
@@ -256,7 +249,7 @@ def _ends(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
 
 
 def moved_view(view: View, by: Iterable[float]) -> View:
-    """The view shifted by `by` (m) along x, y and z."""
+    """Return the view shifted by `by` (m) along x, y and z."""
     x, y, z = by
     return replace(view, eye=add(view.eye, (x, y, z)), target=add(view.target, (x, y, z)))
 
@@ -276,8 +269,8 @@ class FollowingView:
         return moved_view(overview(self._scenario, width, height), self._shift())
 
     def _shift(self) -> Triple:
-        """How far the view follows: nowhere within an arena or on terrain, else as far as the first free
-        robot went."""
+        """Return the shift of the view: none within an arena or on terrain, else the way of the first free
+        robot."""
         world = self._scenario.world
         if not follows_robot(world):
             return ZERO_VECTOR

@@ -52,7 +52,7 @@ class Ways:
     """
 
     def __init__(self, scenario: Program, engine: Engine, bodies: Arrangement | None = None) -> None:
-        """`bodies` holds the copies that take part; None in a world without groups."""
+        """Create paths. `bodies` has the copies that take part; None in a world without groups."""
         world = scenario.world
         self._engine = engine
         self._bodies = bodies
@@ -62,21 +62,21 @@ class Ways:
         self._ways: dict[tuple[Part, Part], _PathQuery] = {}
 
     def reset(self) -> None:
-        """A new episode begins: each field is compared with the world before it is used again."""
+        """Begin an episode: each field is compared with the world before it is used again."""
         for way in self._ways.values():
             way.is_current = False
 
     def distance(self, one: Part, other: Part) -> Callable[[], float]:
-        """A reader of the length of the shortest path, m."""
+        """Return a reader of the length of the shortest path, m."""
         return self._way(one, other).length
 
     def bearing(self, one: Part, other: Part) -> Callable[[], float]:
-        """A reader of the angle from the forward axis to where the shortest path leads, rad; left is
+        """Return a reader of the angle from the forward axis to where the shortest path leads, rad; left is
         positive."""
         return self._way(one, other).bearing
 
     def reachable(self, one: Part, other: Part) -> Callable[[], bool]:
-        """A reader of whether there is a path."""
+        """Return a reader of whether there is a path."""
         return self._way(one, other).is_open
 
     def _way(self, one: Part, other: Part) -> _PathQuery:
@@ -87,12 +87,12 @@ class Ways:
         return self._ways[one, other]
 
     def last_read_paths(self) -> list[list[Spot]]:
-        """The points of the shortest paths whose lengths were read last, from where the bodies are now;
-        reading them changes nothing."""
+        """Return the points of the shortest paths whose lengths were read last, from where the bodies are
+        now; reading them changes nothing."""
         return [way.points() for way in self._ways.values()]
 
     def radius(self, part: Part) -> float:
-        """The radius of the disc around a body; a link is a point."""
+        """Return the radius of the disc around a body; a link is a point."""
         return self.forms.footprint(part[0]).radius if part[1] is None else 0.0
 
     def is_fixed(self, part: Part) -> bool:
@@ -101,7 +101,7 @@ class Ways:
         )
 
     def solids(self, *but: str) -> Iterator[tuple[ObjectBody, PoseReader]]:
-        """The solid objects of this episode."""
+        """Return the solid objects of this episode."""
         there = self._bodies.placed if self._bodies else ()
         return (
             (thing, pose)
@@ -110,7 +110,7 @@ class Ways:
         )
 
     def patch(self, thing: ObjectBody, pose: tuple[Triple, Quaternion]) -> Patch | None:
-        """The patch of an object at a pose; None if it does not rise above the ground."""
+        """Return the patch of an object at a pose; None if it does not rise above the ground."""
         (x, y, z), turn = pose
         rpy = roll_pitch_yaw(turn)
         if self.forms.top(thing.name, z, rpy) <= _MIN_OBSTACLE_HEIGHT_M:
@@ -118,7 +118,7 @@ class Ways:
         return self.forms.footprint(thing.name, rpy).at(x, y, rpy[2])
 
     def area(self, patches: list[Patch], ends: tuple[Spot, Spot], radius: float) -> Area:
-        """The inside of the arena; without an arena, the box around everything and `_CLEARANCE`."""
+        """Return the inside of the arena; without an arena, the box around everything and `_CLEARANCE`."""
         if self._arena is not None:
             x, y = self._arena.size[0] / 2, self._arena.size[1] / 2
             return (-x, -y, x, y)
@@ -143,7 +143,7 @@ class _PathQuery:
         self._one, self._other = one, other
         self._here, self._there = here, there
         self._watched: list[tuple[PoseReader, float, float]] = []
-        """Bodies that may move, and where they were when the field was computed."""
+        """The bodies that may move, and where they were when the field was computed."""
 
     def length(self) -> float:
         x, y, _ = self._here()[0]
@@ -160,12 +160,12 @@ class _PathQuery:
         return self._current().reaches(x, y)
 
     def points(self) -> list[Spot]:
-        """The path in the field as it is, which is computed only when a length is read."""
+        """Return the path in the field as it is, which is computed only when a length is read."""
         x, y, _ = self._here()[0]
         return self._field.path(x, y) if self._field is not None else []
 
     def _current(self) -> DistanceField:
-        """The field; a new one where something has moved by more than a cell."""
+        """Return the field; a new one where something has moved by more than a cell."""
         if self._field is None or not self.is_current:
             return self._renew()
         limit = self._field.cell**2
@@ -176,8 +176,8 @@ class _PathQuery:
         return self._field
 
     def _renew(self) -> DistanceField:
-        """The field of the world as it is; the last one if it has the same arguments, as in a world whose
-        bodies start where they did."""
+        """Return the field of the world as it is; the last one if it has the same arguments, as in a world
+        whose bodies start where they did."""
         ways, goal = self._ways, self._there()[0]
         standing = [(thing, read, read()) for thing, read in ways.solids(self._one[0], self._other[0])]
         patches = [patch for thing, _, pose in standing if (patch := ways.patch(thing, pose)) is not None]
@@ -207,7 +207,7 @@ class DistanceField:
     def __init__(
         self, area: Area, radius: float, solids: Iterable[Patch], goal: Spot, goal_radius: float
     ) -> None:
-        """`area` is the inside of the walls, or the box that ways may cross; lengths in m."""
+        """Create a field. `area` is the inside of the walls, or the box that ways may cross; lengths in m."""
         self.cell = max(area[2] - area[0], area[3] - area[1], 1e-6) / MAX_CELLS
         (self._left, columns), (self._low, rows) = (
             _nodes(area[axis] + radius, area[axis + 2] - radius, self.cell) for axis in (0, 1)
@@ -267,8 +267,8 @@ class DistanceField:
         blocked[rows, columns] |= along * along + across * across < reach * reach
 
     def length(self, x: float, y: float) -> float:
-        """The length from a place to the goal, interpolated between four nodes; beyond the area, the distance
-        to the area is added."""
+        """Return the length from a place to the goal, interpolated between four nodes; beyond the area, the
+        distance to the area is added."""
         column, row = (x - self._left) / self.cell, (y - self._low) / self.cell
         inside_column = min(max(column, 0.0), self._columns - 1.0)
         inside_row = min(max(row, 0.0), self._rows - 1.0)
@@ -288,10 +288,10 @@ class DistanceField:
         return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
 
     def ahead(self, x: float, y: float) -> Spot:
-        """The first place on the way that is farther away than the radius of the disc and a cell, or the
-        goal.
+        """Return the first place on the way that is farther away than the radius of the disc and a cell, or
+        the goal.
 
-        Where no way begins, such as beside an obstacle that the disc touches, the way is that of the nearest
+        If no way begins, such as beside an obstacle that the disc touches, the way is that of the nearest
         node with one.
         """
         limit = self._radius + self.cell
@@ -303,8 +303,8 @@ class DistanceField:
         return points[-1] if len(points) > 1 else self._goal
 
     def path(self, x: float, y: float, limit: float = float("inf")) -> list[Spot]:
-        """A place, the nodes of a shortest way from it, and the goal, m; the place alone if no way begins
-        there.
+        """Return a place, the nodes of a shortest way from it, and the goal, m; the place alone if no way
+        begins there.
 
         The way ends with the first node that is farther from the place than `limit`.
         """
@@ -329,7 +329,7 @@ class DistanceField:
         return points
 
     def reaches(self, x: float, y: float) -> bool:
-        """Whether there is a way from a place, or from a node beside it."""
+        """Return whether there is a way from a place, or from a node beside it."""
         i = min(max(int((x - self._left) / self.cell), 0), self._columns - 2) + MARGIN_CELLS
         j = min(max(int((y - self._low) / self.cell), 0), self._rows - 2) + MARGIN_CELLS
         here, there = self._open[j], self._open[j + 1]
@@ -337,8 +337,8 @@ class DistanceField:
 
 
 def _nodes(low: float, high: float, cell: float) -> tuple[float, int]:
-    """The place of the first node between two ends, about their middle, and the number of nodes: two at
-    least."""
+    """Return the place of the first node between two ends, about their middle, and the number of nodes: two
+    at least."""
     count = max(2, int((high - low) / cell + 1e-6) + 1)
     return (low + high - (count - 1) * cell) / 2, count
 
@@ -364,12 +364,12 @@ class _GridLines:
         self.backward = along + _OBSTACLE_OFFSET_M * back
 
     def view(self, flat: Array, fill: float) -> Array:
-        """Each line as a column."""
+        """Return each line as a column."""
         padded = np.concatenate([flat, np.full(self.padding, fill)]) if self.padding else flat
         return padded.reshape(self.length, self.stride)
 
     def sweep(self, lengths: Array) -> Array:
-        """The lengths when ways may also go along these lines, either way."""
+        """Return the lengths when ways may also go along these lines, either way."""
         lines = self.view(lengths, UNREACHABLE_LENGTH)
         ahead = np.minimum.accumulate(lines - self.forward, axis=0)
         ahead += self.forward
@@ -379,7 +379,7 @@ class _GridLines:
 
 
 def _between(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
-    """The cells that a move passes before it ends, as seen from its end: they are shifted onto it."""
+    """Return the cells that a move passes before it ends, as seen from its end: they are shifted onto it."""
     side = 1 if columns > 0 else -1
     if abs(rows) + abs(columns) == 1:
         return ()
@@ -389,8 +389,8 @@ def _between(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
 
 
 def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
-    """The length of the shortest way from each node to a start, plus the length of that start; FAR where
-    there is none.
+    """Return the length of the shortest way from each node to a start, plus the length of that start; FAR
+    where there is none.
 
     A way goes from node to node in 16 directions. Its length differs from the straight line's by less than 3
     %; all are scaled so that the error is the same either side. One sweep of numpy (`minimum.accumulate`
@@ -434,8 +434,8 @@ class Segment(NamedTuple):
     start: float
 
     def nearest_point(self, x: float, y: float) -> tuple[float, float, float]:
-        """The nearest of its points to (x, y): how far along the piece, the distance squared, and the side
-        (left positive)."""
+        """Return the nearest of its points to (x, y): how far along the piece, the distance squared, and the
+        side (left positive)."""
         dx, dy = x - self.x, y - self.y
         along = min(max(dx * self.along_x + dy * self.along_y, 0.0), self.length)
         off_x, off_y = dx - along * self.along_x, dy - along * self.along_y
@@ -473,8 +473,8 @@ class Follower:
         self._cross_track_error = self._arc_length = self._arc = 0.0
 
     def __call__(self, position: Sequence[float]) -> tuple[float, float]:
-        """How far the body is to the left of the line, and how far it has come along it since the reset, in
-        m.
+        """Return how far the body is to the left of the line, and how far it has come along it since the
+        reset, in m.
 
         The way along a closed line goes on growing from lap to lap. Calling it twice at one place changes
         nothing.
@@ -501,7 +501,8 @@ class Follower:
         return self._cross_track_error, self._arc_length
 
     def _near(self, reach: float) -> Iterator[int]:
-        """Pieces that begin or end within `reach` along the line of where the body was, that one first."""
+        """Yield pieces that begin or end within `reach` along the line of the body's last place, that one
+        first."""
         count, here = len(self._pieces), self._pieces[self._at]
         yield self._at
         for sign, way in ((1, here.start + here.length - self._arc), (-1, self._arc - here.start)):
@@ -520,8 +521,8 @@ class PaintedGround:
     one."""
 
     def __init__(self, lines: Sequence[Line], spot: float) -> None:
-        """`spot` is the radius (m) of the patch of ground that is looked at, over which the light is a
-        mean."""
+        """Create the ground. `spot` is the radius (m) of the patch of ground that is measured, over which the
+        light is a mean."""
         self._spot = max(spot, 1e-6)
         self._halves = [0.5 * line.width for line in lines]
         self._reflectances = [line.reflectance for line in lines]
@@ -560,7 +561,7 @@ class PaintedGround:
 
 
 def _touched(piece: Segment, reach: float, cell: float) -> Iterator[tuple[int, int]]:
-    """The cells of a square mesh that come within `reach` of a piece, and some of their neighbors."""
+    """Yield the cells of a square mesh that come within `reach` of a piece, and some of their neighbors."""
     count = int(piece.length / cell) + 1
     seen = set()
     for step in range(count + 1):

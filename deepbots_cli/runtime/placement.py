@@ -1,8 +1,8 @@
 """The poses of bodies at the beginning of an episode.
 
 `Arrangement` takes bodies with coordinates first, then looks for a free spot for each of the others, in
-order, again and again until the start is as required. `Floor` knows the spots that are taken, `Forms` the
-footprint and the height of each body. Looking takes microseconds, since it works in the plane
+order, again and again until the start is as required. `Floor` has the spots that are taken, `Forms` the
+footprint and the height of each body. The search takes microseconds, since it works in the plane
 (`deepbots_cli.footprint`); the engine sees only the arrangement found.
 """
 
@@ -42,7 +42,7 @@ _LEVEL_RPY = (0.0, 0.0, 0.0)
 
 
 class NoPlaceError(Exception):
-    """A body found no place in this attempt; `args` holds its name."""
+    """The error for a body without a place in this attempt; `args` has its name."""
 
 
 class Arrangement:
@@ -68,7 +68,7 @@ class Arrangement:
         return self._poses.keys()
 
     def arrange(self, attempt: Callable[[], bool], attempts: int, streams: Streams) -> None:
-        """Call `attempt` until it says that the start is as required.
+        """Call `attempt` until it returns that the start is as required.
 
         Raises:
             EvaluationError: It never was; names the body without a place, or the requirement.
@@ -106,7 +106,7 @@ class Arrangement:
     # Parts of an attempt
 
     def layout(self, stream: str, *shares: tuple[str, float]) -> str:
-        """One of the layouts, drawn by their shares."""
+        """Return one of the layouts, drawn by their shares."""
         point = self._streams[stream].random() * sum(share for _, share in shares)
         chosen = shares[-1][0]
         for name, share in shares:
@@ -117,12 +117,12 @@ class Arrangement:
         return self._streams.take(stream, chosen)
 
     def copies(self, group: str, count: float, at_most: float = inf) -> Iterator[str]:
-        """The names of the copies that take part, and a kind drawn for each; large ones come first, as they
-        need more room."""
+        """Return the names of the copies that take part, and a kind drawn for each; large ones come first, as
+        they need more room."""
         return self._in_turn(self._present_copies(group, count, at_most))
 
     def _in_turn(self, bodies: Sequence[str]) -> Iterator[str]:
-        """The bodies, each while the draws are its own."""
+        """Yield the bodies, each while the draws are its own."""
         for body in bodies:
             self._streams.member = body if "#" in body else ""
             yield body
@@ -140,8 +140,8 @@ class Arrangement:
     def cells(
         self, body: str, count: float, spots: Sequence[Spot], stream: str
     ) -> Iterator[tuple[str, Spot]]:
-        """Copies of a group, or a single body, each with a spot of its own; drawn where there are more spots
-        than bodies."""
+        """Return copies of a group, or a single body, each with a spot of its own; drawn if there are more
+        spots than bodies."""
         names = self._present_copies(body, count, len(spots)) if body in self._capacity else [body]
         if len(names) < len(spots):
             order = self._streams[stream].permutation(len(spots))
@@ -149,7 +149,7 @@ class Arrangement:
         return zip(self._in_turn(names), spots, strict=False)
 
     def _drawn_cells(self, names: Sequence[str], spots: list[Spot], stream: str) -> list[Spot]:
-        """A spot for each body: first the chosen ones, then the others in their order."""
+        """Return a spot for each body: first the chosen ones, then the others in their order."""
         taken: dict[str, Spot] = {}
         for is_chosen in (True, False):
             for body in names:
@@ -168,8 +168,8 @@ class Arrangement:
         return [taken[body] for body in names]
 
     def _chosen_spot(self, stream: str) -> tuple[float | None, float | None] | None:
-        """The coordinates that `options` of `reset` set for a body that looks for a spot; None if it sets
-        neither."""
+        """Return the coordinates that `options` of `reset` set for a body that looks for a spot; None if it
+        sets neither."""
         chosen, key = self._streams.chosen, self._streams.key(stream)
         x, y = chosen.get(f"{key}.x"), chosen.get(f"{key}.y")
         return None if x is None and y is None else (x, y)
@@ -213,7 +213,7 @@ class Arrangement:
     ) -> None:
         """Place a body on a free spot, drawn uniformly; `pose` draws its height and attitude.
 
-        `on` names the object on whose top it stands, which has its place already; `area` None is then the
+        `on` names the object on whose top it is placed, which has its place already; `area` None is then the
         whole top.
 
         Raises:
@@ -259,7 +259,7 @@ class Arrangement:
         raise NoPlaceError(body)
 
     def _surface(self, support: str, body: str) -> Surface:
-        """The top of an object as it stands in this episode.
+        """Return the top of an object in its place in this episode.
 
         Raises:
             NoPlaceError: It has no place yet, so that `body` finds none.
@@ -302,7 +302,7 @@ class Arrangement:
 
 
 def _placed(scenario: Program) -> set[str]:
-    """The bodies that some layout places."""
+    """Return the bodies that some layout places."""
     reset = scenario.reset
     return {
         place.body
@@ -312,8 +312,8 @@ def _placed(scenario: Program) -> set[str]:
 
 
 def _complaint(lacking: Counter[str], attempts: int, is_set: Sequence[str]) -> str:
-    """The most frequent failure, and a remedy; the place of bodies of `is_set` is given by the options of
-    `reset`."""
+    """Return the most frequent failure, and a remedy; the place of bodies of `is_set` is given by the options
+    of `reset`."""
     if lacking:
         body = lacking.most_common(1)[0][0]
         if body in is_set:
@@ -334,7 +334,7 @@ class Floor:
     """The ground plane within the walls of an arena, and the patches that are taken."""
 
     def __init__(self, size: Spot | None) -> None:
-        """`size` is the inner size of the arena along x and y, in m."""
+        """Create a floor. `size` is the inner size of the arena along x and y, in m."""
         self._half = (size[0] / 2, size[1] / 2) if size else (inf, inf)
         self._taken: list[tuple[Patch, float, float]] = []
 
@@ -346,8 +346,8 @@ class Floor:
         self._taken.append((patch, clearance, top))
 
     def allowed_area(self, area: Area, covered: Footprint, yaw: float, clearance: float) -> Area:
-        """The part of the area in which the origin of a body keeps its clearance from the walls; may be
-        empty."""
+        """Return the part of the area in which the origin of a body keeps its clearance from the walls; may
+        be empty."""
         at_origin = covered.at(0.0, 0.0, yaw)
         (reach_x, reach_y), (half_x, half_y) = at_origin.half_extents, self._half
         room_x, room_y = half_x - clearance - reach_x, half_y - clearance - reach_y
@@ -360,7 +360,7 @@ class Floor:
         )
 
     def is_free(self, patch: Patch, clearance: float, base: float = -inf) -> bool:
-        """Whether each body above the height `base` (m) keeps the clearance that it or the patch asks for."""
+        """Return whether each body above the height `base` (m) keeps its clearance and that of the patch."""
         x, y, radius = patch.x, patch.y, patch.radius
         for other, own, top in self._taken:
             if top <= base + TOUCHING_TOLERANCE_M:
@@ -374,8 +374,8 @@ class Floor:
     def candidate_spots(
         self, spots: list[Spot], covered: Footprint, yaw: float, clearance: float, base: float
     ) -> list[Spot]:
-        """The spots where a disc that fits into the body would be free: a cheap test that drops most spots of
-        a crowd."""
+        """Return the spots where a disc that fits into the body would be free: a cheap test that drops most
+        spots of a crowd."""
         taken = [(other, own) for other, own, top in self._taken if top > base + TOUCHING_TOLERANCE_M]
         if not spots or not taken:
             return spots
@@ -394,7 +394,7 @@ class Floor:
 
 
 class Surface(NamedTuple):
-    """The level top of an object: what it covers, and its height in m."""
+    """The level top of an object: its area, and its height in m."""
 
     patch: Patch
     height: float
@@ -405,7 +405,7 @@ class Surface(NamedTuple):
         return x - reach_x, y - reach_y, x + reach_x, y + reach_y
 
     def allowed_area(self, area: Area, covered: Footprint, yaw: float, margin: float) -> Area:
-        """The part of the area in which the origin of a body may keep `margin` from the edge; may be
+        """Return the part of the area in which the origin of a body may keep `margin` from the edge; may be
         empty."""
         at_origin, (low_x, low_y, high_x, high_y) = covered.at(0.0, 0.0, yaw), self.area
         reach_x, reach_y = (reach + margin for reach in at_origin.half_extents)
@@ -419,12 +419,12 @@ class Surface(NamedTuple):
 
 
 def intersection(one: Area, other: Area) -> Area:
-    """The intersection of two areas; of an empty one, the lowest coordinate is above the highest."""
+    """Return the intersection of two areas; of an empty one, the lowest coordinate is above the highest."""
     return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
 
 
 def _fits(spot: Spot, chosen: tuple[float | None, float | None]) -> bool:
-    """Whether a spot has the given coordinates."""
+    """Return whether a spot has the given coordinates."""
     return all(
         wanted is None or abs(value - wanted) <= _SAME_SPOT_M
         for value, wanted in zip(spot, chosen, strict=True)
@@ -432,7 +432,7 @@ def _fits(spot: Spot, chosen: tuple[float | None, float | None]) -> bool:
 
 
 def _moved(spots: Iterable[Spot], chosen: tuple[float | None, float | None], area: Area) -> list[Spot]:
-    """The spots with the given coordinates, if they lie in the area."""
+    """Return the spots with the given coordinates, if they lie in the area."""
     x, y = chosen
     moved = (
         [(across if x is None else x, along if y is None else y) for across, along in spots]
@@ -448,7 +448,7 @@ def _contains(area: Area, x: float, y: float) -> bool:
 
 
 def random_spots(area: Area, count: int, generator: np.random.Generator) -> list[Spot]:
-    """`count` spots of an area, drawn uniformly; none of an empty one."""
+    """Return `count` spots of an area, drawn uniformly; none of an empty one."""
     if area[0] > area[2] or area[1] > area[3]:
         return []
     shares = generator.random((count, 2)).tolist()
@@ -456,7 +456,7 @@ def random_spots(area: Area, count: int, generator: np.random.Generator) -> list
 
 
 def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.random.Generator) -> list[Spot]:
-    """The middles of the cells of size `mesh` that fit into an area, about its middle, and lie within
+    """Return the middles of the cells of size `mesh` that fit into an area, about its middle, and lie within
     another; in random order."""
     columns, rows = (max(1, int((area[axis + 2] - area[axis]) / mesh + 1e-9)) for axis in (0, 1))
     x, y = (area[0] + area[2]) / 2, (area[1] + area[3]) / 2
@@ -470,7 +470,7 @@ def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.ran
 
 
 class Forms:
-    """Footprint and height of each body in the form of this episode; `chosen` holds the variants drawn."""
+    """Footprint and height of each body in the form of this episode; `chosen` has the variants drawn."""
 
     def __init__(self, world: WorldModel) -> None:
         self.models = {robot.name: robot.model for robot in world.robots}
@@ -491,15 +491,15 @@ class Forms:
             self.chosen[body] = next(variant for variant in variants if variant.name == kind)
 
     def is_fixed(self, body: str) -> bool:
-        """Whether the body never moves."""
+        """Return whether the body never moves."""
         return body in self.things and (self.chosen.get(body) or self.things[body]).fixed
 
     def shape(self, body: str) -> Shape:
-        """The shape of an object."""
+        """Return the shape of an object."""
         return (self.chosen.get(body) or self.things[body]).shape
 
     def footprint(self, body: str, rpy: Triple = _LEVEL_RPY) -> Footprint:
-        """The footprint with this attitude; that of a robot does not depend on it."""
+        """Return the footprint with this attitude; that of a robot does not depend on it."""
         cached = self._robots.get(body)
         if cached is not None:
             return cached
@@ -511,25 +511,25 @@ class Forms:
         )
 
     def half_width(self, body: str) -> float:
-        """Half the width of the narrowest passage that it fits through, m."""
+        """Return half the width of the narrowest passage that it fits through, in m."""
         return self._widths[body] if body in self._widths else self.footprint(body).inradius
 
     def resting_height(self, body: str, rpy: Triple) -> float:
-        """The height (m) of the body's origin if its lowest point touches flat ground."""
+        """Return the height (m) of the body's origin if its lowest point touches flat ground."""
         return footprint.resting_height(self.models.get(body) or self.shape(body), rpy[0], rpy[1])
 
     def top(self, body: str, z: float, rpy: Triple) -> float:
-        """The height of the top of an object whose origin is at `z`; infinite for a robot."""
+        """Return the height of the top of an object whose origin is at `z`; infinite for a robot."""
         return z + footprint.resting_height(self.shape(body), rpy[0], rpy[1]) if body in self.things else inf
 
     def at_home(self, body: str) -> tuple[Patch, float]:
-        """The patch and the top of an object at the pose of the world model."""
+        """Return the patch and the top of an object at the pose of the world model."""
         (x, y, z), rpy = self.things[body].pose.xyz, self.things[body].pose.rpy
         return self.footprint(body, rpy).at(x, y, rpy[2]), self.top(body, z, rpy)
 
 
 def copy_offset(copies: RobotCopies, number: int) -> Triple:
-    """The offset (m) of a copy from the middle of the row."""
+    """Return the offset (m) of a copy from the middle of the row."""
     steps = number - (copies.count + 1) / 2
     x, y, z = (steps * step for step in copies.spacing)
     return x, y, z

@@ -1,7 +1,8 @@
-"""What each kind of sensor measures; the classes of `scenario.sensors` name these functions as their readers.
+"""The measurements of each kind of sensor; the classes of `scenario.sensors` name these functions as their
+readers.
 
-In order: joints, poses and velocities, inertial measurements, contacts; distances along rays and how bright
-the ground is; pictures.
+In order: joints, poses and velocities, inertial measurements, contacts; distances along rays and the
+brightness of the ground; pictures.
 """
 
 from __future__ import annotations
@@ -30,24 +31,24 @@ if TYPE_CHECKING:
 
 
 def positions(site: Site) -> Instrument:
-    """In rad or m."""
+    """Measure the positions of the joints, in rad or m."""
     read = site.engine.joint_states(site.robot, site.sensor.subjects)
     return Instrument(lambda: [state[0] for state in read()])
 
 
 def velocities(site: Site) -> Instrument:
-    """In rad/s or m/s."""
+    """Measure the velocities of the joints, in rad/s or m/s."""
     read = site.engine.joint_states(site.robot, site.sensor.subjects)
     return Instrument(lambda: [state[1] for state in read()])
 
 
 def torques(site: Site) -> Instrument:
-    """Torques or forces that the motors exerted in the last physics step, in N m or N."""
+    """Measure the torques or forces that the motors exerted in the last physics step, in N m or N."""
     return Instrument(site.engine.joint_torques(site.robot, site.sensor.subjects))
 
 
 def mounted_pose(site: Site) -> PoseReader:
-    """Position and orientation of the sensor, in the world frame."""
+    """Return a reader of position and orientation of the sensor, in the world frame."""
     read, mount = site.engine.pose(site.robot, site.link), site.mount
     if mount == IDENTITY_FRAME:
         return read
@@ -60,7 +61,8 @@ def mounted_pose(site: Site) -> PoseReader:
 
 
 def mounted_velocity(site: Site) -> VelocityReader:
-    """How the sensor moves and turns: v + w x r at the distance r from the link's origin."""
+    """Return a reader of the linear and angular velocity of the sensor: v + w x r at the distance r from the
+    link's origin."""
     arm = site.mount[0]
     if arm == IDENTITY_FRAME[0]:
         return site.engine.velocity(site.robot, site.link)
@@ -74,13 +76,13 @@ def mounted_velocity(site: Site) -> VelocityReader:
 
 
 def position(site: Site) -> Instrument:
-    """In m, in the world."""
+    """Measure the position in the world, in m."""
     read = mounted_pose(site)
     return Instrument(lambda: read()[0])
 
 
 def orientation(site: Site) -> Instrument:
-    """The quaternion (x, y, z, w) that turns the sensor's axes into those of the world, with w not
+    """Measure the quaternion (x, y, z, w) that turns the sensor's axes into those of the world, with w not
     negative."""
     read = mounted_pose(site)
 
@@ -92,19 +94,19 @@ def orientation(site: Site) -> Instrument:
 
 
 def velocity(site: Site) -> Instrument:
-    """In m/s, in the world."""
+    """Measure the velocity in the world, in m/s."""
     read = mounted_velocity(site)
     return Instrument(lambda: read()[0])
 
 
 def angular_velocity(site: Site) -> Instrument:
-    """In rad/s, about the axes of the world."""
+    """Measure the angular velocity about the axes of the world, in rad/s."""
     read = site.engine.velocity(site.robot, site.link)
     return Instrument(lambda: read()[1])
 
 
 def compass(site: Site) -> Instrument:
-    """The angle in the plane from x of the world to x of the sensor, in rad, to the left positive."""
+    """Measure the angle in the plane from x of the world to x of the sensor, in rad, to the left positive."""
     read = mounted_pose(site)
 
     def heading() -> tuple[float]:
@@ -115,7 +117,7 @@ def compass(site: Site) -> Instrument:
 
 
 def gyro(site: Site) -> Instrument:
-    """The angular velocity about the axes of the sensor, in rad/s."""
+    """Measure the angular velocity about the axes of the sensor, in rad/s."""
     read, back = site.engine.motion(site.robot, site.link), frames.inverse(site.mount[1])
 
     def turning() -> Triple:
@@ -128,7 +130,7 @@ def gyro(site: Site) -> Instrument:
 
 
 def projected_gravity(site: Site) -> Instrument:
-    """The direction of gravity along the axes of the sensor, of length 1; nothing where there is no
+    """Measure the direction of gravity along the axes of the sensor, of length 1; nothing where there is no
     gravity."""
     read = mounted_pose(site)
     down: Triple = (0.0, 0.0, -1.0)
@@ -143,7 +145,7 @@ def projected_gravity(site: Site) -> Instrument:
 
 
 def accelerometer(site: Site) -> Instrument:
-    """Proper acceleration along the axes of the sensor, in m/s^2."""
+    """Measure the proper acceleration along the axes of the sensor, in m/s^2."""
     imu = Accelerometer(site.engine, site.robot, site.link, site.mount, site.world.timestep)
     return Instrument(imu.read, imu.restart, imu.follow)
 
@@ -151,11 +153,11 @@ def accelerometer(site: Site) -> Instrument:
 class Accelerometer:
     """The proper acceleration along the axes of the sensor, in m/s^2: 0 in free fall, 9.81 upwards at rest.
 
-    As a real one does, it integrates between two readings: each tick adds its change of velocity less
-    gravity, turned into the frame as it stands halfway through the tick. That is the mean over the tick to a
+    Like a real accelerometer, it integrates between two readings: each tick adds its change of velocity less
+    gravity, turned into the frame of the sensor halfway through the tick. That is the mean over the tick to a
     part of a^2 / 24, where a is the angle (rad) by which the sensor turns in it: 1 % at half a radian.
-    Looking after every physics step instead took a tenth of what the physics of a rolling ball takes. The
-    first reading of an episode is as at rest.
+    Reading after every physics step instead took a tenth of the time of the physics of a rolling ball. The
+    first reading of an episode is that at rest.
     """
 
     def __init__(self, engine: Engine, robot: str, link: str, mount: Frame, timestep: float) -> None:
@@ -213,7 +215,7 @@ class Accelerometer:
 
 
 def touch(site: Site) -> Instrument:
-    """Whether each link touched something in any engine step since the timestep before."""
+    """Measure whether each link touched something in any engine step since the timestep before."""
     others = None if site.sensor.against is None else [_part(name) for name in site.sensor.against]
     readers = [site.engine.contact((site.robot, link), others) for link in site.sensor.subjects]
     if len(readers) == 1:
@@ -223,7 +225,7 @@ def touch(site: Site) -> Instrument:
 
 
 def force(site: Site) -> Instrument:
-    """The sum of normal forces on each link, in N."""
+    """Measure the sum of normal forces on each link, in N."""
     readers = [site.engine.contact_force((site.robot, link)) for link in site.sensor.subjects]
     return Instrument(lambda: [read() for read in readers])
 
@@ -237,8 +239,8 @@ def _part(name: str) -> Part:
 
 
 def ranging(site: Site) -> Instrument:
-    """The free distance along each ray from its frame, or one value for all rays, in m; or the reading that
-    the lookup table gives for it."""
+    """Measure the free distance along each ray from its frame, or one value for all rays, in m; or the
+    reading that the lookup table gives for it."""
     beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
     start = ((-beams.behind, 0.0, 0.0), IDENTITY_ROTATION)
     rays = [frames.compose(frames.compose(mount, frames.frame(ray)), start) for ray in beams.rays]
@@ -253,7 +255,7 @@ def ranging(site: Site) -> Instrument:
 
 
 def _from_frames(read: RayReader, behind: float) -> RayReader:
-    """Distances from the frames of rays that begin `behind` them."""
+    """Return distances from the frames of rays that begin `behind` them."""
     return (lambda: [free - behind for free in read()]) if behind else read
 
 
@@ -299,7 +301,7 @@ class LookupTable:
 
 
 def _slopes(distance: Values, column: Values) -> list[float]:
-    """The change of a column per m after each row; 0 after the last row."""
+    """Return the change of a column per m after each row; 0 after the last row."""
     pairs = zip(distance, distance[1:], column, column[1:], strict=False)
     return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]
 
@@ -308,7 +310,7 @@ _DOWN_AXIS: Triple = (0.0, 0.0, -1.0)
 
 
 def reflectance(site: Site) -> Instrument:
-    """The light that the plane z = 0 throws back where -z of each ray's frame meets it; none where it looks
+    """Measure the reflectance of the plane z = 0 where -z of each ray's frame meets it; none where it looks
     level or up.
 
     Unpainted ground is 1. A reading is the mean over a spot, so that it goes gradually from ground to line.
@@ -339,11 +341,12 @@ def reflectance(site: Site) -> Instrument:
 # Cameras
 
 _GRAY_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
-"""How bright red, green and blue are (ITU-R BT.601)."""
+"""The weights of red, green and blue in the brightness (ITU-R BT.601)."""
 
 
 def camera(site: Site) -> Instrument:
-    """A picture, uint8 of the shape of the optics; behind it what the engine saw, for `sees`."""
+    """Measure a picture, uint8 of the shape of the optics; after it comes the picture of the engine, for
+    `sees`."""
     optics, part = site.sensor.optics or CameraIntrinsics(1, 1, 1.0), (site.robot, site.link)
     read = site.engine.camera(part, site.mount, optics.width, optics.height, optics.fov)
     taken = _PICTURES[optics.channels]
@@ -356,7 +359,7 @@ def camera(site: Site) -> Instrument:
 
 
 def sees(device: Device, body: str) -> Callable[[], bool]:
-    """Whether the newest picture of a camera shows at least one pixel of the body."""
+    """Measure whether the newest picture of a camera shows at least one pixel of the body."""
 
     def seen() -> bool:
         image: CameraImage = device.reading[1]
@@ -366,19 +369,19 @@ def sees(device: Device, body: str) -> Callable[[], bool]:
 
 
 def _depth(image: CameraImage, optics: CameraIntrinsics) -> Image:
-    """Black at `near`, white at `far` and beyond."""
+    """Return the depth: black at `near`, white at `far` and beyond."""
     share = (image.depth - optics.near) / (optics.far - optics.near)
     return _bytes(255.0 * np.clip(share, 0.0, 1.0))
 
 
 def _segmentation(image: CameraImage, _optics: CameraIntrinsics) -> Image:
-    """0 where there is no body, else the place of the body among those of the world, from 1; 255 for all from
-    there on."""
+    """Return 0 where there is no body, else the place of the body among those of the world, from 1; 255 for
+    all from there on."""
     return _bytes(np.clip(image.bodies + 1, 0, 255))
 
 
 def _bytes(values: NDArray[Any]) -> Image:
-    """One channel of whole numbers from 0 to 255."""
+    """Return one channel of whole numbers from 0 to 255."""
     return np.asarray(np.rint(values), np.uint8)[..., None]
 
 

@@ -28,7 +28,7 @@ from deepbots_cli.runtime.streams import Streams
 
 Values = Sequence[float]
 ROWS_PER_BLOCK = 128
-"""Rows of normal numbers that are drawn at once."""
+"""The number of rows of normal numbers that are drawn at once."""
 Reading = Sequence[Any]
 """One number, truth value or picture per component; a single one for a sensor without components."""
 
@@ -69,7 +69,7 @@ class Normals:
 
     @property
     def rows_left(self) -> int:
-        """How many rows of the newest block were not taken yet; they are taken from its end."""
+        """The number of rows of the newest block that were not taken yet; they are taken from its end."""
         return len(self._rows)
 
 
@@ -120,7 +120,7 @@ class SensorErrors:
         self.normals.restart(generator)
 
     def __call__(self, values: Values, time: float) -> Values:
-        """The readings for the true `values`, `time` s after the reset."""
+        """Return the readings for the true `values`, `time` s after the reset."""
         values = self._with_noise(values) if self._only_noise else self._with_all(values, time)
         spec = self.spec
         if spec.low:
@@ -131,7 +131,7 @@ class SensorErrors:
         return values
 
     def _with_noise(self, values: Values) -> Values:
-        """The usual case, in a third of the time."""
+        """Return the readings in the usual case, in a third of the time."""
         return list(map(add, values, self.normals.next_row()))
 
     def _with_all(self, values: Values, time: float) -> Values:
@@ -156,7 +156,7 @@ def _nothing(_generator: Any = None) -> None:
 
 
 class Lookup(Protocol):
-    """A table between what an instrument reads and its readings; see `readers.LookupTable`."""
+    """A table between the values that an instrument reads and its readings; see `readers.LookupTable`."""
 
     @property
     def rows(self) -> Sequence[tuple[float, float, float, float, float]]:
@@ -168,15 +168,15 @@ class Lookup(Protocol):
         """The noise, if the table has any."""
 
     def __call__(self, values: Values, /) -> Values:
-        """The readings."""
+        """Return the readings."""
 
 
 class Instrument(NamedTuple):
     """The measuring part of a sensor: `read` gives the true values at this moment, `restart` begins an
     episode with a random generator.
 
-    `update` is called in the ticks without a reading. `lookup` turns what was read into a reading, with noise
-    of its own.
+    `update` is called in the ticks without a reading. `lookup` turns the value read into a reading, with
+    noise of its own.
     """
 
     read: Callable[[], Reading]
@@ -186,7 +186,7 @@ class Instrument(NamedTuple):
 
 
 class Site(NamedTuple):
-    """A sensor in a world: what its kind's `reader` makes an instrument from. `mount` is its frame in its
+    """A sensor in a world, from which its kind's `reader` makes an instrument. `mount` is its frame in its
     link."""
 
     engine: Engine
@@ -210,7 +210,7 @@ class Site(NamedTuple):
 
 
 def instrument(sensor: Sensor, robot: str, world: WorldModel, engine: Engine) -> Instrument:
-    """The instrument of a sensor, whose readers are taken from `engine`.
+    """Return the instrument of a sensor, whose readers are taken from `engine`.
 
     Raises:
         EngineError: The robot has no such joint or link, or the engine cannot sense so.

@@ -24,10 +24,10 @@ Goals = NDArray[np.floating[Any]]
 
 
 def observation_space(agent: Agent) -> gym.Space[Any]:
-    """One float32 per number that the policy sees: [-1, 1], [0, 1] for a truth value, without bounds if it is
-    not clipped.
+    """Return the space of one float32 per number that the policy sees: [-1, 1], [0, 1] for a truth value,
+    without bounds if it is not clipped.
 
-    With pictures or a goal, that stands as `observation` in a Dict beside them: pictures under their names as
+    With pictures or a goal, this space is `observation` in a Dict beside them: pictures under their names as
     uint8 (rows, columns, channels), and `achieved_goal` and `desired_goal`.
     """
     high = np.array([1.0 if entry.truth or entry.clipped else np.inf for entry in agent.inputs], np.float32)
@@ -49,8 +49,8 @@ def observation_space(agent: Agent) -> gym.Space[Any]:
 
 
 def frame_indices(agent: Agent) -> NDArray[np.intp]:
-    """The indices of the numbers of an observation in a ring of frames; row p is for a newest frame in place
-    p."""
+    """Return the indices of the numbers of an observation in a ring of frames; row p is for a newest frame in
+    place p."""
     seen = np.array(agent.seen, np.intp).reshape(-1, 2)
     frames = agent.frame_stack + max([entry.history for entry in agent.observation], default=1) - 1
     newest = np.arange(frames)[:, None]
@@ -58,8 +58,8 @@ def frame_indices(agent: Agent) -> NDArray[np.intp]:
 
 
 def action_space(agent: Agent) -> gym.Space[Any]:
-    """Discrete for one choice, MultiDiscrete for several, Box [-1, 1] for intervals; a Dict of `choices` and
-    `ranges` for both."""
+    """Return Discrete for one choice, MultiDiscrete for several, Box [-1, 1] for intervals; a Dict of
+    `choices` and `ranges` for both."""
     options, size = [len(part.options) for part in agent.choices], len(agent.range_names)
     ranges = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
     if not options:
@@ -71,7 +71,8 @@ def action_space(agent: Agent) -> gym.Space[Any]:
 
 
 def compose_action(space: gym.Space[Any], choices: Sequence[int], ranges: Sequence[float]) -> Any:
-    """The action of `space` with these options by number, one per choice, and these values from -1 to 1."""
+    """Return the action of `space` with these options by number, one per choice, and these values from -1 to
+    1."""
     if isinstance(space, gym.spaces.Dict):
         return {
             "choices": compose_action(space["choices"], choices, ()),
@@ -83,15 +84,15 @@ def compose_action(space: gym.Space[Any], choices: Sequence[int], ranges: Sequen
 
 
 def mask_of_space(space: gym.Space[Any], masks: Sequence[NDArray[np.int8]]) -> Any:
-    """Masks of options, one of each choice, in the form that `space.sample` takes; each may have a row per
-    world."""
+    """Return masks of options, one of each choice, in the form that `space.sample` takes; each may have a row
+    per world."""
     if isinstance(space, gym.spaces.Dict):
         return {"choices": mask_of_space(space["choices"], masks), "ranges": None}
     return masks[0] if isinstance(space, gym.spaces.Discrete) else tuple(masks)
 
 
 def canonical_action(space: gym.Space[Any], action: Any) -> Any:
-    """The action as generated code takes it (int or array), or None if it is none of this space."""
+    """Return the action as generated code takes it (int or array), or None if it is none of this space."""
     try:
         if isinstance(space, gym.spaces.Dict):
             parts = (
@@ -114,7 +115,7 @@ def canonical_action(space: gym.Space[Any], action: Any) -> Any:
 
 
 def fitting_rows(space: gym.Space[Any], actions: Any, count: int) -> NDArray[np.bool_] | None:
-    """Which of the actions of `count` worlds, one per row, are of this space; None if the actions have
+    """Return which of the actions of `count` worlds, one per row, are of this space; None if the actions have
     another shape or kind."""
     try:
         if isinstance(space, gym.spaces.Dict):
@@ -142,20 +143,20 @@ def fitting_rows(space: gym.Space[Any], actions: Any, count: int) -> NDArray[np.
 
 
 def by_part(function: Callable[..., Any], *values: Any) -> Any:
-    """The function of observations or actions, or of each of their parts where they are dictionaries of
-    arrays."""
+    """Return the function of observations or actions, or of each of their parts where they are dictionaries
+    of arrays."""
     if isinstance(values[0], dict):
         return {key: function(*(value[key] for value in values)) for key in values[0]}
     return function(*values)
 
 
 def joined(rows: Sequence[Any]) -> Any:
-    """Observations or actions, one of each world or agent, as one with a row for each."""
+    """Return observations or actions, one of each world or agent, as one with a row for each."""
     return by_part(lambda *parts: np.array(parts), *rows)
 
 
 def is_canonical(usual: Any, action: Any) -> bool:
-    """Whether an action came in the form in which generated code takes it."""
+    """Return whether an action came in the form in which generated code takes it."""
     if isinstance(usual, dict):
         return all(is_canonical(part, action[key]) for key, part in usual.items())
     return type(usual) is type(action) or isinstance(action, int | np.integer)
@@ -170,8 +171,8 @@ class FrameStack:
         self._shape = (*shape[:2], shape[2] * len(ages))
 
     def seen(self, newest: int) -> NDArray[np.uint8]:
-        """The pictures, oldest first, with their channels side by side; a copy. `newest` is the place of the
-        last one."""
+        """Return the pictures, oldest first, with their channels side by side; a copy. `newest` is the place
+        of the last one."""
         return np.reshape(self.frames[self._places[newest]].transpose(1, 2, 0, 3), self._shape)
 
 
@@ -179,12 +180,12 @@ class FrameStack:
 
 
 class ObservedFrames:
-    """What the policy of an agent sees: the numbers and pictures of the last steps, and the goal.
+    """The observation of the policy of an agent: the numbers and pictures of the last steps, and the goal.
 
     Attributes:
         frames: The numbers of all frames in a row, float32; the newest ones are in frame `newest`.
         frame_stacks: The frames of each image, by its key.
-        goal: What is achieved and what is desired, each in [-1, 1].
+        goal: The achieved and the desired goal, each in [-1, 1].
     """
 
     newest: int
@@ -208,7 +209,7 @@ class ObservedFrames:
         self._pack(self._buffer, self._width * self.newest, *numbers)
 
     def next_frame(self) -> None:
-        """Make room for what the policy sees after this step, where it sees several steps."""
+        """Make room for the observation after this step, if the policy sees several steps."""
         self.newest = (self.newest + 1) % self.depth
 
     def fill_frames(self) -> None:
@@ -219,16 +220,16 @@ class ObservedFrames:
             stack.frames[1:] = stack.frames[0]
 
     def seen(self) -> NDArray[np.float32]:
-        """The numbers that the policy sees; a copy."""
+        """Return the numbers that the policy sees; a copy."""
         return self.frames.copy() if self.depth == 1 else self.frames.take(self.views[self.newest])
 
     def set_goal_observation(
         self, achieved: Sequence[float], desired: Sequence[float]
     ) -> tuple[list[float], list[float]]:
-        """Let the policy see what is achieved and desired, and give both back as it sees them.
+        """Set the achieved and desired goal in the observation, and return both as the policy sees them.
 
         Both are mapped to [-1, 1], clipped and rounded to float32, and mapped back: a reward that is
-        recomputed from what was seen is then the same reward.
+        recomputed from the observation is then the same reward.
 
         Raises:
             FloatingPointError: A number is not a number.
@@ -250,11 +251,10 @@ class ObservedFrames:
         return meant[:size], meant[size:]
 
     def reward_for(self, achieved_goal: Any, desired_goal: Any) -> Any:
-        """The reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays (k,) a
-        number.
+        """Return the reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays
+        (k,) a number.
 
-        Where a scenario has a goal, `compute_reward` gives it; others do not have that method, by which a
-        learner tells them.
+        Only scenarios with a goal have `compute_reward`; learners check for this method to recognize them.
 
         Raises:
             UsageError: The scenario has no goal, or the arrays do not fit it.
@@ -266,11 +266,11 @@ class ObservedFrames:
 
 
 class ObservedColumns(ABC):
-    """What the policies of a batch see: as `ObservedFrames`, in columns with a number per row.
+    """The observations of the policies of a batch, like `ObservedFrames`, in columns with a number per row.
 
     Attributes:
         frames: The numbers, float32 (frame, number, row); the newest ones are in frame `newest`.
-        goal: What is achieved and what is desired, each in [-1, 1], float32 (number, row).
+        goal: The achieved and the desired goal, each in [-1, 1], float32 (number, row).
         running: The rows that take part in this tick, as truth values; None for all.
         lost: Whether the world of a row is no longer finite.
     """
@@ -279,7 +279,7 @@ class ObservedColumns(ABC):
     lost: Column
 
     def __init__(self, agent: Agent, count: int) -> None:
-        """`count` is the number of rows."""
+        """Create the columns; `count` is the number of rows."""
         self.agent, self.count = agent, count
         self._views = frame_indices(agent)
         self.depth, self.newest = len(self._views), 0
@@ -289,7 +289,7 @@ class ObservedColumns(ABC):
 
     @abstractmethod
     def failed(self, row: int, what: str) -> EvaluationError:
-        """The error of an episode, with the place of its row."""
+        """Return the error of an episode, with the place of its row."""
 
     def set_observation(self, *numbers: Any) -> None:
         """Let the policies see these numbers in the newest frame."""
@@ -307,7 +307,7 @@ class ObservedColumns(ABC):
                 raise self.failed(int(worlds[0]), f"the observation {names} is not finite")
 
     def next_frame(self) -> None:
-        """Make room for what the policies see after this step."""
+        """Make room for the observations after this step."""
         self.newest = (self.newest + 1) % self.depth
 
     def set_goal_observation(self, achieved: Any, desired: Any) -> tuple[Column, Column]:
@@ -324,7 +324,7 @@ class ObservedColumns(ABC):
         return meant[: self._size], meant[self._size :]
 
     def observations(self) -> Any:
-        """The observations, float32, a row per agent; a copy."""
+        """Return the observations, float32, a row per agent; a copy."""
         frames = self.frames.reshape(-1, self.count)
         seen = np.ascontiguousarray(frames[self._views[self.newest]].T)
         if not self._size:
@@ -338,8 +338,8 @@ class ObservedColumns(ABC):
 
 
 def recompute_rewards(agent: Agent, achieved: Goals, desired: Goals) -> NDArray[np.float64]:
-    """The reward that each transition would have got for another goal; `achieved` and `desired` are (n, k),
-    as the policy sees them.
+    """Return the reward that each transition would have got for another goal; `achieved` and `desired` are
+    (n, k), as the policy sees them.
 
     Raises:
         UsageError: The scenario has no goal, or the arrays have another shape.
@@ -369,7 +369,7 @@ def recompute_rewards(agent: Agent, achieved: Goals, desired: Goals) -> NDArray[
 
 
 def _goal_values_in_unit(goal: Goal, names: tuple[Name, ...], seen: Goals) -> dict[Name, Any]:
-    """The columns in the unit of the goal; exactly what the names mean in a step."""
+    """Return the columns in the unit of the goal; exactly what the names mean in a step."""
     columns = seen.astype(np.float64).T
     return {
         name: (high + low) / 2 + (high - low) / 2 * column

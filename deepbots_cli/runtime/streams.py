@@ -1,4 +1,4 @@
-"""What an episode draws: random numbers with one stream per purpose, and values that `reset` is given in
+"""The draws of an episode: random numbers with one stream per purpose, and values that `reset` is given in
 place of draws.
 
 Each stream is named by its place in the scenario (`parameters.fall_angle#0`), and its seed depends on the
@@ -30,21 +30,21 @@ Drawn = dict[str, float | str]
 NOTHING_CHOSEN: Mapping[str, Any] = MappingProxyType({})
 
 _ROUNDING = 1e-6
-"""Of the size of a limit, by which a value may lie beyond it and is then the limit: 0.6 as a float32 is
-0.60000002."""
+"""The share of the size of a limit by which a value may lie beyond it and is then the limit: 0.6 as a float32
+is 0.60000002."""
 
 
 def derive_seed(root: int, *names: str | int) -> int:
-    """A 32-bit seed for the purpose `names` under the root seed; any whole number is a root, 0 too."""
+    """Return a 32-bit seed for the purpose `names` under the root seed; any whole number is a root, 0 too."""
     text = "/".join(str(name) for name in (root, *names))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "little")
 
 
 class Streams:
-    """The random generators of one environment, made when first asked for."""
+    """The random generators of one environment, made on first use."""
 
     def __init__(self, root: int | None, copy: str = "") -> None:
-        """`root` None takes a seed from the operating system.
+        """Create the streams; `root` None takes a seed from the operating system.
 
         The streams of a `copy` of a robot, such as `cart#2`, are its own, apart from those of parameters.
         """
@@ -54,7 +54,7 @@ class Streams:
         self.drawn: Drawn = {}
         """The last value of each draw, by the keys of `program.draws`; noise is left out."""
         self.chosen = NOTHING_CHOSEN
-        """What draws give in place of a random value, by the same keys."""
+        """The values that replace draws, by the same keys."""
         self.member = ""
         """The member of a group whose draws are made now, such as `crate#2`."""
         self.is_follower = False
@@ -66,7 +66,7 @@ class Streams:
         self.drawn, self.chosen, self.member = {}, chosen, ""
 
     def key(self, name: str) -> str:
-        """The key of a draw."""
+        """Return the key of a draw."""
         return key_of_member(self.member, name) if self.member else name
 
     def take(self, name: str, value: T) -> T:
@@ -74,7 +74,7 @@ class Streams:
         return self.note(self.key(name), value)
 
     def note(self, key: str, value: T) -> T:
-        """`take` for a draw by its key."""
+        """Take a draw by its key; see `take`."""
         taken = self.drawn[key] = self.chosen.get(key, value)
         return cast("T", taken)
 
@@ -90,7 +90,7 @@ class Streams:
         return generator
 
     def state(self) -> dict[str, Any]:
-        """The root and the state of each generator, as JSON can hold them."""
+        """Return the root and the state of each generator, as values for JSON."""
         return {
             "root": self.root,
             "generators": {
@@ -100,7 +100,7 @@ class Streams:
 
     @classmethod
     def restored(cls, state: Mapping[str, Any], copy: str = "") -> Self:
-        """Streams that continue from the result of `state`."""
+        """Return streams that continue from the result of `state`."""
         streams = cls(state["root"], copy)
         for name, inner in state["generators"].items():
             streams[name].bit_generator.state = inner
@@ -110,14 +110,14 @@ class Streams:
         return self.take(name, float(self[name].uniform(low, high)))
 
     def integer(self, name: str, low: float, high: float) -> float:
-        """A whole number from `low` to `high`, both included."""
+        """Return a whole number from `low` to `high`, both included."""
         return self.take(name, float(self[name].integers(int(low), int(high), endpoint=True)))
 
     def normal(self, name: str, mean: float, deviation: float) -> float:
         return self.take(name, float(self[name].normal(mean, deviation)))
 
     def normals(self, name: str, count: int) -> list[float]:
-        """Standard normal numbers."""
+        """Return standard normal numbers."""
         numbers: list[float] = self[name].standard_normal(count).tolist()
         return numbers
 
@@ -126,13 +126,13 @@ class Streams:
 
 
 class SupervisedDraws:
-    """What a supervisor draws in an episode, or takes from `options` of `reset` in place of a draw.
+    """The draws of a supervisor in an episode, or values from `options` of `reset` in place of them.
 
     Attributes:
         streams: The random numbers.
         fixed: The names of parameters that no episode draws.
         copy_names: The names of the copies of a robot; none without copies.
-        episode_values: The present values, in SI units, of what `options` of `reset` can set, by its names.
+        episode_values: The present values, in SI units, that `options` of `reset` can set, by their names.
     """
 
     def __init__(self, scenario: Program) -> None:
@@ -144,31 +144,32 @@ class SupervisedDraws:
         self._drawn: Drawn = {}
 
     def choose_values(self, chosen: Mapping[str, Mapping[str, Any]] | None) -> None:
-        """Begin the streams of an episode, with what `options` of `reset` chose."""
+        """Begin the streams of an episode, with the values that `options` of `reset` chose."""
         self.streams.begin(chosen[""] if chosen else NOTHING_CHOSEN)
 
     def episode_value(self, name: str, drawn: float) -> float:
-        """The value of this episode: what `options` of `reset` set, or else what was drawn."""
+        """Return the value of this episode: the one that `options` of `reset` set, or else the one drawn."""
         value = self.episode_values[name] = self.streams.take(name, drawn)
         return value
 
     def note_draws(self) -> None:
-        """Keep what the streams have drawn since the episode began, for `drawn`."""
+        """Keep the draws of the streams since the episode began, for `drawn`."""
         drawn = self.streams.drawn
         self._drawn = {
             entry.name: drawn[entry.key] for entry in self.scenario.draws.noted if entry.key in drawn
         }
 
     def drawn(self) -> Drawn:
-        """What the last reset drew, by name; see `reset`."""
+        """Return the draws of the last reset, by name; see `reset`."""
         return dict(self._drawn)
 
     def present_values(self) -> Drawn:
-        """What the last reset drew, and the present values of parameters that change within the episode."""
+        """Return the draws of the last reset, and the present values of parameters that change within the
+        episode."""
         return self._drawn | self.episode_values
 
     def require_drawable(self, options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-        """The values of `options` of `reset`, for each copy of a robot.
+        """Return the values of `options` of `reset`, for each copy of a robot.
 
         Raises:
             UsageError: They hold an unknown name, or a value that an episode could not have drawn.
@@ -176,7 +177,7 @@ class SupervisedDraws:
         return chosen_values(self.scenario, options, self.fixed, self.copy_names)
 
     def random_state(self) -> dict[str, Any]:
-        """The states of all random streams, as values for JSON.
+        """Return the states of all random streams, as values for JSON.
 
         The same states and the same actions give the same episode.
         """
@@ -190,10 +191,10 @@ class SupervisedDraws:
 def chosen_values(
     scenario: Program, options: Mapping[str, Any], fixed: Collection[str] = (), copies: Collection[str] = ()
 ) -> dict[str, dict[str, Any]]:
-    """The values that an episode takes in place of draws, for each of the `copies` of a robot, by the keys of
-    `program.draws`.
+    """Return the values that an episode takes in place of draws, for each of the `copies` of a robot, by the
+    keys of `program.draws`.
 
-    A name is that of a draw, such as `mark.x`, or that of a vector, such as `mark`. The name of a copy before
+    A name is the name of a draw, such as `mark.x`, or of a vector, such as `mark`. The name of a copy before
     it, as in `cart#2.reset.joints.cart.pole_hinge`, sets the value of this copy alone. Setting a value
     changes no other draw: its stream is drawn from all the same, and every other draw has a stream of its
     own.
@@ -237,13 +238,13 @@ def chosen_values(
 
 
 def _split(name: str, copies: Collection[str]) -> tuple[str, str]:
-    """The copy of a robot that a name begins with, if any, and the rest."""
+    """Return the copy of a robot that a name begins with, if any, and the rest."""
     copy = next((copy for copy in copies if name.startswith(f"{copy}.")), "")
     return copy, (name.removeprefix(f"{copy}.") if copy else name).removeprefix("parameters.")
 
 
 def _numbers(name: str, value: Any, scenario: Program, fixed: Collection[str]) -> list[tuple[str, Any]]:
-    """The checked value of each number or word that a name stands for, by its full name."""
+    """Yield the checked value of each number or word that a name covers, by its full name."""
     draws = scenario.draws
     entry = draws.by_name.get(name)
     if entry is not None and entry.words:
@@ -266,7 +267,7 @@ def _numbers(name: str, value: Any, scenario: Program, fixed: Collection[str]) -
 
 
 _MAX_NAMES = 24
-"""Names that a message lists; find_and_avoid draws 94 values."""
+"""The number of names that a message lists; find_and_avoid draws 94 values."""
 
 
 def _why_not(name: str, scenario: Program, fixed: Collection[str]) -> str:
@@ -313,7 +314,7 @@ def _array(name: str, value: Any, components: tuple[str, ...]) -> list[float]:
 
 
 def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
-    """The number, moved to the limit that it lies beyond by rounding."""
+    """Return the number, moved to the limit that it lies beyond by rounding."""
     full, options = entry.name, _options(entry.tree)
     if isinstance(number, bool) and not any(isinstance(option, bool) for option in options):
         raise UsageError(f"reset cannot set {full!r} to {number}: it is a single number, in SI units")
@@ -341,14 +342,14 @@ def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
 
 
 def _options(expression: Scalar | None) -> list[float]:
-    """The values of a choice among numbers or truth values."""
+    """Return the values of a choice among numbers or truth values."""
     if isinstance(expression, Draw) and expression.distribution == "choice":
         return [option.value for option in expression.args if isinstance(option, Const)]
     return []
 
 
 def _interval(node: Scalar, scenario: Program) -> Interval:
-    """The interval of an expression over all draws."""
+    """Return the interval of an expression over all draws."""
     if not isinstance(node, Name):
         return interval_of(node, lambda arg: _interval(arg, scenario))
     numbers = (pair for entry in scenario.parameters if entry.name == node.name for pair in entry.numbers)

@@ -41,8 +41,8 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
 
     A generated class adds `bind` (robots, channels, and readers from the engine), `_begin` (draws and placing
     at reset), `_start` and `_advance` (the first moment of an episode, and a step), `_observe`, which both of
-    them call and which computes everything once per timestep, and the paper's methods, which only read what
-    that left, so calling one twice changes nothing.
+    them call and which computes everything once per timestep, and the paper's methods, which only read its
+    results, so calling one twice changes nothing.
 
     Its robots, draws and observation are those of the base classes, since generated code calls them on
     `self`.
@@ -52,7 +52,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
     endings: tuple[str, ...]
 
     def __init__(self, scenario: Program, engine: Engine, render_mode: str | None = None) -> None:
-        """Takes over `engine`, which holds the scenario's world, and closes it with itself.
+        """Take over `engine`, which has the scenario's world, and close it with this environment.
 
         Raises:
             UsageError: `render_mode` is neither None nor "rgb_array", or the engine cannot draw.
@@ -79,7 +79,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         self.observation_space = observation_space(self.agent)
         self.action_space = action_space(self.agent)
         self.world = scenario.world
-        """What the engine holds: with copies of a robot, each under its own name."""
+        """The world of the engine: with copies of a robot, each under its own name."""
         self.agents: dict[str, Supervisor] = {self.agent.name: self}
         """The supervisor of each copy of the agent, by name; without copies this one, under the name of the
         agent."""
@@ -145,7 +145,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
-        """One step of the agent: act, advance the world by a timestep, observe and score.
+        """Advance by one step of the agent: act, simulate a timestep, observe and score.
 
         Raises:
             UsageError: Before the first reset, or with an action outside the action space.
@@ -161,14 +161,14 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
 
     def render(self) -> Any:
-        """An image of the world (uint8, height x width x 3), or None without a render mode."""
+        """Return an image of the world (uint8, height x width x 3), or None without a render mode."""
         if self.render_mode is None:
             return None
         return self.engine.render(self.view())
 
     def view(self, width: int = 480, height: int = 320) -> View:
-        """The view of `render` in another size: it shows the whole scene, and follows a robot that may leave
-        it."""
+        """Return the view of `render` in another size: it shows the whole scene, and follows a robot that may
+        leave it."""
         return self._view.view(width, height)
 
     def close(self) -> None:
@@ -179,11 +179,11 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
             self.engine.close()
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Which options may be chosen next: the truth values of all choices in a row, as sb3-contrib wants
-        them.
+        """Return which options may be chosen next: the truth values of all choices in a row, in the form of
+        sb3-contrib.
 
         Raises:
-            UsageError: The action holds no choice.
+            UsageError: The action has no choice.
         """
         masks = self.allowed()
         if not masks:
@@ -191,11 +191,11 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         return np.array([may for mask in masks for may in mask])
 
     def action_mask(self) -> Any:
-        """The masks of `action_masks` in the form that `action_space.sample` takes."""
+        """Return the masks of `action_masks` in the form that `action_space.sample` takes."""
         return mask_of_space(self.action_space, [np.array(mask, np.int8) for mask in self.allowed()])
 
     def script(self, name: str) -> Any:
-        """The next action of a script of the scenario, in the action space; asking changes nothing.
+        """Return the next action of a script of the scenario, in the action space; this changes nothing.
 
         Raises:
             UsageError: There is no such script, or no episode has begun.
@@ -210,12 +210,12 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
             raise without_value(error, self.engine, self.step_count) from error
 
     def scripted(self, name: str) -> Any:
-        """The next action of a script, without a check that the script exists."""
+        """Return the next action of a script, without a check that the script exists."""
         return getattr(self, generated.script(name))()
 
     def tested(self, test: str, question: generated.TestQuestion) -> tuple[Any, ...]:
-        """Whether each condition of a test holds after the last step, or the values that the conditions
-        compare, in SI units.
+        """Return whether each condition of a test holds after the last step, or the values that the
+        conditions compare, in SI units.
 
         Raises:
             EvaluationError: An expression has no value; shows which.
@@ -227,31 +227,32 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         return values
 
     def make_action(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
-        """An action of these options, by number, and these values from -1 to 1."""
+        """Return an action of these options, by number, and these values from -1 to 1."""
         return compose_action(self.action_space, choices, ranges)
 
-    # What the compiler prints
+    # Methods that the compiler prints
 
     def allowed(self) -> tuple[tuple[bool, ...], ...]:
-        """Which options of each choice may be chosen next; all of them unless the scenario forbids some."""
+        """Return which options of each choice may be chosen next; all of them unless the scenario forbids
+        some."""
         return tuple((True,) * len(part.options) for part in self.agent.choices)
 
     @abstractmethod
     def get_observations(self) -> Observation:
-        """The observation, float32 in [-1, 1]; a copy."""
+        """Return the observation, float32 in [-1, 1]; a copy."""
 
     def get_reward(self) -> float:
-        """The reward of the last step: the sum of its terms."""
+        """Return the reward of the last step: the sum of its terms."""
         return self.reward
 
     def is_done(self) -> tuple[bool, bool]:
-        """Whether the task ended (success or failure), and whether a limit cut the episode short."""
+        """Return whether the task ended (success or failure), and whether a limit cut the episode short."""
         return self.terminated, self.truncated
 
     @abstractmethod
     def get_info(self) -> Info:
-        """`is_success`, `ended_by` (the first ending, or the limit), all `endings` that hold, `reward_terms`
-        by name."""
+        """Return `is_success`, `ended_by` (the first ending, or the limit), all `endings` that hold,
+        `reward_terms` by name."""
 
     @abstractmethod
     def _begin(self) -> None:
@@ -263,16 +264,16 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
 
     @abstractmethod
     def _advance(self, action: Any) -> Any:
-        """One step: act, advance the world, and observe.
+        """Advance by one step: act, simulate, and observe.
 
         Where there are copies of the robot it is a generator, which waits where the world goes on
         (`copies.py`).
         """
 
-    # What generated code calls
+    # Methods for generated code
 
     def ranges(self, action: Any) -> list[float]:
-        """The numbers of an array from the action space, each within [-1, 1].
+        """Return the numbers of an array from the action space, each within [-1, 1].
 
         Raises:
             ValueError: There are more or fewer than the action has.
@@ -299,7 +300,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         self.endings = (limit,)
 
     def _nothing_allowed(self, choice: str) -> None:
-        """Called when every option of a choice is forbidden while the episode goes on."""
+        """Raise the error for a choice whose options are all forbidden while the episode goes on."""
         raise EvaluationError(f"step {self.step_count}: {without_option(self.agent, choice)}")
 
     def _forget(self) -> None:
@@ -312,16 +313,16 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         self._view.restart()
 
     def _refuse(self, action: Any) -> None:
-        """Stands in for `_advance` while no episode runs."""
+        """Refuse a step; this replaces `_advance` while no episode runs."""
         raise UsageError(_CLOSED if self._closed else "call reset() before step()")
 
     def _not_finite(self) -> None:
-        """Called when the reward is not finite."""
+        """Raise the error for a reward that is not finite."""
         self.engine.require_finite()
         raise EvaluationError(f"step {self.step_count}: {infinite_reward(self.get_info()['reward_terms'])}")
 
     def _try_again(self, action: Any, error: Exception) -> None:
-        """Advance by an action in a form that the fast path does not take, or raise what was wrong.
+        """Advance by an action in a form that the fast path does not take, or raise its error.
 
         A list, or the array without axes that a policy predicts, fails there before anything has changed.
         """

@@ -20,7 +20,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
     """Many worlds of one scenario; observations, rewards and flags have a row per world."""
 
     def __init__(self, batch: BatchSupervisor) -> None:
-        """Takes over `batch` and closes it with itself."""
+        """Take over `batch`, and close it with this environment."""
         self.batch = batch
         self.num_envs = len(batch.singles)
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
@@ -68,15 +68,15 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         return observations, infos | self._masks()
 
     def _masks(self) -> dict[str, Any]:
-        """The part of an info that says which options may be chosen next; empty where that of a single world
-        does not."""
+        """Return the part of an info with the options that may be chosen next; empty if that of a single
+        world has none."""
         if not self.batch.forbids_options or self.batch.scenario.agent.copies:
             return {}
         masks = self.batch.options.of_space(self.batch.action_space)
         return {"action_mask": masks, "_action_mask": np.ones(self.num_envs, bool)}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One step of all worlds.
+        """Advance all worlds by one step.
 
         Returns:
             Observations (for ended episodes, those of the next episode), rewards (float64), terminated,

@@ -1,4 +1,4 @@
-"""What a robot can drive: one class per kind.
+"""The actuators of a robot: one class per kind.
 
 A class defines its kind: its parameters (fields with docstrings), its effect (its docstring), and the
 dimension, components and interval of commands. Validation, JSON Schema, completion, hover and reference come
@@ -100,7 +100,7 @@ class JointActuator(Actuator):
 
     @classmethod
     def dimension_of(cls, joint: Joint) -> Dimension:
-        """Of a command to this joint."""
+        """Return the dimension of a command to this joint."""
         return cls.sliding if joint.type == "prismatic" else cls.dimension
 
 
@@ -197,7 +197,7 @@ class Gripper(Actuator):
 
 
 def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Actuator]]]:
-    """The class that an entry point names.
+    """Yield the class that an entry point names.
 
     Raises:
         ValueError: It is no class of an actuator kind, or lacks something.

@@ -75,14 +75,14 @@ were removed."""
 
 @dataclass(frozen=True)
 class KeyCount:
-    """How many of these keys a section may have at once."""
+    """The number of these keys that a section may have at once."""
 
     names: tuple[str, ...]
     min: Literal[0, 1] = 0
     max: int = 1
 
     def errors(self, data: Mapping[str, object]) -> Iterator[InitErrorDetails]:
-        """The errors of the keys of a section."""
+        """Yield the errors of the keys of a section."""
         present = [name for name in self.names if name in data]
         if len(present) > self.max:
             refused = error(
@@ -134,7 +134,7 @@ class Section(BaseModel):
 
 @dataclass(frozen=True)
 class Size:
-    """The minimum number of entries of a list or mapping, and what one is called."""
+    """The minimum number of entries of a list or mapping, and the word for one."""
 
     min: int = 1
     noun: str = "entry"
@@ -151,7 +151,7 @@ class Size:
 
 
 def key_instead_of(section: type[Section], word: str) -> str | None:
-    """The key of a section that `word` is written for."""
+    """Return the key of a section that `word` is written for."""
     return key_for(word, section.model_fields, (model.__name__ for model in section.__mro__))
 
 
@@ -188,12 +188,12 @@ class Forms:
         return _validator(self.annotations[chosen]).validate_python(value, context=info.context)
 
     def help_for(self, value: object) -> str | None:
-        """The help of the first option that is a single value."""
+        """Return the help of the first option that is a single value."""
         hints = (option.help_for(value) for option in self.options if isinstance(option, FieldType))
         return next((hint for hint in hints if hint), None)
 
     def index(self, value: object) -> int | None:
-        """The index of the option whose form `value`, raw or validated, has."""
+        """Return the index of the option whose form `value`, raw or validated, has."""
         return next((i for i, option in enumerate(self.options) if fits(option, value)), None)
 
     def choose(self, value: object) -> Shape | None:
@@ -205,7 +205,7 @@ FORMS = Forms()
 
 
 def fits(shape: Shape, value: object) -> bool:
-    """Whether a value, raw or validated, has the form that a shape takes: a single value, a list, a
+    """Return whether a value, raw or validated, has the form that a shape takes: a single value, a list, a
     mapping."""
     if isinstance(value, Section):
         return shape is type(value)
@@ -247,9 +247,9 @@ def _forms_of(annotation: Any) -> Forms:
 class Kinds:
     """A union of sections that is discriminated by the word under `key`.
 
-    `models_by_marker` holds the models that have no such word and are known by another key, `remedies` what
-    to write instead of a key that belongs elsewhere. Without a word, a section is of the kind `default`, if
-    there is one.
+    `models_by_marker` has the models that have no such word and are recognized by another key, `remedies` the
+    texts to write instead of a key that belongs elsewhere. Without a word, a section is of the kind
+    `default`, if there is one.
     """
 
     key: str
@@ -271,7 +271,7 @@ class Kinds:
         return core_schema.with_info_plain_validator_function(self.validate)
 
     def find(self, value: object) -> type[Section] | None:
-        """The model for `value`, raw or validated; None if its kind is unknown."""
+        """Return the model for `value`, raw or validated; None if its kind is unknown."""
         if isinstance(value, Section):
             return type(value) if type(value) in self.distinct_models else None
         if not isinstance(value, Mapping):
@@ -285,7 +285,7 @@ class Kinds:
         )
 
     def _example(self, value: object) -> str:
-        """A section with the required keys, of the kind that a single value names."""
+        """Return a section with the required keys, of the kind that a single value names."""
         name = value if isinstance(value, str) and value in self.models else self.names[0]
         required = [
             key
@@ -322,18 +322,17 @@ class Kinds:
 
 
 def kind_of(model: type[Section], key: str = "type") -> str:
-    """The word under `key` for the kind of a model; empty if there are several."""
+    """Return the word under `key` for the kind of a model; empty if there are several."""
     words = get_args(model.model_fields[key].annotation)
     return str(words[0]) if len(words) == 1 else ""
 
 
 def check_kind_model(name: str, model: type[Section], place: str, key: str = "type") -> None:
-    """Check the model of a kind that a plug-in calls `name`, and whose code for the runtime stands at
-    `place`.
+    """Check the model of a kind that a plug-in calls `name`, and whose code for the runtime is at `place`.
 
     Raises:
-        ValueError: Says what it lacks.
-        TypeError: A field has a type that no scenario can hold.
+        ValueError: It lacks a part; the message names it.
+        TypeError: A field has a type that no scenario can contain.
     """
     if kind_of(model, key) != name:
         raise ValueError(f'{model.__name__} needs the field `{key}: Literal["{name}"]`')
@@ -345,7 +344,7 @@ def check_kind_model(name: str, model: type[Section], place: str, key: str = "ty
 
 
 def kind_parameters(model: type[Section], *bases: type[Section]) -> Iterator[tuple[str, FieldType]]:
-    """The fields that the model of a kind has beyond those of its `bases`.
+    """Yield the fields that the model of a kind has beyond those of its `bases`.
 
     Raises:
         ValueError: One of them is not a single value.
@@ -362,7 +361,7 @@ Shape = FieldType | type[Section] | ListOf | MappingOf | Forms | Kinds
 
 
 def noun_of(shape: Shape) -> str:
-    """The noun for a value of this shape, with its article."""
+    """Return the noun for a value of this shape, with its article."""
     match shape:
         case FieldType():
             return shape.noun
@@ -376,14 +375,14 @@ def noun_of(shape: Shape) -> str:
 
 @cache
 def section_fields(section: type[Section]) -> Mapping[str, Shape]:
-    """The keys of a section, in order, each with its shape."""
+    """Return the keys of a section, in order, each with its shape."""
     return {
         name: shape_of(info.annotation, tuple(info.metadata)) for name, info in section.model_fields.items()
     }
 
 
 def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
-    """The shape of an annotation without None.
+    """Return the shape of an annotation without None.
 
     Raises:
         TypeError: The annotation of a model has no shape.
@@ -465,7 +464,7 @@ def _visit(shape: Shape, value: object, path: NodePath) -> Iterator[tuple[NodePa
 
 
 def chosen_shape(shape: Shape, data: object) -> Shape | None:
-    """The shape after choosing among forms and kinds by the data; None if there is no choice."""
+    """Return the shape after choosing among forms and kinds by the data; None if there is no choice."""
     match shape:
         case Forms():
             chosen = shape.choose(data)
@@ -477,7 +476,7 @@ def chosen_shape(shape: Shape, data: object) -> Shape | None:
 
 
 def shape_at(shape: Shape, data: object, path: NodePath, *, choose: bool = True) -> Shape | None:
-    """The shape of the value at `path` in raw data; None if the language does not know the path.
+    """Return the shape of the value at `path` in raw data; None if the path does not exist in the language.
 
     Unless `choose`, the result may be a union of forms or kinds.
     """
@@ -501,7 +500,7 @@ def walk_sections(
 ) -> Iterator[tuple[tuple[str, ...], type[Section] | Kinds, str]]:
     """Yield every section and every union of kinds below a shape: its path, and the key of its kind.
 
-    In the path `*` stands for a name that the user chooses.
+    In the path `*` is a name that the user chooses.
     """
     match shape:
         case ListOf(item=inner):
@@ -527,7 +526,7 @@ EXAMPLES_FILE = FilePath(__file__).with_name("examples.yaml")
 
 
 def key_description(section: type[Section], key: str) -> str:
-    """The sentence about a key of a section."""
+    """Return the sentence about a key of a section."""
     docstrings = (
         _docstrings(model.__module__).get((model.__name__, key))
         for model in section.__mro__
@@ -538,8 +537,8 @@ def key_description(section: type[Section], key: str) -> str:
 
 @cache
 def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
-    """The docstrings below the fields of a module, by class and field, and of its classes, with an empty
-    field.
+    """Return the docstrings below the fields of a module, by class and field, and of its classes, with an
+    empty field.
 
     They are read from the source, which also has them under `python -OO`.
     """
@@ -558,7 +557,7 @@ def _docstrings(module: str) -> Mapping[tuple[str, str], str]:
 
 
 def section_description(section: type[Section]) -> str:
-    """The sentence that describes a section."""
+    """Return the sentence that describes a section."""
     text = inspect.cleandoc(section.__doc__ or "") or _docstrings(section.__module__).get(
         (section.__name__, ""), ""
     )
@@ -566,7 +565,7 @@ def section_description(section: type[Section]) -> str:
 
 
 def unit_of(shape: Shape) -> str:
-    """The SI unit of a value, `1` for a plain number; empty for other values."""
+    """Return the SI unit of a value, `1` for a plain number; empty for other values."""
     match shape:
         case Quantity(dimension=measure) | Range(dimension=measure) | Column(dimension=measure):
             return MEASURES[measure][2]
@@ -579,7 +578,7 @@ def unit_of(shape: Shape) -> str:
 
 
 def default_of(section: type[Section], key: str) -> str:
-    """The default as text; empty if there is none."""
+    """Return the default as text; empty if there is none."""
     info = section.model_fields[key]
     value = info.default
     if info.is_required() or info.default_factory or value is None or value in ("", (), {}):
@@ -592,7 +591,7 @@ def default_of(section: type[Section], key: str) -> str:
 
 
 def hover_text(section: type[Section], key: str) -> str:
-    """A key in Markdown: its type, sentence, unit, default and example."""
+    """Return a key in Markdown: its type, sentence, unit, default and example."""
     shape = section_fields(section)[key]
     unit = unit_of(shape)
     if unit == "1":
@@ -625,7 +624,7 @@ class Example(NamedTuple):
 
 
 def example_of(section: type[Section], key: str) -> Example | None:
-    """The example of a key of a section, or of the nearest base that has one."""
+    """Return the example of a key of a section, or of the nearest base that has one."""
     return next(
         (example for model in section.__mro__ if (example := examples().get(model.__name__, {}).get(key))),
         None,
@@ -633,7 +632,7 @@ def example_of(section: type[Section], key: str) -> Example | None:
 
 
 def example_text(section: type[Section], key: str) -> str:
-    """The example of a key as text; of a word, the first one."""
+    """Return the example of a key as text; of a word, the first one."""
     if example := example_of(section, key):
         return example.text
     shape = section_fields(section)[key]
@@ -642,7 +641,7 @@ def example_text(section: type[Section], key: str) -> str:
 
 @cache
 def examples() -> Mapping[str, Mapping[str, Example]]:
-    """The examples by the name of the model, and by key."""
+    """Return the examples by the name of the model, and by key."""
     findings = Findings()
     root = parse(Source(EXAMPLES_FILE.name, EXAMPLES_FILE.read_text(encoding="utf-8")), findings)
     if root is None or list(findings):

@@ -1,6 +1,6 @@
 """Field types: the type of a single value of a scenario.
 
-A field type stands in the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It
+A field type is part of the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It
 checks the form of the value (a text, a number, a range) and raises errors with the code, headline and help of
 a finding. `base.visit_values` hands it to the compiler, which reads units, names and expressions inside a
 text. A value is kept as it is written.
@@ -53,7 +53,7 @@ _JSON_TYPES = {
 }
 
 MAX_MAGNITUDE = 1e30
-"""Beyond this a number means nothing physical, and arithmetic on it overflows."""
+"""The magnitude beyond which a number has no physical meaning, and arithmetic on it overflows."""
 _MAX_LISTED = 24
 _MAX_NUMBER_LENGTH = 40
 _NUMBER = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
@@ -73,7 +73,7 @@ def error(
     missing: tuple[str, ...] = (),
     replacement: Replacement | None = None,
 ) -> PydanticCustomError:
-    """An error with the parts of a finding: `missing` keys, and a `replacement` of the whole value."""
+    """Return an error with the parts of a finding: `missing` keys, and a `replacement` of the whole value."""
     context = {"headline": headline, "help": help, "missing": missing, "replacement": replacement}
     return PydanticCustomError(code, "{headline}; {help}" if help else "{headline}", context)
 
@@ -81,14 +81,14 @@ def error(
 def mismatch(
     expected: str, help: str | None = None, replacement: Replacement | None = None, *, value: object
 ) -> PydanticCustomError:
-    """An error about a value of the wrong type; `validate` shows how it is written in the file."""
+    """Return an error about a value of the wrong type; `validate` shows how it is written in the file."""
     refused = error("DB103", f"expected {expected}, found {str(value)[:60]!r}", help, replacement=replacement)
     refused.context["expected"] = expected  # type: ignore[index]
     return refused
 
 
 def error_at(step: str | int, refused: PydanticCustomError) -> ValidationError:
-    """The error with its path one step further down."""
+    """Return the error with its path one step further down."""
     return ValidationError.from_exception_data("", [InitErrorDetails(type=refused, loc=(step,), input=None)])
 
 
@@ -104,8 +104,8 @@ def counted_noun(number: int, noun: str) -> str:
 
 
 def choices_help(word: str, words: Sequence[str]) -> str:
-    """The help for an unknown word: the probable word, and all known words; a long list is left out beside a
-    word that is hardly wrong."""
+    """Return the help for an unknown word: the probable word, and all known words; a long list is left out
+    beside a word that is hardly wrong."""
     other = word_for(word, words)
     near = other or nearest_word(word, words)
     if near and len(words) > MAX_BESIDE and (other or is_typo(word, near)):
@@ -115,7 +115,7 @@ def choices_help(word: str, words: Sequence[str]) -> str:
 
 
 def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
-    """The probable word of the language, as a replacement."""
+    """Return the probable word of the language, as a replacement."""
     other = word_for(word, words)
     return Replacement(other, safe=False) if other else suggest_replacement(word, words, of_language=True)
 
@@ -130,8 +130,8 @@ _SCALAR_RANGE = rf"\s*({_NUMBER})\s*\.\.\s*({_NUMBER})((?:\s*[A-Za-z%][\w*/^%]*)
 
 
 def _range_replacement(value: object) -> str | None:
-    """The range that is meant by two numbers in a list or with another sign between them, or by a range for
-    each component."""
+    """Return the range that is meant by two numbers in a list or with another sign between them, or by a
+    range for each component."""
     if isinstance(value, Mapping):
         given = list(value.values())
     elif isinstance(value, list):
@@ -149,7 +149,7 @@ def _range_replacement(value: object) -> str | None:
 
 
 def count_replacement(value: object) -> str | None:
-    """The whole number that `200k` or `1e5` was meant to be."""
+    """Return the whole number that `200k` or `1e5` was meant to be."""
     if (
         isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15
     ):  # below, a point may have parted thousands
@@ -159,11 +159,10 @@ def count_replacement(value: object) -> str | None:
 
 
 def number_replacement(value: object) -> Replacement | None:
-    """The number that a text in quotes, or with a decimal comma, was meant to be; a comma may also group
-    thousands."""
-    text = (
-        value.strip() if isinstance(value, str) and len(value) <= _MAX_NUMBER_LENGTH else ""
-    )  # the pattern is quadratic in digits
+    """Return the number that a text in quotes, or with a decimal comma, was meant to be; a comma may also
+    group thousands."""
+    # The pattern takes quadratic time in the number of digits.
+    text = value.strip() if isinstance(value, str) and len(value) <= _MAX_NUMBER_LENGTH else ""
     if re.fullmatch(_NUMBER, text):
         return Replacement(text, safe=True)
     if match := re.fullmatch(r"([-+]?[0-9]+),([0-9]+(?:[eE][-+]?[0-9]+)?)", text):
@@ -207,8 +206,8 @@ def check_bounds(
 
 
 def count_literal(text: str) -> int | None:
-    """How many numbers a literal such as `1 1 m` holds; None if `text` is no literal, as `1 1 scale` with a
-    parameter."""
+    """Return how many numbers a literal such as `1 1 m` contains; None if `text` is no literal, as `1 1
+    scale` with a parameter."""
     words = text.split()
     numbers = next((i for i, word in enumerate(words) if not re.fullmatch(_NUMBER, word)), len(words))
     rest = words[numbers:]
@@ -248,7 +247,7 @@ class FieldType:
         return (str,)
 
     def has_form(self, value: object) -> bool:
-        """Whether `value` has the right form at all; `check` looks at its content."""
+        """Return whether `value` has the right form at all; `check` looks at its content."""
         return isinstance(value, self.accepted_types) and (
             bool in self.accepted_types or not isinstance(value, bool)
         )
@@ -260,11 +259,11 @@ class FieldType:
         """Raise an `error` if the content of a text is wrong, whatever the scenario around it."""
 
     def help_for(self, value: object) -> str | None:
-        """The help for a value of the wrong form."""
+        """Return the help for a value of the wrong form."""
         return f"write it like `{self.example}`" if self.example else None
 
     def replacement_for(self, value: object) -> Replacement | None:
-        """The only possible meaning of a value of the wrong form."""
+        """Return the only possible meaning of a value of the wrong form."""
         return None
 
     def json_schema(self) -> JsonSchema:
@@ -289,8 +288,8 @@ class FieldType:
         return core_schema.with_info_plain_validator_function(self._validate)
 
     def _validate(self, value: object, info: ValidationInfo) -> object:
-        """Validation of a file has a context. There the compiler checks the content of texts, and marks the
-        exact place."""
+        """Validate a value. Validation of a file has a context, in which the compiler checks the content of
+        texts, and marks the exact place."""
         checked = self.validate(value)
         if info.context is None and isinstance(value, str):
             self.check_text(value)
@@ -300,7 +299,7 @@ class FieldType:
         return self.json_schema()
 
     def _matching(self, pattern: str) -> JsonSchema:
-        """The schema of a text that matches `pattern`."""
+        """Return the schema of a text that matches `pattern`."""
         message = f"expected {self.noun}" + (f", such as `{self.example}`" if self.example else "")
         return {"type": "string", "pattern": pattern, "patternErrorMessage": message}
 
@@ -398,7 +397,7 @@ class WholeNumber(Number):
 
 @dataclass(frozen=True)
 class Text(FieldType):
-    """A text, which matches `pattern` if there is one; the headline says what another text cannot be:
+    """A text, which matches `pattern` if there is one; for another text the headline has the word
     `refused`."""
 
     noun: str = "a text"
@@ -483,21 +482,21 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
 
 @cache
 def measure_dimension(measure: str) -> Dimension | None:
-    """The dimension of a measure; None where it is one of several."""
+    """Return the dimension of a measure; None where it is one of several."""
     unit = MEASURES[measure][2]
     return None if " " in unit else _dimension(unit)
 
 
 def dimension_of(measure: str, own: Dimension, *, second: bool = False) -> Dimension | None:
-    """The dimension of a measure: `own` of a `reading`, None of `any`; of a measure such as `torque or force`
-    the first or the second."""
+    """Return the dimension of a measure: `own` of a `reading`, None of `any`; of a measure such as `torque or
+    force` the first or the second."""
     if measure in ("reading", "any"):
         return own if measure == "reading" else None
     return _dimension(MEASURES[measure][2].split(" or ")[-1 if second else 0])
 
 
 def _dimension(unit: str) -> Dimension:
-    """The dimension of a unit such as `N*m`; `1` is that of plain numbers."""
+    """Return the dimension of a unit such as `N*m`; `1` is that of plain numbers."""
     tree = parser.parse(f"1 {unit}" if unit != "1" else unit, lambda *_, **__: None)
     return tree.unit.dimension if isinstance(tree, syntax.Number) and tree.unit else NUMBER
 
@@ -510,7 +509,7 @@ class Parsed(FieldType):
 
     @staticmethod
     def tree(text: str) -> syntax.Node | None:
-        """The tree of an expression; raises its first syntax error."""
+        """Return the tree of an expression; raises its first syntax error."""
 
         def report(
             code: str, start: int, end: int, headline: str, help: str | None = None, *_: object, **__: object
@@ -522,12 +521,12 @@ class Parsed(FieldType):
 
 @dataclass(frozen=True)
 class Quantity(Parsed):
-    """A number with a unit, a parameter, or an expression that is known by then.
+    """A number with a unit, a parameter, or an expression that is known at this time.
 
     Args:
         dimension: A key of `MEASURES`.
         components: The length of a vector.
-        known: When the value may change.
+        known: The time at which the value may change.
         minimum, maximum: Bounds in SI units; with `exclusive` the minimum itself is refused.
         urdf: Whether `urdf` may stand for the value of the robot file.
         words: Texts that are accepted as they are.
@@ -554,7 +553,7 @@ class Quantity(Parsed):
 
     @property
     def si(self) -> Dimension | None:
-        """The dimension; None where it depends on what the quantity is of."""
+        """The dimension; None if it depends on the owner of the quantity."""
         return measure_dimension(self.dimension)
 
     @property
@@ -593,7 +592,7 @@ class Quantity(Parsed):
                 raise mismatch(self.noun, value=value)
 
     def _help_for_count(self, value: str, count: int | None) -> str | None:
-        """An example in the unit of the literal, which may be one of several that the measure has."""
+        """Return an example in the unit of the literal, which may be one of several that the measure has."""
         words, units = value.split(), MEASURES[self.dimension][2].split(" or ")
         unit = words[-1] if count and len(words) > count else ""
         if self.components or len(units) == 1 or not unit or _dimension(unit) not in map(_dimension, units):
@@ -625,7 +624,7 @@ class Quantity(Parsed):
         return super().help_for(value)
 
     def replacement_for(self, value: object) -> Replacement | None:
-        """`0 0 1 m` for the list `[0, 0, 1]`."""
+        """Return the replacement for a list: `0 0 1 m` for `[0, 0, 1]`."""
         numbers = value if isinstance(value, list) and len(value) == self.components else []
         if not numbers or not all(isinstance(each, (int, float)) for each in numbers):
             return None
@@ -709,7 +708,7 @@ class Bounds(Range):
             check_bounds(value)
 
     def replacement_for(self, value: object) -> None:
-        """Nothing: a text without `..` is a minimum."""
+        """Return no replacement: a text without `..` is a minimum."""
 
     def json_schema(self) -> JsonSchema:
         return FieldType.json_schema(self)
@@ -719,7 +718,7 @@ class Bounds(Range):
 class Expression(Parsed):
     """A text of the expression language, evaluated in `context`.
 
-    `boolean` says whether it must be a condition (True), must be a number (False), or may be either (None).
+    `boolean` is True for a condition, False for a number, and None for either.
     """
 
     context: str
@@ -757,7 +756,7 @@ _SINGULAR = {"joints": "joint", "links": "link", "bodies or links": "body or lin
 class Reference(FieldType):
     """The name of something that the scenario or the robot file defines.
 
-    The plural kinds hold one name, pattern or group, or a list of them.
+    The plural kinds have one name, pattern or group, or a list of them.
     """
 
     kind: str
@@ -838,7 +837,7 @@ BUILT_IN_NAMES = frozenset(
     }
     | {"ground", "arena", "pi", "true", "false"}
 )
-"""Values that every scenario has."""
+"""The names of values that every scenario has."""
 GRAMMAR_WORDS = frozenset(["and", "or", "not", "when", "if", "else", "every", "each", "auto", "any", "urdf"])
 """Keywords of expressions, and special values of fields."""
 NAME_PATTERN = r"[a-z_][a-z0-9_]*"
@@ -900,7 +899,7 @@ COLORS = {
 
 
 def color_options(text: str) -> list[str]:
-    """The colors of a choice, or the single color."""
+    """Return the colors of a choice, or the single color."""
     drawn = re.fullmatch(r"choice\(([^()]*)\)", text.strip())
     return [part.strip() for part in drawn[1].split("|")] if drawn else [text.strip()]
 
@@ -926,14 +925,14 @@ class ColorValue(FieldType):
         }
 
 
-# What a training takes
+# Values of the training
 
 _PERCENT = rf"\s*({_NUMBER}\s*%)\s*"
 _SCHEDULE = rf"\s*({_NUMBER})\s*->\s*({_NUMBER})\s*"
 
 
 def read_fraction(value: str | float) -> float:
-    """The number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
+    """Return the number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
     percent = re.fullmatch(_PERCENT, value) if isinstance(value, str) else None
     if percent:
         return float(percent[1].rstrip("%").rstrip()) / 100
@@ -943,8 +942,8 @@ def read_fraction(value: str | float) -> float:
 
 
 def read_schedule(value: object) -> tuple[float, float] | None:
-    """`3e-4 -> 0` or a plain number, as its values at the start and at the end of the training; None if it is
-    neither."""
+    """Return the values at the start and at the end of the training of `3e-4 -> 0` or a plain number; None if
+    it is neither."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return (float(value), float(value)) if abs(value) < MAX_MAGNITUDE else None
     match = re.fullmatch(_SCHEDULE, value) if isinstance(value, str) else None
@@ -957,8 +956,8 @@ _STEPS = r"\s*([0-9]{1,3}(?:_[0-9]{3}){0,3}|[0-9]{1,12})\s+steps?\s*"
 
 
 def read_until(value: object) -> tuple[str, float, int | None] | None:
-    """`success_rate >= 0.7 over 40 episodes` or `50_000 steps`, as metric, threshold and episodes; None if it
-    is neither.
+    """Return metric, threshold and episodes of `success_rate >= 0.7 over 40 episodes` or `50_000 steps`; None
+    if it is neither.
 
     `success_rate >= 0.7 in evaluation` has no number of episodes.
     """
@@ -970,11 +969,12 @@ def read_until(value: object) -> tuple[str, float, int | None] | None:
 
 
 MAX_SOLVED_EPISODES = 10_000
-"""Of `solved`: a confirmation plays at least as many new starts, and at most ten times as many."""
+"""The maximum number of episodes of `solved`: a confirmation plays at least as many new starts, and at most
+ten times as many."""
 
 
 class Until(FieldType):
-    """When a stage of the curriculum is done."""
+    """The end of a stage of the curriculum."""
 
     noun = "a criterion over episodes, a criterion in evaluation, or a number of steps"
     example = "success_rate >= 0.7 over 40 episodes"
@@ -1009,7 +1009,7 @@ class Until(FieldType):
 
 
 class Solved(Until):
-    """When the task is solved: the first form of `until`."""
+    """The criterion of a solved task: the first form of `until`."""
 
     noun = "a criterion over episodes"
     example = "mean_return >= 195 over 100 episodes"

@@ -6,10 +6,10 @@ It describes a file before `extends` and `include` are resolved, and accepts eve
 accepts. Only keys of the top level and of its sections are required, and only if a file extends no other;
 `lint` checks the other keys after the merge.
 
-Every section is one definition. Of `anyOf` or `oneOf` over several forms an editor shows what is wrong with
-each of them, and offers the keys of all. Unions are therefore `if` and `then`: a form is chosen as the
-compiler chooses it, by the word under one key, by a key that tells the form, or by the shape of the data.
-Beside the standard, the schema has what the YAML language server knows: `enumDescriptions`, `errorMessage`,
+Every section is one definition. For `anyOf` or `oneOf` over several forms an editor shows the errors of each
+of them, and offers the keys of all. Unions are therefore `if` and `then`: a form is chosen as the compiler
+chooses it, by the word under one key, by a key of this form alone, or by the shape of the data. Beside the
+standard, the schema uses keywords of the YAML language server: `enumDescriptions`, `errorMessage`,
 `patternErrorMessage`, and `defaultSnippets`, which it offers as values. It offers `examples` too, but shows
 them once more below the text of a hover.
 
@@ -78,10 +78,10 @@ class OfferedNames:
     is_complete: bool = False
 
     def added_to(self, schema: Json, noun: str) -> Json:
-        """The schema of a value called `noun`, with the names as an enumeration beside whatever else may
-        stand there.
+        """Return the schema of a value called `noun`, with the names as an enumeration beside its other
+        forms.
 
-        Where anything else may, one of the two forms always holds. Both have titles, or the YAML language
+        If any other value is valid, one of the two forms always holds. Both have titles, or the YAML language
         server would show the texts of both.
         """
         if not self.names:
@@ -114,7 +114,7 @@ class ScenarioNames:
 
 
 def names_key_of(shape: Shape) -> str:
-    """The key of the names for a value of this shape; empty if there are none."""
+    """Return the key of the names for a value of this shape; empty if there are none."""
     match shape:
         case Reference(kind=kind) | FilePath(kind=kind):
             return kind
@@ -134,7 +134,8 @@ def names_key_of(shape: Shape) -> str:
 
 
 def json_schema(known: ScenarioNames | None = None) -> Json:
-    """The schema (draft 2020-12), in stable order; without names of a scenario it is the committed schema."""
+    """Return the schema (draft 2020-12), in stable order; without names of a scenario it is the committed
+    schema."""
     sentence = (
         "A file with the value of this mapping; its other keys are merged over it.\n\nExample:"
         " include: parts/arena.yaml"
@@ -170,7 +171,7 @@ def _required(section: type[Section]) -> list[str]:
 
 
 def schema_text(known: ScenarioNames | None = None) -> str:
-    """The text of the schema; the keywords of a key are on one line."""
+    """Return the text of the schema; the keywords of a key are on one line."""
     return re.sub(r"\n {5,}", "", json.dumps(json_schema(known), indent=1, separators=(",", ":"))) + "\n"
 
 
@@ -196,10 +197,10 @@ _ACROSS_FILES: Json = {
 
 
 class _Writer:
-    """Writes shapes as schemas; `definitions` holds those of the sections that were met.
+    """Writes shapes as schemas; `definitions` has the schemas of the sections so far.
 
-    `names` are listed where they may stand. Within a robot they are those of that robot, whose sections are
-    definitions of their own, told apart by `suffix`.
+    `names` are listed where they are valid. Within a robot they are those of that robot, whose sections are
+    definitions of their own, distinguished by `suffix`.
     """
 
     def __init__(
@@ -251,7 +252,7 @@ class _Writer:
         return offer.added_to(schema, shape.noun)
 
     def _shared(self, name: str, schema: Json) -> Json:
-        """A reference to a schema that stands at dozens of places."""
+        """Return a reference to a schema that is used at dozens of places."""
         self.definitions.setdefault(name, schema)
         return {"$ref": f"#/$defs/{name}"}
 
@@ -273,8 +274,8 @@ class _Writer:
         }
 
     def _forms(self, shape: Forms) -> Json:
-        """A union as `if` and `then`. The YAML language server offers names and words that are listed beside
-        the forms.
+        """Return a union as `if` and `then`. The YAML language server offers names and words that are listed
+        beside the forms.
 
         It completes a key with a colon only if the schema has a type, words or properties.
         """
@@ -307,7 +308,7 @@ class _Writer:
         return schema | (offers[0].added_to({}, noun_of(shape)) if offers else {})
 
     def _with_identifying_keys(self, form: Shape, other: Json) -> Json:
-        """The schema of the other forms, with the marks of this form as completions."""
+        """Return the schema of the other forms, with the marks of this form as completions."""
         if not isinstance(form, type) or not form.identifying_keys:
             return other
         identifying_keys = {
@@ -360,8 +361,8 @@ class _Writer:
         return schema | ({"allOf": list(map(_excluding, excluding))} if excluding else {})
 
     def _of_algorithm(self, key: str, schema: Json) -> Json:
-        """The schema of a key, by reference to an algorithm that has the same: the pattern of a number takes
-        most of its text."""
+        """Return the schema of a key, by reference to an algorithm that has the same: the pattern of a number
+        takes most of its text."""
         home = next(
             (
                 name
@@ -403,8 +404,8 @@ class _Writer:
 
 
 def definition_of(section: type[Section]) -> type[Section]:
-    """The section whose definition also describes this one: the nearest base that differs only in the word of
-    `type`."""
+    """Return the section whose definition also describes this one: the nearest base that differs only in the
+    word of `type`."""
     base = section.__base__
     while (
         base is not None
@@ -416,7 +417,8 @@ def definition_of(section: type[Section]) -> type[Section]:
 
 
 def _text(section: type[Section], key: str, example: str = "") -> str:
-    """The sentence about a key, its unit, default and example; `example` overrides the example of the key."""
+    """Return the sentence about a key, its unit, default and example; `example` overrides the example of the
+    key."""
     unit, default = unit_of(section_fields(section)[key]), default_of(section, key)
     facts = [f"Unit: {'none, a plain number' if unit == '1' else unit}."] if unit else []
     if section.model_fields[key].is_required():
@@ -441,7 +443,7 @@ def _excluding(pair: tuple[str, str]) -> Json:
 
 
 def _form_of(shape: Shape) -> Json:
-    """A schema that only distinguishes the form of this shape from the others."""
+    """Return a schema that only distinguishes the form of this shape from the others."""
     match shape:
         case ListOf():
             return {"type": "array"}

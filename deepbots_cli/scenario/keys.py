@@ -1,4 +1,4 @@
-"""What findings say about keys: the sentence about a key, and what to write for an unknown one.
+"""The texts of findings about keys: the sentence about a key, and what to write for an unknown one.
 
 An unknown key is, in this order: a word that people write for a key of the section (`synonyms.yaml`), a key
 with a slip of the pen, a key of the section one level up or down, a name that belongs one level down, a word
@@ -42,12 +42,12 @@ _MAX_VALUE_CHARACTERS = 400
 """A longer value is not tried as an entry of another mapping: patterns of numbers take quadratic time."""
 _MAX_HOMES = 6
 _MAX_HOLDERS = 3
-"""Number of mappings one level down that can hold a name; more say nothing."""
+"""The number of mappings one level down that can have a name; above this, a suggestion is useless."""
 
 
 class Suggestion(NamedTuple):
-    """What to do about an unknown key: in words, and as the key that is meant; `is_fix` says whether the key
-    alone can be replaced."""
+    """The advice for an unknown key: in words, and as the probable key; `is_fix` is true if the key alone can
+    be replaced."""
 
     help: str | None
     replacement: Replacement | None = None
@@ -63,7 +63,7 @@ def keys_of(shape: Shape | None) -> str | None:
 
 
 def about_key(data: object, path: NodePath) -> str | None:
-    """The sentence about the innermost known key of a path."""
+    """Return the sentence about the innermost known key of a path."""
     steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
     section = shape_at(Scenario, data, steps[:-1]) if steps else None
     key = str(steps[-1]) if steps else ""
@@ -78,7 +78,7 @@ def about_key(data: object, path: NodePath) -> str | None:
 
 
 def replacement_for(data: object, path: NodePath) -> Replacement | None:
-    """The probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the
+    """Return the probable key for an unknown one; not a safe fix if the unknown key exists elsewhere in the
     language."""
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
@@ -90,7 +90,7 @@ def replacement_for(data: object, path: NodePath) -> Replacement | None:
 
 
 def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Suggestion:
-    """What to write for the unknown key at `path`."""
+    """Return what to write for the unknown key at `path`."""
     *_, key = map(str, path)
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
@@ -133,7 +133,7 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
 
 
 def _beside(help: str, section: type[Section]) -> str:
-    """A suggestion, with the keys of a section that has few."""
+    """Return a suggestion, with the keys of a section that has few."""
     if len(section.model_fields) > MAX_BESIDE:
         return help
     return f"{help}; {keys_of(section)}"
@@ -142,7 +142,7 @@ def _beside(help: str, section: type[Section]) -> str:
 def _renamed(
     root: nodes.MappingNode, data: object, path: NodePath, section: type[Section], key: str
 ) -> Suggestion:
-    """The line with the key that a synonym stands for, if the value fits it."""
+    """Return the line with the key that a synonym stands for, if the value fits it."""
     value = to_data(descend(root, path)[0])
     shape, near = section_fields(section)[key], replacement_for(data, path)
     written = str(path[-1])
@@ -163,7 +163,7 @@ def _renamed(
 
 
 def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
-    """The entry at `path` with another key; the key alone if the entry is long or on several lines."""
+    """Return the entry at `path` with another key; the key alone if the entry is long or on several lines."""
     value, word, _ = descend(root, path)
     if word is None or value.span.source is not word.span.source:
         return f"{key}:"
@@ -174,23 +174,23 @@ def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
     return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_LINE_CHARACTERS}}}", behind) else f"{key}:"
 
 
-_STEP = "  "  # of the indentation
+_STEP = "  "  # one level of indentation
 
 
 def _indentation(word: nodes.ScalarNode) -> str:
-    """The spaces before a key that begins its line; none before one that does not."""
+    """Return the spaces before a key that begins its line; none before one that does not."""
     text = word.span.source.text
     before = text[text.rfind("\n", 0, word.span.start) + 1 : word.span.start]
     return before if before.isspace() else ""
 
 
 def _is_block(node: nodes.Node) -> bool:
-    """Whether a mapping has a line for each of its keys."""
+    """Return whether a mapping has a line for each of its keys."""
     return isinstance(node, nodes.MappingNode) and not node.span.text.startswith("{") and bool(node.entries)
 
 
 def _moved(root: nodes.MappingNode, path: NodePath, home: NodePath) -> str:
-    """Where the entry at `path` belongs, and the line to write there."""
+    """Describe where to move the entry at `path`, and the line to write there."""
     line = _line(root, path, str(path[-1]))
     if line.startswith("--set"):
         return (
@@ -214,7 +214,7 @@ def _moved(root: nodes.MappingNode, path: NodePath, home: NodePath) -> str:
 def _further_in(
     root: nodes.MappingNode, path: NodePath, holders: Sequence[str], taken: Container[str]
 ) -> str:
-    """The line that is missing above an entry whose name the user chooses."""
+    """Return the line that is missing above an entry whose name the user chooses."""
     why = "a name that you choose stands one level further in"
     section, (_, key, _) = descend(root, path[:-1])[0], descend(root, path)
     line = _line(root, path, str(path[-1]))
@@ -247,8 +247,8 @@ def _validator_of(section: type[Section], key: str) -> TypeAdapter[Any]:
 
 
 def _holders(section: type[Section], name: str, value: object) -> list[str]:
-    """The mappings of a section whose names the user chooses and which take this value; none if there are
-    many."""
+    """Return the mappings of a section whose names the user chooses and which take this value; none if there
+    are many."""
     holders = []
     for key, shape in section_fields(section).items():
         if isinstance(shape, MappingOf) and not (
@@ -267,7 +267,7 @@ def _holders(section: type[Section], name: str, value: object) -> list[str]:
 
 @cache  # a file may hold thousands of unknown keys, and the walk takes a millisecond
 def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
-    """The paths of the sections that have each key; `*` stands for a name that the user chooses."""
+    """Return the paths of the sections that have each key; `*` is a name that the user chooses."""
     homes: dict[str, set[tuple[str, ...]]] = {}
     for home, section, _ in walk_sections(Scenario):
         for key in section.model_fields if isinstance(section, type) else ():
@@ -282,7 +282,7 @@ def _pattern_matches(pattern: tuple[str, ...], steps: tuple[str, ...]) -> bool:
 
 
 def _home_next_to(parent: NodePath, key: str) -> NodePath | None:
-    """The path of the section one level up or down that has this key."""
+    """Return the path of the section one level up or down that has this key."""
     here = tuple(step for step in parent if isinstance(step, str))
     homes = _homes().get(key, frozenset())
     levels = [home for home in homes if _pattern_matches(home, here[:-1])] if here else []
@@ -294,7 +294,7 @@ def _home_next_to(parent: NodePath, key: str) -> NodePath | None:
 
 
 def _home_elsewhere(parent: NodePath, key: str) -> str | None:
-    """The nearest other place where this key exists, unless there are many."""
+    """Return the nearest other place where this key exists, unless there are many."""
     here = tuple(step for step in parent if isinstance(step, str))
 
     def shared(home: tuple[str, ...]) -> int:

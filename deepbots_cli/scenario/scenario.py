@@ -725,7 +725,7 @@ class Scenario(Section):
         return cls.model_validate(data)
 
     def to_yaml(self) -> str:
-        """The scenario as YAML text, without the values that were not set."""
+        """Return the scenario as YAML text, without the values that were not set."""
         import yaml
 
         return yaml.safe_dump(
@@ -734,7 +734,7 @@ class Scenario(Section):
 
     @classmethod
     def model_json_schema(cls, *args: Any, **kwargs: Any) -> dict[str, Any]:
-        """The JSON Schema for editors, whatever the arguments."""
+        """Return the JSON Schema for editors, whatever the arguments."""
         from deepbots_cli.scenario.json_schema import json_schema
 
         return json_schema()

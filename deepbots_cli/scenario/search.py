@@ -43,7 +43,7 @@ class SearchSpace(BaseModel):
     choices: tuple[str, ...] = ()
 
     def text(self, value: float | str) -> str:
-        """A value as it is written in a scenario, rounded; never outside the range."""
+        """Return a value as it is written in a scenario, rounded; never outside the range."""
         if isinstance(value, str):
             return value
         if self.whole:
@@ -53,7 +53,7 @@ class SearchSpace(BaseModel):
         return f"{min(max(rounded, self.low), self.high):.12g} {self.unit}".rstrip()
 
     def value_of(self, text: str) -> float | str | None:
-        """The value that a text writes; None if it is none of these."""
+        """Return the value that a text writes; None if it is none of these."""
         if self.choices:
             return text if text in self.choices else None
         try:
@@ -81,12 +81,12 @@ class SearchSpace(BaseModel):
 
 
 def split_choices(text: str) -> tuple[str, ...]:
-    """The choices of `a | b | c`; a single one if there is no `|`."""
+    """Return the choices of `a | b | c`; a single one if there is no `|`."""
     return tuple(part.strip() for part in _BETWEEN_CHOICES.split(text))
 
 
 def read_range(text: str) -> SearchSpace:
-    """The range that a text writes.
+    """Return the range that a text writes.
 
     Raises:
         PydanticCustomError: It is no range of numbers, or is empty.
@@ -115,7 +115,7 @@ def read_range(text: str) -> SearchSpace:
 
 
 def _converted(number: Number, unit: Unit) -> float | None:
-    """A number in another unit; None if this has another dimension."""
+    """Return a number in another unit; None if this has another dimension."""
     own = number.unit or ONE
     if own.text == unit.text:
         return float(number.value)

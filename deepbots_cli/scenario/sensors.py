@@ -1,4 +1,4 @@
-"""What a robot can sense: one class per kind.
+"""The sensors of a robot: one class per kind.
 
 A class defines its kind: its parameters (fields with docstrings), the measured value (its docstring), the
 dimension, components and interval of readings, and the `reader` that takes readings in a running world.
@@ -117,12 +117,12 @@ class JointSensor(Sensor):
 
     @classmethod
     def dimension_of(cls, joint: Joint) -> Dimension:
-        """The dimension of a reading at this joint."""
+        """Return the dimension of a reading at this joint."""
         return cls.sliding if joint.type == "prismatic" else cls.dimension
 
     @classmethod
     def interval_of(cls, limits: Interval) -> Interval:
-        """Interval of the readings, for joints whose positions are within `limits`."""
+        """Return the interval of the readings, for joints whose positions are within `limits`."""
         return cls.interval
 
 
@@ -414,7 +414,7 @@ BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, GridSca
 
 
 def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
-    """The class that an entry point names.
+    """Yield the class that an entry point names.
 
     Raises:
         ValueError: It is no class of a sensor kind, or lacks something.

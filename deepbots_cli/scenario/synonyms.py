@@ -1,5 +1,5 @@
-"""What people write instead of the words of the language: the table `synonyms.yaml`, read on the way to a
-finding."""
+"""The words that people write instead of the words of the language: the table `synonyms.yaml`, read on the
+way to a finding."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ SYNONYMS_FILE = Path(__file__).with_name("synonyms.yaml")
 
 
 class Synonyms(NamedTuple):
-    """For each key (`xyz`, or `Model.key` for the sections of one model), and for each word that a key takes,
-    what is written for it."""
+    """The words that are written instead of each key (`xyz`, or `Model.key` for the sections of one model),
+    and instead of each word that a key takes."""
 
     keys: Mapping[str, frozenset[str]]
     words: Mapping[str, frozenset[str]]
@@ -39,10 +39,10 @@ def synonyms() -> Synonyms:
 
 
 def key_for(word: str, keys: Iterable[str], models: Iterable[str] = ()) -> str | None:
-    """The one of the `keys` of a section for which `word` is written; `models` are the names of the section's
-    classes.
+    """Return the one of the `keys` of a section for which `word` is written; None if there is none. `models`
+    are the names of the section's classes.
 
-    A word of British spelling stands for the American one.
+    A word of British spelling is read as the American one.
     """
     table, names = synonyms().keys, tuple(models)
     american = word.replace("colour", "color")
@@ -57,6 +57,7 @@ def key_for(word: str, keys: Iterable[str], models: Iterable[str] = ()) -> str |
 
 
 def word_for(word: str, words: Iterable[str]) -> str | None:
-    """The one of the `words` of the language for a name in other tools."""
+    """Return the one of the `words` of the language that corresponds to a name from another tool; None if
+    there is none."""
     plain = word.lower().replace("-", "_").replace(" ", "_")
     return next((own for own in words if plain in synonyms().words.get(own, ())), None)

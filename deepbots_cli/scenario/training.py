@@ -2,7 +2,7 @@
 and sb3-contrib.
 
 A test compares them with the signatures there. Devices, seeds, classes of buffers and loggers are left out;
-`SET_ELSEWHERE_HELP` says where they are set instead.
+`SET_ELSEWHERE_HELP` has the places where they are set instead.
 """
 
 from collections import ChainMap
@@ -124,18 +124,18 @@ class Training(Section):
 
     @classmethod
     def hyperparameter_names(cls) -> tuple[str, ...]:
-        """The algorithm's own parameters."""
+        """Return the algorithm's own parameters."""
         return tuple(name for name in cls.model_fields if name not in Training.model_fields)
 
     @classmethod
     def base(cls) -> str:
-        """The built-in algorithm that it is, or is derived from; its own name if it brings its own
+        """Return the built-in algorithm that it is, or is derived from; its own name if it brings its own
         learner."""
         return next((model.__name__ for model in cls.__mro__ if model in _BUILT_IN), cls.__name__)
 
     @classmethod
     def is_derived(cls) -> bool:
-        """Whether it is a built-in algorithm, or derived from one."""
+        """Return whether it is a built-in algorithm, or derived from one."""
         return issubclass(cls, _BUILT_IN)
 
     @property
@@ -360,7 +360,7 @@ class Auto(SAC, PPO, MaskablePPO):  # type: ignore[misc]  # `ent_coef` is that o
 
 
 def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:
-    """The model that an entry point names.
+    """Yield the model that an entry point names.
 
     Raises:
         ValueError: It is no model of an algorithm, or lacks something.

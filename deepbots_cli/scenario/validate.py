@@ -146,7 +146,7 @@ def _prune(data: Any, path: NodePath, pruned: set[NodePath], missing: tuple[str,
 
 
 def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Problem:
-    """An error of pydantic, of a field type or of a section, in the words of the language."""
+    """Return an error of pydantic, of a field type or of a section, in the words of the language."""
     path, kind = error["loc"], error["type"]
     if kind == "missing":
         *_, key = path
@@ -203,7 +203,7 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
 
 
 def _key_span(root: nodes.MappingNode, path: NodePath) -> Span:
-    """The key at `path`, the head of the item of a list, or the first line of the file."""
+    """Return the key at `path`, the head of the item of a list, or the first line of the file."""
     node, key, _ = descend(root, path)
     if key is not None and path:
         return key.span
@@ -223,7 +223,7 @@ def _fix(word: Node | None, near: Replacement | None) -> Fix | None:
 
 
 def _reworded(shape: Shape | None, value: object, message: str) -> dict[str, Any]:
-    """The words of the field type for a value that pydantic's own type refused with `message`."""
+    """Return the words of the field type for a value that pydantic's own type refused with `message`."""
     refused = mismatch("another type" if shape is None else noun_of(shape), value=value)
     if isinstance(shape, FieldType):
         try:
@@ -235,7 +235,7 @@ def _reworded(shape: Shape | None, value: object, message: str) -> dict[str, Any
 
 
 def _describe(node: Node) -> str:
-    """The noun for a node, for `expected ..., found ...`."""
+    """Return the noun for a node, for `expected ..., found ...`."""
     match node:
         case nodes.SequenceNode():
             return "a list"
@@ -250,7 +250,7 @@ def _describe(node: Node) -> str:
 
 
 def _typing_hint(node: Node, data: object, path: NodePath) -> tuple[str, Replacement | None] | None:
-    """Help and replacement for a typing error that the form of a wrong value shows."""
+    """Return help and replacement for a typing error that the form of a wrong value shows."""
     match node:
         case ScalarNode(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
             return f"put a space after the colon: `{glued[1]}: {glued[2][:60]}`", None
@@ -264,7 +264,7 @@ def _typing_hint(node: Node, data: object, path: NodePath) -> tuple[str, Replace
 
 
 def _without_dashes(item: Node) -> str:
-    """What to write instead of a list of mappings, of which `item` is the first."""
+    """Return what to write instead of a list of mappings, of which `item` is the first."""
     first = next(iter(item.entries.values()), None) if isinstance(item, nodes.MappingNode) else None
     if first is None or not isinstance(first.value, ScalarNode):
         return "remove the dashes before the keys"
@@ -273,7 +273,8 @@ def _without_dashes(item: Node) -> str:
 
 
 def _is_follow_up(root: nodes.MappingNode, problem: _Problem) -> bool:
-    """Whether a key is missing, or a mapping empty, only because its text had a finding and was left out."""
+    """Return whether a key is missing, or a mapping empty, only because its text had a finding and was left
+    out."""
     node = descend(root, problem.path)[0]
     if not isinstance(node, nodes.MappingNode) or not node.partial:
         return False
@@ -283,7 +284,7 @@ def _is_follow_up(root: nodes.MappingNode, problem: _Problem) -> bool:
 
 
 def _is_misspelled(problem: _Problem, problems: list[_Problem]) -> bool:
-    """Whether a key that is reported as unknown is the missing one, misspelled."""
+    """Return whether a key that is reported as unknown is the missing one, misspelled."""
     misspelled = (
         other.replacement for other in problems if problem.missing and other.path[:-1] == problem.path
     )
@@ -312,7 +313,7 @@ def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[
 
 
 def _displaced(root: nodes.MappingNode, data: object, path: NodePath) -> NodePath | None:
-    """The first key on the path that is a section which the file lacks, where its name is no key."""
+    """Return the first key on the path that is a section which the file lacks, where its name is no key."""
     for depth in range(1, len(path)):
         key, here = path[depth], path[: depth + 1]
         if (
@@ -345,7 +346,8 @@ def _merge_missing_sections(root: nodes.MappingNode, problems: list[_Problem]) -
 
 
 def _advise(root: nodes.MappingNode, data: Any, findings: Findings) -> None:
-    """Add help to the findings about keys without a value; the parser does not know the language."""
+    """Add help to the findings about keys without a value, which the parser does not add since it is
+    independent of the language."""
     vague = {
         finding.span: finding
         for finding in findings
@@ -390,7 +392,7 @@ def _place(path: NodePath) -> str:
 
 
 def _name_of(path: NodePath) -> str:
-    """The innermost key of a path, short enough for a headline."""
+    """Return the innermost key of a path, short enough for a headline."""
     return _shortened(next((step for step in reversed(path) if isinstance(step, str)), ""))
 
 

@@ -4,11 +4,11 @@ engine.py      the engine: one world
 model.py       ground, walls, objects and robots, as a model of MuJoCo
 state.py       the state of a world and what is derived from it; the values that an episode varies
 motors.py      motors and springs on joints, and forces on links
-surfaces.py    what touches what and how hard, distances between surfaces and along rays
+surfaces.py    contacts and their forces, distances between surfaces and along rays
 cameras.py     pictures, where OpenGL is
 batch.py       many worlds of one model, stepped by `mujoco.batch`, read and written as columns
 
-What MuJoCo leaves to its callers, and is settled here:
+Differences between MuJoCo and the port, which this package resolves:
 
 - the friction of a pair is the larger of the two: ours is their product, as in PyBullet, so each pair of
   surfaces that may touch is an entry of its own
@@ -28,9 +28,8 @@ import os
 import sys
 
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    os.environ.setdefault(
-        "MUJOCO_GL", "egl"
-    )  # MuJoCo chooses its library for pictures when it is imported, and takes one that needs a display
+    # MuJoCo chooses its library for pictures on import, and by default takes one that needs a display.
+    os.environ.setdefault("MUJOCO_GL", "egl")
 
 import mujoco
 
@@ -38,8 +37,8 @@ __all__ = ["mujoco"]
 
 
 def _ignore(_: str) -> None:
-    """A warning of MuJoCo: it says that a state is not finite, which `require_finite` says with the name of
-    the body."""
+    """Ignore a warning of MuJoCo about a state that is not finite, which `require_finite` reports with the
+    name of the body."""
 
 
 mujoco.set_mju_user_warning(_ignore)  # by default it writes MUJOCO_LOG.TXT into the working directory

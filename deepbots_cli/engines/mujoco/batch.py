@@ -2,9 +2,9 @@
 as columns.
 
 Values that differ between worlds (gains of motors, masses, frictions) are rows of expanded model fields.
-Episodes begin in one engine of a single world, which all members share: it takes the world that is asked for,
-and what was done to that becomes the rows of the world. A vector is a sequence of columns, one number per
-world in each.
+Episodes begin in one engine of a single world, which all members share: it takes the state of the world that
+is used, and its changes are copied to the rows of the world. A vector is a sequence of columns, one number
+per world in each.
 
 Positions and velocities of links, rays and distances come from `Observer`, a second batch of the same model
 without contacts: after a step, those of MuJoCo belong to the state before its last substep. Gains that are
@@ -58,8 +58,8 @@ SEEN_GROUPS = [number != HIDDEN_GROUP for number in range(int(mj.mjNGROUP))]
 
 
 class Sensor(NamedTuple):
-    """What a batch adds to its model: whether `one` touches `other` (None: anything), in `slots` the forces,
-    or the distance of two geoms.
+    """A sensor that a batch adds to its model: whether `one` touches `other` (None: anything), in `slots` the
+    forces, or the distance of two geoms.
 
     Each is a number, of a link, and whether all that it carries belongs to it; or of a geom.
     """
@@ -71,8 +71,7 @@ class Sensor(NamedTuple):
 
 
 class BatchMember(EngineProxy):
-    """One world of a batch. What it reads and changes is that of the shared engine; the batch steps and
-    drives it."""
+    """One world of a batch. Reads and changes use the shared engine; steps and motors use the batch."""
 
     def __init__(self, batch: MuJoCoBatch, index: int) -> None:
         self._batch, self._index = batch, index
@@ -109,8 +108,8 @@ class BatchMember(EngineProxy):
         self.snapshot()
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        """That of a free body comes from its row where the shared engine does not have this world: 1 us
-        instead of 8."""
+        """Read the pose of a free body from its row of the batch, unless the shared engine has this world: 1
+        us instead of 8."""
         read_attached: PoseReader = super().pose(body, link)
         batch, index, place = self._batch, self._index, self._batch.form_and_link(body, link)
         if place is None or place[1] != place[0].root_id or place[0].position_index < 0:
@@ -172,7 +171,7 @@ class MuJoCoBatch:
     capabilities: frozenset[Any] = frozenset({"contacts", "mimic"})
 
     def __init__(self, world: WorldModel, count: int) -> None:
-        """Worlds are stepped by as many threads as there are cores for this process."""
+        """Create a batch, whose worlds are stepped by as many threads as there are cores for this process."""
         self._builder = ModelBuilder(world)
         self.single = MuJoCoEngine(world, self._builder)
         self._world = self.single._world
@@ -186,17 +185,17 @@ class MuJoCoBatch:
         """Whether the shared engine has changed it."""
         self._remembered = self._world.memory()
         self._memories = [self._remembered] * count
-        """Of each world, what the shared engine remembers besides the state: which bodies are there, colors,
-        light."""
+        """The memory of the shared engine besides the state, for each world: the bodies that are present,
+        colors, light."""
         self._stale: set[int] = set()
-        """The worlds with new masses, until the first step computes what follows from them."""
+        """The worlds with new masses, until the first step computes the values that depend on them."""
         self._weighed: dict[int, Column] = {}
         """The worlds whose mean inertia is not that of the model, and the armature that it was computed
         with."""
         self.acts_in_substeps = False
-        """Whether members do something in each substep."""
+        """Whether members act in each substep."""
         self._pushes: list[Pushes] = []
-        """Of all members, in the order in which each of them binds its pushers."""
+        """The pushes of all members, in the order in which each of them binds its pushers."""
         self.motors: dict[Any, BatchMotor] = {}
         self.has_commands = False
         """Whether members have commanded motors since the last step."""
@@ -220,7 +219,7 @@ class MuJoCoBatch:
         self.members = [BatchMember(self, index) for index in range(count)]
 
     def _build(self) -> None:
-        """The batch of MuJoCo, anew where sensors were added."""
+        """Build the batch of MuJoCo, anew if sensors were added."""
         before, fields = self._batch, self.rows
         self._batch = Batch(
             model_with_sensors(self._builder, self.nominal, self._sensors), self.count, self._threads
@@ -247,14 +246,14 @@ class MuJoCoBatch:
 
     @property
     def gravity(self) -> Triple:
-        """Where no episode sets another."""
+        """The gravity of the model, if no episode sets another."""
         x, y, z = self.nominal.opt.gravity.tolist()
         return x, y, z
 
     # Time
 
     def step(self, substeps: int, running: Column | None = None) -> None:
-        """Let the worlds go on, or only those that are `running` (truth values)."""
+        """Step all worlds, or only those that are `running` (truth values)."""
         if len(self._sensors) != self._built:
             self._build()
         self.take_commands()
@@ -299,7 +298,7 @@ class MuJoCoBatch:
                 self._advance(again, 1)
 
     def _push(self, goes: Column) -> Column:
-        """Push links in the next substep; what is applied to them."""
+        """Push links in the next substep, and return the applied forces."""
         applied: Column = self._batch.bind("xfrc_applied")
         for pushes in self._pushes:
             worlds = np.flatnonzero(pushes.waits & goes)
@@ -310,7 +309,7 @@ class MuJoCoBatch:
         return applied
 
     def take_commands(self) -> None:
-        """Let worlds have what members changed, and motors what members commanded."""
+        """Copy the changes of members to the worlds, and their commands to the motors."""
         self._release()
         if self.has_commands:
             self.has_commands = False
@@ -318,12 +317,12 @@ class MuJoCoBatch:
                 motor.command()
 
     def _forget(self) -> None:
-        """Worlds have changed."""
+        """Forget the readings after worlds have changed."""
         self._columns = {}
         self._observer.is_current = False
 
     def non_finite_worlds(self) -> Column:
-        """The numbers of the worlds whose state is not finite."""
+        """Return the numbers of the worlds whose state is not finite."""
         return np.flatnonzero(~np.isfinite(self.qpos.sum(axis=1) + self.qvel.sum(axis=1)))
 
     def close(self) -> None:
@@ -355,7 +354,7 @@ class MuJoCoBatch:
         self._forget()
 
     def attach(self, index: int, *, changes: bool = False) -> MuJoCoEngine:
-        """The shared engine with a world as it is now."""
+        """Return the shared engine with a world as it is now."""
         if self.attached != index:
             self._release()
             world = self._world
@@ -375,7 +374,7 @@ class MuJoCoBatch:
         return self.single
 
     def _release(self) -> None:
-        """Let a world have what the shared engine has changed."""
+        """Copy the changes of the shared engine to its world."""
         index, world = self.attached, self._world
         self.attached = None
         if index is None or not self._has_changes:
@@ -398,7 +397,7 @@ class MuJoCoBatch:
         self._forget()
 
     def _weigh(self, index: int, armature: Column) -> None:
-        """Compute what follows from the masses of a world."""
+        """Compute the values that depend on the masses of a world."""
         now = self.rows["dof_armature"][index].copy()
         self.rows["dof_armature"][index] = armature
         self._batch.set_const([index])
@@ -408,11 +407,11 @@ class MuJoCoBatch:
         self.rows["dof_armature"][index] = now
         self._weighed[index] = armature
 
-    # What is read
+    # Readers
 
     def _column(self, key: Any, part: Callable[[], Column]) -> Column:
-        """A part of an array of all worlds with a column per world, made anew after each step, so that what
-        was read stays."""
+        """Return a part of an array of all worlds with a column per world, made anew after each step, so that
+        earlier readings stay."""
         column = self._columns.get(key)
         if column is None:
             rows = part()
@@ -424,7 +423,7 @@ class MuJoCoBatch:
         return self._column(name, lambda: self._batch.bind(name))
 
     def _observed(self, name: str, number: int) -> Column:
-        """An array of a link, as the worlds stand now."""
+        """Return an array of a link in the present state of the worlds."""
         return self._column((name, number), lambda: self._observer.read(name)[:, number])
 
     def _output(self, name: str) -> None:
@@ -496,8 +495,8 @@ class MuJoCoBatch:
         root = int(self.nominal.body_rootid[number])
 
         def read() -> Any:
-            """Of the link's origin, from the velocity of the body at the center of mass of its tree; in the
-            order of `MuJoCoEngine._velocity`, so that both round alike."""
+            """Read the velocity of the link's origin from that of the body at the center of mass of its tree,
+            in the order of `MuJoCoEngine._velocity`, so that both round alike."""
             wx, wy, wz, vx, vy, vz = self._observed("cvel", number)
             px, py, pz = self._observed("xpos", number) - self._observed("subtree_com", root)
             return (vx + wy * pz - wz * py, vy + wz * px - wx * pz, vz + wx * py - wy * px), (wx, wy, wz)
@@ -588,7 +587,8 @@ class MuJoCoBatch:
         own = form.geoms_of(None)
 
         def read() -> Column:
-            """One call for the rays of all worlds takes a quarter of the time of a call for each ray."""
+            """Cast the rays of all worlds in one call, which takes a quarter of the time of a call for each
+            ray."""
             matrix = self._observed("xmat", link).T.reshape(-1, 3, 3)
             axes = level_axes(matrix[:, 0, 0], matrix[:, 1, 0]) if upright else matrix
             axes = axes.transpose(0, 2, 1)
@@ -605,7 +605,7 @@ class MuJoCoBatch:
         return self._sensors[sensor]
 
     def _links(self, part: Part) -> list[tuple[int, bool]]:
-        """The links of a part in all its forms, and whether what they carry belongs to it."""
+        """Return the links of a part in all its forms, and whether the links that they carry belong to it."""
         pool = self.single._pool(part[0])
         self.single._geoms(part)
         if part[1] is None and part[0] != GROUND:
@@ -613,12 +613,12 @@ class MuJoCoBatch:
         return [(_link(body, part[1]), False) for body in pool]
 
     def form_and_link(self, body: str, link: str | None) -> tuple[Body, int] | None:
-        """The form of a body and the number of the link; None where it has several forms."""
+        """Return the form of a body and the number of the link; None if it has several forms."""
         pool = self.single._pool(body)
         return (pool.current, _link(pool.current, link)) if len(list(pool)) == 1 else None
 
     def _read_each(self, bind: Callable[[BatchMember], Callable[[], Any]]) -> Callable[[], Any]:
-        """Of bodies that have several forms: what members read, in turn."""
+        """Return a reader that reads the members in turn, for bodies with several forms."""
         readers = [bind(member) for member in self.members]
 
         def read() -> Any:
@@ -651,8 +651,8 @@ class MuJoCoBatch:
         *gains: Gain,
         world: int | None = None,
     ) -> BatchMotor:
-        """The motor of this kind on the same joints of all worlds, with these limits and gains in one of them
-        or in all."""
+        """Return the motor of this kind on the same joints of all worlds, with these limits and gains in one
+        of them or in all."""
         stiffness, damping = gains or (None, None)
         numbers = self.single._joints(robot, joints)
         key = kind, numbers, stiffness is None
@@ -676,8 +676,8 @@ class MuJoCoBatch:
 
 
 class Observer:
-    """Links, rays and distances of all worlds as they stand, from the same model without contacts and
-    motors."""
+    """Links, rays and distances of all worlds in their present state, from the same model without contacts
+    and motors."""
 
     def __init__(self, batch: MuJoCoBatch, threads: int) -> None:
         self._batch, self._threads = batch, threads
@@ -687,12 +687,12 @@ class Observer:
         self.is_current = False
 
     def distances(self, pairs: Sequence[tuple[int, int]]) -> list[int]:
-        """The places in `sensordata` of the distances between geoms."""
+        """Return the places in `sensordata` of the distances between geoms."""
         sensors = [Sensor((one, False), (other, False), of_geoms=True) for one, other in pairs]
         return [self._distances.setdefault(sensor, len(self._distances)) for sensor in sensors]
 
     def read(self, name: str) -> Column:
-        """An array of MuJoCo's data, with a row per world."""
+        """Return an array of MuJoCo's data, with a row per world."""
         batch = self._batch
         if self._built != len(self._distances):
             model, off = model_with_sensors(batch._builder, batch.nominal, self._distances), mj.mjtDisableBit
@@ -713,7 +713,7 @@ class Observer:
         return bound
 
     def cast(self, starts: Column, ways: Column, own: Sequence[int]) -> Column:
-        """How far rays go, -1 where they meet nothing; geoms of `own` are not seen."""
+        """Return the free distance of rays, -1 if they meet nothing; geoms of `own` are not seen."""
         groups = self._views.expand("geom_group")
         kept = groups[:, own]
         groups[:, own] = HIDDEN_GROUP
@@ -723,7 +723,7 @@ class Observer:
 
 
 class Pushes:
-    """What the pushers of all worlds that were bound in the same place give for the next substep; see
+    """The pushes of all worlds that were bound in the same place, for the next substep; see
     `motors.pusher`."""
 
     def __init__(self, count: int, frame: Literal["world", "link"]) -> None:
@@ -742,7 +742,7 @@ class Pushes:
         self._values[world] += (*force, *torque)
 
     def take(self, worlds: Column, turned: Column, center: Column) -> Column:
-        """Force and torque at the center of mass in the axes of the world, a row per world."""
+        """Return force and torque at the center of mass in the axes of the world, a row per world."""
         values, turn = self._values[worlds].T, tuple(turned)
         self.waits[worlds], self._values[worlds] = False, 0.0
         force, torque = tuple(values[:3]), tuple(values[3:])
@@ -764,7 +764,7 @@ class BatchMotor:
         self.joints = tuple(joints)
         count = batch.count
         self.rivals: list[BatchMotor] = []
-        """Motors that drive some of its joints."""
+        """The motors that drive some of the same joints."""
         self.waits = np.zeros(count, bool)
         """The worlds in which gains are renewed in each substep."""
         self._given, self._targets, self._limits, self._stiffness, self._damping = (
@@ -791,7 +791,7 @@ class BatchMotor:
         self._is_active[worlds] = False
 
     def writer(self, world: int) -> MotorWriter:
-        """The motor of one world; commands are carried out before the world goes on."""
+        """Return the motor of one world; commands are carried out before the world goes on."""
 
         def write(targets: Sequence[float]) -> None:
             if any(rival._is_given[world] for rival in self.rivals):
@@ -857,7 +857,7 @@ class BatchMotor:
         """Renew gains in those worlds that go on, before a substep."""
 
     def begin(self, world: int) -> None:
-        """An episode begins."""
+        """Begin an episode in a world."""
         self._is_active[world] = self._is_given[world] = self.waits[world] = False
 
 
@@ -891,7 +891,7 @@ class TrackingMotor(BatchMotor):
             self._aim(worlds)
 
     def _aim(self, worlds: Any) -> Column:
-        """The gains, which are renewed."""
+        """Return the gains, which are renewed."""
         batch, targets, limits = self._batch, self._targets[worlds], self._limits[worlds]
         wanted = (targets - batch.qpos[_cells(worlds, self._places)]) * self._rate if self._rate else targets
         off = np.maximum(
@@ -915,7 +915,7 @@ class TrackingMotor(BatchMotor):
 
 
 def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Sensor]) -> Any:
-    """A copy of the compiled model with sensors."""
+    """Return a copy of the compiled model with sensors."""
     if not sensors:
         return copy(model)
     spec, kinds = builder._spec.copy(), mj.mjtObj
@@ -949,7 +949,7 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
 
 
 def _cells(worlds: Any, places: Any) -> tuple[Any, Any]:
-    """The index of these places in the rows of these worlds, each a slice or an array."""
+    """Return the index of these places in the rows of these worlds, each a slice or an array."""
     return (
         (worlds, places)
         if isinstance(worlds, slice) or isinstance(places, slice)
@@ -958,5 +958,5 @@ def _cells(worlds: Any, places: Any) -> tuple[Any, Any]:
 
 
 def _field(model: Any, name: str) -> Column:
-    """The array of a model that a batch calls by this name."""
+    """Return the array of a model that a batch calls by this name."""
     return cast("Column", model.opt.gravity if name == "opt.gravity" else getattr(model, name))

@@ -1,5 +1,5 @@
-"""Pictures of the world, drawn with OpenGL from a model of their own, which holds what is seen instead of
-what collides."""
+"""Pictures of the world, drawn with OpenGL from a model of their own, which has the visible shapes instead of
+the collision shapes."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def _close_all() -> None:
 
 
 def is_available() -> bool:
-    """Whether MuJoCo has found a library for OpenGL. No context is made before the first picture, which may
-    still fail."""
+    """Return whether MuJoCo has found a library for OpenGL. No context is made before the first picture,
+    which may still fail."""
     return hasattr(mj, "GLContext")
 
 
 @cache
 def _opens_context() -> bool:
-    """Whether a context of OpenGL can be made; found out once, in 10 ms.
+    """Return whether a context of OpenGL can be made; found out once, in 10 ms.
 
     Software OpenGL brings the LLVM of the system. Triton, which torch loads with some optimizers, has its
     own, and the process ends with a segmentation fault if Triton is loaded second (triton 3.7, Mesa 22). It
@@ -65,7 +65,7 @@ def _opens_context() -> bool:
         with warnings.catch_warnings(action="ignore"):
             if (
                 glfw := sys.modules.get("glfw")
-            ) is not None:  # which warns, and returns no window, where it finds no display
+            ) is not None:  # without a display it warns, and returns no window
                 warnings.simplefilter("error", glfw.GLFWError)
             context = mj.GLContext(8, 8)
             context.make_current()
@@ -131,7 +131,7 @@ class WorldRenderer:
         )
 
     def _renderer_of_size(self, width: int, height: int) -> Any:
-        """A renderer of this size, with the bodies where they are now."""
+        """Return a renderer of this size, with the bodies where they are now."""
         if not (is_available() and _opens_context()):
             raise EngineError(UNAVAILABLE_MESSAGE)
         if self._model is None:

@@ -51,13 +51,10 @@ MjObject = Any
 
 PARKING_SPACING_M = 1000.0  # m between bodies that are absent
 GROUND_DEPTH_M = 1.0  # m of ground below the lowest place of a terrain
-SOLID_GROUP, HIDDEN_GROUP, VISUAL_GROUP = (
-    0,
-    5,
-    1,
-)  # groups of geoms: what rays meet, what they do not, what is only drawn
+# Groups of geoms: those that rays meet, those that rays do not meet, and those that are only drawn.
+SOLID_GROUP, HIDDEN_GROUP, VISUAL_GROUP = (0, 5, 1)
 CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS = 0.01, 3.0
-"""Time constant (s) of contacts and joint limits, and the least in engine steps.
+"""The time constant (s) of contacts and joint limits, and its least value in engine steps.
 
 MuJoCo's contacts are springs. With these a crate rests 27 um deep at steps of 1 ms and 0.15 mm at 8 ms, and
 slides as Coulomb's law says within 0.4 %. Stiffer ones (2 steps, impedance 0.95 to 0.99) are ten times less
@@ -65,7 +62,8 @@ deep, and a crate that slides hops: 4 % off.
 """
 CONTACT_IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
 GEAR_STEPS, GEAR_IMPEDANCE = 2.0, (0.9999, 0.9999, *CONTACT_IMPEDANCE[2:])
-"""Time constant (engine steps) and impedance of a joint that follows another one: as stiff as MuJoCo allows.
+"""The time constant (engine steps) and impedance of a joint that follows another one: as stiff as MuJoCo
+allows.
 
 A driven pair is off by 2 um, and one that is pushed into a limit by 6 um (steps of 5 ms, 0.1 kg, 20 N).
 """
@@ -76,14 +74,14 @@ sinks as deep as both.
 A contact gives way by (1 - impedance) / impedance.
 """
 AXLE_TOLERANCE = 1e-6
-"""By how much the axis of a wheel may be off that of its joint: as a part of the radius, and in rad."""
+"""The tolerance of the axis of a wheel against that of its joint: as a part of the radius, and in rad."""
 MAX_HULL_VERTICES = 10_000
-"""Of the hull of a mesh. On a ball with a radius of 20 cm, 10,000 are within 0.03 mm. A hull of 1,900,000
-vertices took 33 s."""
-NEAR_CLIP_M, FAR_CLIP_M = 0.01, 2000.0  # m; what is drawn
+"""The maximum number of vertices of the hull of a mesh. On a ball with a radius of 20 cm, 10,000 are within
+0.03 mm. A hull of 1,900,000 vertices took 33 s."""
+NEAR_CLIP_M, FAR_CLIP_M = 0.01, 2000.0  # m; the range of distances that are drawn
 FACE_DISTANCE_M = 2e-5
-"""By how much faces in one plane are parted in a picture, m. 5 um are enough for a table in the floor that is
-50 m away."""
+"""The distance by which faces in one plane are separated in a picture, in m. 5 um are enough for a table in
+the floor that is 50 m away."""
 _SAME_PLANE_M = 1e-5
 _MAX_LEVEL = 10
 TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
@@ -93,9 +91,9 @@ TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
 class Body:
     """A robot or an object in one of its forms: ids of links and of their geoms, and of joints, by name.
 
-    The state holds the 7 position numbers of a root link that moves from `position_index` on, and its 6
-    velocity numbers from `velocity_index` on; any other root link has a `mocap_index`. `static_links` holds
-    the links that never move.
+    The state has the 7 position numbers of a root link that moves from `position_index` on, and its 6
+    velocity numbers from `velocity_index` on; any other root link has a `mocap_index`. `static_links` are the
+    links that never move.
     """
 
     name: str
@@ -118,7 +116,7 @@ class Body:
         """Do nothing: the engine shows it."""
 
     def geoms_of(self, link: str | None) -> list[int]:
-        """The geoms of a link, or of all."""
+        """Return the geoms of a link, or of all."""
         return (
             self.geoms[link]
             if link is not None
@@ -127,8 +125,8 @@ class Body:
 
 
 class ModelBuilder:
-    """A model of the world, and its bodies. The one for pictures has the same bodies and joints, with what is
-    seen of them as geoms."""
+    """Builds a model of the world, and its bodies. The model for pictures has the same bodies and joints,
+    with their visible shapes as geoms."""
 
     def __init__(self, world: WorldModel, for_rendering: bool = False) -> None:
         self._world, self._for_rendering = world, for_rendering
@@ -167,7 +165,7 @@ class ModelBuilder:
             self.pools.append(Pool(robot.name, [(robot.name, body)], pooled=False))
 
     def compile(self) -> MjObject:
-        """The model; the bodies then know their ids.
+        """Return the compiled model; the bodies then have their ids.
 
         Raises:
             EngineError: MuJoCo refuses the world; names the link.
@@ -201,8 +199,8 @@ class ModelBuilder:
         return model
 
     def _refusal(self, text: str) -> EngineError:
-        """Why MuJoCo refuses the world. Its text is `Error: REASON`, and in the next line `Element name
-        'NAME', id ID`."""
+        """Return the error for a world that MuJoCo refuses. Its text is `Error: REASON`, and in the next line
+        `Element name 'NAME', id ID`."""
         first, _, rest = text.partition("\n")
         reason = re.split(r"[.;]\s", re.sub(r":? '?m\d+'?", "", first.removeprefix("Error: ")))[0]
         element = re.search(r"'[bgjm](\d+)'", rest)
@@ -269,10 +267,10 @@ class ModelBuilder:
         return relief
 
     def _add_light(self) -> None:
-        """Daylight, a sky that is brighter at the horizon, and colors that do not depend on from where they
-        are seen."""
+        """Add daylight, a sky that is brighter at the horizon, and colors that do not depend on the direction
+        of view."""
         spec = self._spec
-        spec.visual.quality.offsamples = 0  # a pixel is what its center sees
+        spec.visual.quality.offsamples = 0  # each pixel is sampled at its center
         gradient, sky = mj.mjtBuiltin.mjBUILTIN_GRADIENT, mj.mjtTexture.mjTEXTURE_SKYBOX
         spec.add_texture(
             name="sky",
@@ -303,7 +301,7 @@ class ModelBuilder:
         return "tiles"
 
     def _paint(self, line: Line) -> None:
-        """A box for each piece, and a disc at each of its ends."""
+        """Add a box for each piece, and a disc at each of its ends."""
         half, thin = line.width / 2, 1e-3
         for (x0, y0), (x1, y1) in line.pieces:
             long, yaw = float(np.hypot(x1 - x0, y1 - y0)) / 2, float(np.arctan2(y1 - y0, x1 - x0))
@@ -386,8 +384,8 @@ class ModelBuilder:
         return body
 
     def _set_inertia(self, element: MjObject, body: str, link: Link, trace: float) -> None:
-        """Mass and inertia; a link that moves and states none gets a `trace` of what it carries, since MuJoCo
-        takes no such link.
+        """Set mass and inertia; a moving link without them gets a trace of the mass that it carries, since
+        MuJoCo accepts no such link.
 
         Raises:
             EngineError: No rigid body can have the inertia.
@@ -420,7 +418,7 @@ class ModelBuilder:
             )
 
     def _made_up(self, link: Link, mass: float) -> Matrix:
-        """The inertia of a link that has a mass but none: that of the box around its mesh, or else a
+        """Return the inertia of a link that has a mass only: that of the box around its mesh, or else a
         trace."""
         for piece in link.collisions:
             if isinstance(piece.shape, Mesh):
@@ -460,7 +458,7 @@ class ModelBuilder:
         return added
 
     def _follow(self, follower: MjObject, leader: MjObject, mimic: Mimic) -> None:
-        """Hold a joint where its leader puts it."""
+        """Make a joint follow its leader."""
         self._spec.add_equality(
             type=mj.mjtEq.mjEQ_JOINT,
             objtype=mj.mjtObj.mjOBJ_JOINT,
@@ -504,8 +502,8 @@ class ModelBuilder:
     def _add_tires(
         self, element: MjObject, link: Link, axle: Joint, cylinders: list[MjObject]
     ) -> list[MjObject]:
-        """For each wheel of a link, the surface that meets flat ground: an ellipsoid within the wheel, which
-        touches in the middle of it.
+        """Add for each wheel of a link the surface that meets flat ground: an ellipsoid within the wheel,
+        which touches in its middle.
 
         A cylinder touches flat ground at both ends of its width, which doubles the constraints and makes a
         wheel slip in an arc.
@@ -524,10 +522,10 @@ class ModelBuilder:
         return tires
 
     def _mesh(self, mesh: Mesh) -> str:
-        """The triangles of a mesh; MuJoCo lets its convex hull collide, as PyBullet does with meshes that
-        move.
+        """Add a mesh and return its name; MuJoCo uses its convex hull for collisions, as PyBullet does with
+        meshes that move.
 
-        What is only drawn needs no hull: flat meshes have none.
+        Shapes that are only drawn need no hull: flat meshes have none.
         """
         corners = mesh_triangles(mesh).reshape(-1, 3)
         vertices, faces = np.unique(corners, axis=0, return_inverse=True)
@@ -544,7 +542,7 @@ class ModelBuilder:
         return name
 
     def _geom(self, element: MjObject, group: int = SOLID_GROUP, **about: Any) -> MjObject:
-        """A geom that touches nothing but by an entry of its own, and has no mass."""
+        """Add a geom that touches nothing except by an entry of its own, and has no mass."""
         self._elements += 1
         return element.add_geom(
             name=f"g{self._elements}", contype=0, conaffinity=0, group=group, mass=0.0, **about
@@ -553,10 +551,10 @@ class ModelBuilder:
     # Faces in one plane
 
     def _part_faces(self) -> None:
-        """Make a surface a little larger that has a face in the plane of a face of an earlier one: drawn
-        faces in one plane flicker.
+        """Enlarge a surface a little that has a face in the plane of a face of an earlier one: drawn faces in
+        one plane flicker.
 
-        These are the surfaces of a link, and those of all that stays in its place.
+        This is done for the surfaces of a link, and for those of all bodies that never move.
         """
         staying: list[tuple[MjObject, Frame]] = []
         for body, _, _, geoms in self._made:
@@ -570,7 +568,7 @@ class ModelBuilder:
     # Pairs
 
     def _add_pairs(self) -> None:
-        """An entry for each two surfaces that may touch: of two bodies, at least one of which moves."""
+        """Add an entry for each two surfaces that may touch: of two bodies, at least one of which moves."""
         surfaces = [list(self._surfaces(pool)) for pool in self.pools]
         for one, other in combinations(surfaces, 2):
             for first, stays in one:
@@ -590,13 +588,13 @@ class ModelBuilder:
                         )
 
     def _meet(self, surface: MjObject, other: MjObject) -> bool:
-        """Whether a surface may touch another: a wheel touches flat ground with its tire, and anything else
-        with its cylinder."""
+        """Return whether a surface may touch another: a wheel touches flat ground with its tire, and anything
+        else with its cylinder."""
         ground = self._flat and other.type == mj.mjtGeom.mjGEOM_PLANE
         return surface.name not in (self._wheels if ground else self._tires)
 
     def _surfaces(self, pool: Pool[Body]) -> Iterator[tuple[MjObject, bool]]:
-        """The geoms of a body in all its forms, and whether they never move."""
+        """Yield the geoms of a body in all its forms, and whether they never move."""
         owned = set(map(id, pool))
         for body, _, _, geoms in self._made:
             if id(body) in owned:
@@ -623,8 +621,8 @@ def _part(placed: Sequence[tuple[MjObject, Frame]]) -> None:
 
 
 def _faces(geom: MjObject, frame: Frame) -> Iterator[tuple[tuple[int, ...], Triple, float]]:
-    """The flat faces of a box or a cylinder: the plane, rounded, the middle, and how far the face reaches
-    from there, m."""
+    """Yield the flat faces of a box or a cylinder: the plane, rounded, the middle, and how far the face
+    reaches from there, m."""
     half = [float(size) for size in geom.size]
     normals: Sequence[Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     if geom.type == mj.mjtGeom.mjGEOM_CYLINDER:
@@ -643,21 +641,21 @@ def _faces(geom: MjObject, frame: Frame) -> Iterator[tuple[tuple[int, ...], Trip
 
 
 def _frame_of(geom: MjObject) -> Frame:
-    """In the frame of its link."""
+    """Return the frame of a shape in the frame of its link."""
     (x, y, z), (w, i, j, k) = geom.pos, geom.quat
     return (x, y, z), (i, j, k, w)
 
 
 def _branches(model: MjObject) -> bool:
-    """Whether each link moves by no more than half of the degrees of freedom."""
+    """Return whether each link moves by no more than half of the degrees of freedom."""
     moved = [0] * model.nbody
-    for body in range(1, model.nbody):  # a parent stands before its children
+    for body in range(1, model.nbody):  # a parent comes before its children
         moved[body] = moved[model.body_parentid[body]] + int(model.body_dofnum[body])
     return bool(2 * max(moved) <= model.nv)
 
 
 def _without_excess(tensor: Matrix) -> Matrix:
-    """The inertia, raised in all directions where the largest moment exceeds the sum of the others by
+    """Return the inertia, raised in all directions where the largest moment exceeds the sum of the others by
     rounding; MuJoCo allows none."""
     smallest, middle, largest = np.linalg.eigvalsh(tensor).tolist()
     excess = largest - middle - smallest
@@ -669,7 +667,7 @@ def _without_excess(tensor: Matrix) -> Matrix:
 
 
 def _is_wheel(shape: Cylinder, at: Frame, axle: Joint) -> bool:
-    """Whether a cylinder turns about its own axis on a joint, and is no wider than its radius."""
+    """Return whether a cylinder turns about its own axis on a joint, and is no wider than its radius."""
     if axle.type not in ("continuous", "revolute") or shape.length > shape.radius:
         return False
     position, turned = at
@@ -685,5 +683,5 @@ def _wxyz(q: frames.Quaternion) -> tuple[float, float, float, float]:
 
 
 def finite_limit(bound: float) -> float:
-    """A bound that MuJoCo can hold."""
+    """Return a bound that MuJoCo accepts."""
     return min(bound, 1e12) if bound < inf else 1e12

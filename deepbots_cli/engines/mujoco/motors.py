@@ -33,7 +33,8 @@ class Motors:
         self.world = world
         self._motor_of_joint: dict[int, Motor] = {}
         self.gain_updates: dict[Motor, Callable[[], None]] = {}
-        """What to call before each engine step for motors that their limits keep from their targets."""
+        """The functions to call before each engine step, for motors whose limits keep them from their
+        targets."""
         self.nominal_armature, self.nominal_inverse_inertia = (
             world.model.dof_armature.copy(),
             world.model.dof_invweight0.copy(),
@@ -70,8 +71,8 @@ class Motors:
             motor.gains = []
 
     def torques(self, joints: Sequence[int]) -> TorqueReader:
-        """What motors exerted in the last engine step: without the part that went into the inertia that
-        velocity motors add."""
+        """Return a reader of the torques of motors in the last engine step: without the part that went into
+        the inertia that velocity motors add."""
         world, model = self.world, self.world.model
         dofs = model.jnt_dofadr[list(joints)]
         exerted = world.data.qfrc_actuator
@@ -82,9 +83,9 @@ class Motors:
 
 
 class Motor:
-    """A motor on some joints; `is_active` says whether they obey it.
+    """A motor on some joints; `is_active` is true if it drives them.
 
-    `gains` and `targets` are those of a velocity motor that the model has; no gains where it has others.
+    `gains` and `targets` are those of a velocity motor that the model has; no gains if it has others.
     """
 
     def __init__(self, motors: Motors, joints: Sequence[int], max_torque: Sequence[float]) -> None:
@@ -102,7 +103,7 @@ class Motor:
         self._joint_index = array_index(self.joints)
 
     def _activate(self, *, soft: bool) -> None:
-        """Drive the joints; `soft` limits are those of the joint, beyond which the damping still acts on the
+        """Drive the joints; `soft` limits are limits of the joint, beyond which the damping still acts on the
         inertia."""
         model = self._world.model
         ranges = [(-limit, limit) for limit in self._limits]
@@ -128,7 +129,8 @@ class Motor:
         return write
 
     def spring_writer(self, stiffness: Sequence[float], damping: Sequence[float] | None) -> MotorWriter:
-        """The torque is `stiffness * (target - position) - damping * velocity`."""
+        """Return a writer of targets of a spring, whose torque is `stiffness * (target - position) - damping
+        * velocity`."""
         ctrl, acts, bias = self._world.data.ctrl, self._actuators, self._world.model.actuator_biasprm
         stiffness, damping = list(stiffness), list(damping or [0.0] * len(stiffness))
 
@@ -141,12 +143,12 @@ class Motor:
         return write
 
     def tracking_writer(self, rate: float = 0.0) -> MotorWriter:
-        """A velocity motor, or with a `rate` (1/s) a servo: the target velocity is then the error times the
-        rate.
+        """Return a writer of targets of a velocity motor, or with a `rate` (1/s) of a servo: the target
+        velocity is then the error times the rate.
 
-        The torque is `gain * (target - velocity)` with the velocity at the end of each engine step.
-        That is the torque by the velocity at its beginning, and `gain * step` more inertia: the motor is
-        stable however light its joint is, and the solver of contacts knows of it. A gain is such that the
+        The torque is `gain * (target - velocity)` with the velocity at the end of each engine step. That is
+        the torque by the velocity at its beginning, and `gain * step` more inertia: the motor is stable
+        however light its joint is, and the solver of contacts takes it into account. A gain is such that the
         limit is exerted at the present error, or, close to the target, at a tenth of the target; then the
         motor does not overshoot. It is renewed in each engine step while the joint needs several of them to
         reach the target: else the torque would fall below the limit as the joint speeds up, and a servo would
@@ -160,19 +162,18 @@ class Motor:
         inertias = model.dof_M0[self._dof_index].tolist()
         moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
         stiff = [MAX_GAIN * inertia / step for inertia in inertias]
+        # The third bound is the error at which the largest gain exerts the limit.
         bounds = [
             (stiffest, limit, limit / stiffest) for stiffest, limit in zip(stiff, self._limits, strict=True)
-        ]  # the last: an error
-        least = [
-            4.0 * inertia * rate if rate else inertia / step for inertia in inertias
-        ]  # gains below these are renewed
+        ]
+        # Gains below these are renewed in each engine step.
+        least = [4.0 * inertia * rate if rate else inertia / step for inertia in inertias]
         # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
         ctrl: Any = memoryview(data.ctrl)
         bias: Any = memoryview(model.actuator_biasprm.reshape(-1))
         armature: Any = memoryview(model.dof_armature)
-        inverses: Any = memoryview(
-            model.dof_invweight0
-        )  # by which MuJoCo scales the stiffness of joint limits
+        # MuJoCo scales the stiffness of joint limits by these.
+        inverses: Any = memoryview(model.dof_invweight0)
         width = model.actuator_biasprm.shape[1]
         acts = [self._motors.actuators[joint] for joint in self.joints]
         dofs = model.jnt_dofadr[list(self.joints)].tolist()
@@ -215,15 +216,15 @@ class Motor:
 
 
 def servo_rate(model: Any) -> float:
-    """What share of its error a servo takes away per s."""
+    """Return the share of its error that a servo removes per s."""
     return 1.0 / max(SERVO_TIME, model.opt.timestep)  # type: ignore[no-any-return]
 
 
 def velocity_gains(
     targets: Sequence[float], velocities: Sequence[float], bounds: Sequence[tuple[float, float, float]]
 ) -> list[float]:
-    """The gains of a velocity motor; `bounds` are the largest gain, the limit, and the error at which this
-    gain exerts the limit."""
+    """Return the gains of a velocity motor; `bounds` are the largest gain, the limit, and the error at which
+    this gain exerts the limit."""
     gains = []
     for target, now, (stiffest, limit, near) in zip(targets, velocities, bounds, strict=True):
         off, least = abs(target - now), MIN_ERROR_SHARE * abs(target)
@@ -234,7 +235,8 @@ def velocity_gains(
 
 
 def array_index(numbers: Sequence[int]) -> Any:
-    """An index of these places: a slice where they follow each other, which numpy reads in half the time."""
+    """Return an index of these places: a slice where they follow each other, which numpy reads in half the
+    time."""
     first, count = numbers[0], len(numbers)
     return (
         slice(first, first + count)
@@ -244,8 +246,8 @@ def array_index(numbers: Sequence[int]) -> Any:
 
 
 def array_reader(array: Any, numbers: Any) -> Callable[[], list[float]]:
-    """Reads these places of an array of the state: through a view where they follow each other, which saves
-    making one."""
+    """Return a reader of these places of an array of the state: through a view if they follow each other,
+    which saves making a copy."""
     index = numbers if isinstance(numbers, slice) else array_index(list(numbers))
     if isinstance(index, slice):
         return array[index].tolist  # type: ignore[no-any-return]
@@ -253,7 +255,8 @@ def array_reader(array: Any, numbers: Any) -> Callable[[], list[float]]:
 
 
 def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pusher:
-    """MuJoCo's forces act at the center of mass, in the axes of the world."""
+    """Return a function that pushes a link; MuJoCo's forces act at the center of mass, in the axes of the
+    world."""
     model, data = world.model, world.data
     applied, turned = data.xfrc_applied[link], data.xquat[link]
     center = tuple(model.body_ipos[link].tolist())

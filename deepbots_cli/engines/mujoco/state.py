@@ -1,9 +1,9 @@
-"""The state of a world, what is derived from it when somebody asks, and the values that an episode varies.
+"""The state of a world, the values that are derived from it on demand, and the values that an episode varies.
 
 After `mj_step`, MuJoCo's positions of links, velocities and contacts are those of the state before the step.
 Therefore joints and free root links are read from the state itself, and positions and velocities of other
-links are computed from it once, when they are first asked for. Contacts and forces are those of the last
-step, which is what the port promises.
+links are computed from it once, on first use. Contacts and forces are those of the last step, as the port
+requires.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ VARIED_ARRAYS = (
     *("actuator_biasprm", "actuator_forcelimited", "actuator_forcerange", "actuator_acc0"),
     *("geom_group", "pair_friction", "pair_dim", "pair_solref", "pair_solimp"),
 )
-"""The arrays of a model that an episode may change, and those that follow from them."""
+"""The arrays of a model that an episode may change, and the arrays computed from them."""
 LATERAL, SPINNING, ROLLING, RESTITUTION = range(4)
 _SURFACE = {
     "lateral_friction": LATERAL,
@@ -50,7 +50,7 @@ _SURFACE = {
     "restitution": RESTITUTION,
 }
 BOUNCE_STEPS, BOUNCE_TIME = (6.0, 16.0), 0.016
-"""Engine steps and time (s) that a bounce takes: the time, as far as the steps allow.
+"""The duration of a bounce in engine steps and in s: the time, as far as the steps allow.
 
 A longer bounce keeps its restitution better and sinks deeper. Of 0.8, 0.79 to 0.81 is left at steps of 1 ms,
 and 0.77 to 0.85 at 4 ms and at 16 ms, by how far a ball sinks before the first step sees it.
@@ -73,7 +73,7 @@ class WorldSnapshot(NamedTuple):
 
 
 class MujocoWorld:
-    """A model with its state. `has_positions` and `has_velocities` say whether positions and velocities of
+    """A model with its state. `has_positions` and `has_velocities` are true if positions and velocities of
     links are those of the state."""
 
     def __init__(self, model: Any, world: WorldModel, pools: Sequence[Pool[Body]]) -> None:
@@ -86,8 +86,8 @@ class MujocoWorld:
         self._mass_changed = self._friction_changed = True
         self.is_stale = True
         self.state_accessors: list[tuple[Callable[[], object], Callable[[Any], object]]] = []
-        """How to read and to write what others remember of an episode; a reset restores what they remembered
-        at first."""
+        """The functions that read and write the memories of other objects in an episode; a reset restores
+        their first values."""
         self.surfaces = np.zeros((model.ngeom, 4))
         for pool in pools:
             for body in pool:
@@ -105,7 +105,7 @@ class MujocoWorld:
             np.array(self.data.mocap_pos),
             np.array(self.data.mocap_quat),
         )
-        """Positions of joints and of bodies at the beginning of an episode."""
+        """The positions of joints and of bodies at the beginning of an episode."""
         for body in (body for pool in pools for body in pool):
             position, (x, y, z, w) = body.initial_pose
             if body.mocap_index >= 0:
@@ -135,16 +135,16 @@ class MujocoWorld:
         self.update_constants()
         self._initial_values = self._copy_values()
 
-    # What is derived
+    # Derived values
 
     def update_positions(self) -> None:
-        """Let positions of links be those of the state."""
+        """Compute the positions of links from the state."""
         if not self.has_positions:
             mj.mj_kinematics(self.model, self.data)
             self.has_positions = True
 
     def update_velocities(self) -> None:
-        """Let positions and velocities of links be those of the state."""
+        """Compute the positions and velocities of links from the state."""
         if not self.has_velocities:
             self.update_positions()
             mj.mj_comPos(self.model, self.data)
@@ -160,7 +160,7 @@ class MujocoWorld:
 
     @property
     def forces(self) -> Sequence[ContactForce]:
-        """What touched in the last engine step."""
+        """The contacts of the last engine step."""
         if self._forces is None:
             contact, exerted = self.data.contact, self.data.efc_force.tolist()
             pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
@@ -184,7 +184,7 @@ class MujocoWorld:
         self._forces, self.has_pushes = (), False
 
     def update_constants(self) -> None:
-        """Compute what follows from values that were set.
+        """Compute the values that depend on the values that were set.
 
         Raises:
             EngineError: The world was closed.
@@ -194,7 +194,8 @@ class MujocoWorld:
             mj.mj_setConst(self.model, self.scratch_data)
 
     def settle_values(self) -> bool:
-        """Compute what follows from all values that were set but masses; whether masses were set."""
+        """Compute the values that depend on all values that were set except masses; return whether masses
+        were set."""
         if self._friction_changed:
             self._update_contact_pairs()
         has_new_masses = self._mass_changed
@@ -233,8 +234,8 @@ class MujocoWorld:
         self._forces, self.has_pushes = snapshot.forces, bool(self.data.xfrc_applied.any())
 
     def memory(self) -> tuple[Any, ...]:
-        """What an episode has besides its state and the values of the model: which bodies are there in which
-        form, colors, light."""
+        """Return the memory of an episode besides its state and the values of the model: the bodies that are
+        present and their forms, colors, light."""
         return (
             tuple((pool.present, pool.current) for pool in self.pools.values()),
             dict(self.colors),
@@ -258,7 +259,7 @@ class MujocoWorld:
         self.is_stale = self.closed
 
     def show(self, body: Body) -> None:
-        """A pooled body is placed: it has weight, and rays meet it."""
+        """Show a pooled body that is placed: it has weight, and rays meet it."""
         self.model.geom_group[body.geoms_of(None)] = SOLID_GROUP
         self.model.body_gravcomp[list(body.links.values())] = 0.0
 
@@ -296,7 +297,8 @@ class MujocoWorld:
         return find(self.require_open().pools, name, "the world has no body").current
 
     def _set_mass(self, body: Body, link: int, mass: float) -> None:
-        """The inertia scales with the mass. The base of a fixed body keeps its mass, which means nothing."""
+        """Set the mass of a link, and scale its inertia. The base of a fixed body keeps its mass, which has
+        no effect."""
         if body.fixed and link == body.root_id:
             return
         masses, moments = (
@@ -312,7 +314,7 @@ class MujocoWorld:
         self._mass_changed = True
 
     def _update_contact_pairs(self) -> None:
-        """Friction and restitution of all pairs.
+        """Set the friction and restitution of all pairs.
 
         Friction and restitution are products; of spinning and rolling friction each side counts with the
         friction of the other. This is how PyBullet combines them.
@@ -340,7 +342,8 @@ class MujocoWorld:
         data = self.require_open().data
         if np.isfinite(data.qpos.sum() + data.qvel.sum() + data.mocap_pos.sum()):
             return
-        robots_first = reversed(self.pools.values())  # to objects they spread what is not a number
+        # Robots are checked first: objects get values that are not finite from them.
+        robots_first = reversed(self.pools.values())
         for body in (pool.current for pool in robots_first):
             joints = list(body.joints.values())
             places, speeds = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
@@ -358,8 +361,8 @@ class MujocoWorld:
 
 
 def bounce_spring(restitution: float, step: float) -> tuple[float, float]:
-    """Stiffness and damping of a contact, per mass and negative as MuJoCo takes them, which give this share
-    of the speed back.
+    """Return stiffness and damping of a contact, per mass and negative as MuJoCo takes them, which give this
+    share of the speed back.
 
     A damped spring that lets go when it exerts nothing keeps exp(-z / s * (pi - atan2(2 z s, s^2 - z^2)))
     with the damping ratio z and s = sqrt(1 - z^2); see Schwager and Poeschel, Granular Matter 9 (2007).

@@ -1,4 +1,4 @@
-"""What touches what and how hard, how far apart surfaces are, and how far rays from a link are free."""
+"""Contacts and their forces, distances between surfaces, and free distances of rays from a link."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-MAX_CLEARANCE_M = 1e6  # m; the distance between surfaces is asked for up to here
+MAX_CLEARANCE_M = 1e6  # m; larger distances between surfaces are not computed
 ELLIPSOID = int(mj.mjtGeom.mjGEOM_ELLIPSOID)  # the shape of tires, and of nothing else
 VERTICAL = 1e-9  # the horizontal length of a forward axis that points up or down
 MEETING_TOLERANCE_M = 1e-9  # m; by how much lines that meet in a point may miss it
@@ -31,13 +31,11 @@ SEEN_GROUPS[HIDDEN_GROUP] = 0
 
 
 class ContactMonitor:
-    """Looks after every engine step at what touches, for all contact readers of a world."""
+    """Checks contacts after every engine step, for all contact readers of a world."""
 
     def __init__(self, world: MujocoWorld) -> None:
-        self._data, self._contacts = (
-            world.data,
-            world.data.contact,
-        )  # which stays that of the last engine step
+        # Both objects stay the same; MuJoCo updates their contents in each engine step.
+        self._data, self._contacts = (world.data, world.data.contact)
         self._readers_by_pair: dict[tuple[int, int], list[int]] = {}
         self._touched: list[bool] = []
         self._all_false: list[bool] = []
@@ -51,8 +49,8 @@ class ContactMonitor:
         self._touched[: len(touched)] = touched
 
     def update(self) -> None:
-        """Marks the readers of the pairs of geoms in contact; `_ignored_pairs` are pairs that mean nothing to
-        any of them."""
+        """Mark the readers of the pairs of geoms in contact; `_ignored_pairs` are pairs that concern none of
+        them."""
         if self._data.ncon:
             pairs = self._contacts.geom.tolist()
             if pairs != self._ignored_pairs:
@@ -74,13 +72,13 @@ class ContactMonitor:
 
 
 def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
-    """The sum of normal forces on geoms."""
+    """Return the sum of normal forces on geoms."""
     own = frozenset(geoms)
     return lambda: float(sum(force for one, other, force in world.forces if one in own or other in own))
 
 
 def clearance(world: MujocoWorld, ones: Sequence[int], others: Sequence[int]) -> ClearanceReader:
-    """Tires, which are within their wheels, are left out."""
+    """Return a reader of the distance between geoms, without tires, which are within their wheels."""
     model, data = world.model, world.data
     pairs = [
         (one, other)
@@ -104,7 +102,7 @@ def clearance(world: MujocoWorld, ones: Sequence[int], others: Sequence[int]) ->
 
 
 def penetrations(world: MujocoWorld) -> Iterable[tuple[int, int, float]]:
-    """Geoms within each other and by how much (m), as the world stands; looked for in a state of its own, so
+    """Yield geoms within each other and their depth (m) in the present state; a state of its own is used, so
     that nothing changes."""
     model, data, spare = world.model, world.data, world.scratch_data
     for name in ("qpos", "mocap_pos", "mocap_quat"):
@@ -135,13 +133,13 @@ class _Rays(NamedTuple):
     upright: bool
 
     def axes(self, world: MujocoWorld) -> FloatArray:
-        """The matrix that turns the frame of the rays into that of the world."""
+        """Return the matrix that turns the frame of the rays into that of the world."""
         matrix = world.data.xmat[self.link].reshape(3, 3)
         return level_axes(matrix[0, 0], matrix[1, 0]) if self.upright else matrix
 
 
 def level_axes(xx: Any, yx: Any) -> FloatArray:
-    """The matrices (..., 3, 3) of the yaw of links whose forward axes have these x and y in the world.
+    """Return the matrices (..., 3, 3) of the yaw of links whose forward axes have these x and y in the world.
 
     A link whose forward axis is vertical has the yaw 0. Without angles, single worlds and batches round alike.
     """
@@ -164,8 +162,8 @@ def rays(
     *,
     upright: bool = False,
 ) -> RayReader:
-    """Rays whose lines meet in a point are cast from there in one call, which costs a quarter of a call for
-    each."""
+    """Return a reader of rays. Rays whose lines meet in a point are cast from there in one call, which costs
+    a quarter of a call for each."""
     own, groups = body.geoms_of(None), world.model.geom_group
     starts = np.array([origin for origin, _ in ray_frames])
     directions = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in ray_frames])
@@ -198,7 +196,7 @@ def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
 
 
 def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> RayReader:
-    """`center` is in the frame of the link."""
+    """Return a reader of rays from one point; `center` is in the frame of the link."""
     model, data, ray, seen = world.model, world.data, mj.mj_ray, SEEN_GROUPS
     link, groups, starts, directions, reach, _ = rays
     position = data.xpos[link]
@@ -230,7 +228,7 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
 
 
 def _meeting_point(starts: FloatArray, directions: FloatArray) -> FloatArray | None:
-    """The point behind or at all starts where the lines of the rays meet, if there is one."""
+    """Return the point behind or at all starts where the lines of the rays meet, if there is one."""
     if len(starts) < 2:
         return None
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]

@@ -1,14 +1,14 @@
-"""PyBullet behind the port; the only package that imports it, without what it prints.
+"""PyBullet behind the port; the only package that imports it, and suppresses its output.
 
 engine.py      the engine: one world in a client of its own
 loading.py     ground, walls, objects and robots, built from the world model
 state.py       bodies with links and joints by name; joints, poses and velocities; masses, friction, colors
                that an episode varies
 motors.py      motors and springs on joints, and forces on links
-surfaces.py    what touches what and how hard, distances between surfaces and along rays
+surfaces.py    contacts and their forces, distances between surfaces and along rays
 cameras.py     pictures: bodies, floor and sky
 
-What PyBullet leaves to its callers, and is settled here:
+Differences between PyBullet and the port, which this package resolves:
 
 - a joint starts with a braking motor: ours start free, but for the friction that their file states
 - a fresh world and a reset one differ by what contacts and motors left behind, unless every body was far
@@ -36,7 +36,7 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def capture_native_output() -> Iterator[Callable[[], str]]:
-    """Catch what is written to the process's own stdout and stderr, below Python's; yields a way to read
+    """Catch the output to the process's own stdout and stderr, below Python's; yields a function that reads
     it."""
     _flush()
     with tempfile.TemporaryFile() as caught:
@@ -62,7 +62,7 @@ def capture_native_output() -> Iterator[Callable[[], str]]:
 
 
 def _flush() -> None:
-    """Empty Python's buffers and the C library's, which would otherwise print after the terminal is back."""
+    """Flush Python's buffers and the C library's, which would otherwise print after the terminal is back."""
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()
@@ -76,13 +76,8 @@ with capture_native_output():  # it prints the time of its build
 __all__ = ["BASE", "FAINT", "GAINS", "STRONGEST", "UNREACHABLE", "capture_native_output", "pybullet"]
 
 BASE_LINK = -1  # the number of a root link
-NEGLIGIBLE_FORCE = (
-    1e-200  # N m or N; stands for no force, at which a motor would go on reporting what it last exerted
-)
+NEGLIGIBLE_FORCE = 1e-200  # N m or N; stands for no force, at which a motor would still report its last force
 UNLIMITED_FORCE = 1e12  # N m or N; stands for an unlimited motor
 UNREACHABLE_SPEED = 1e9  # rad/s or m/s; a velocity motor that aims there exerts exactly its limit
-DEFAULT_GAINS = (
-    0.1,
-    1.0,
-    -1.0,
-)  # the library's own position and velocity gain, and no cap; positional arguments cost half of named ones
+# The library's own position and velocity gain, and no cap. Positional arguments cost half of named ones.
+DEFAULT_GAINS = (0.1, 1.0, -1.0)

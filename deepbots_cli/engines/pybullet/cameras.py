@@ -28,11 +28,9 @@ if TYPE_CHECKING:
 
 TILE_SIZE_M = 0.25  # m
 _LIGHT_TILE, _DARK_TILE = np.array([222, 227, 232], np.float32), np.array([198, 206, 214], np.float32)
-_DARK_TILE_SHARE = 0.9  # of the darker tiles of a floor that has a color of its own
-_PAINT_CELL_M, _MAX_PAINT_CELLS = (
-    0.002,
-    2000,
-)  # m across a cell of paint, and how many there are along a side before they grow
+_DARK_TILE_SHARE = 0.9  # the brightness of the darker tiles of a floor with a color of its own
+# The side of a cell of paint in m, and the number of cells along a side from which on they grow.
+_PAINT_CELL_M, _MAX_PAINT_CELLS = (0.002, 2000)
 _MAX_PAINTS = 255
 _HORIZON_COLOR, _ZENITH_COLOR = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
 _HAZE_DISTANCE_M = 12.0  # m; the distance over which the floor fades into the horizon
@@ -52,14 +50,14 @@ class Floor:
         self._paint = PaintMap(lines) if lines else None
 
     def color(self, color: Color | None) -> None:
-        """Tiles of this color, or of two grays for None."""
+        """Use tiles of this color, or of two grays for None."""
         self.tiles = color
         self._light = _LIGHT_TILE if color is None else np.array(color[:3], np.float32) * np.float32(255.0)
         self._dark = _DARK_TILE if color is None else self._light * np.float32(_DARK_TILE_SHARE)
 
     def __call__(self, x: FloatArray, y: FloatArray, across: FloatArray) -> FloatArray:
-        """Shape (n, 3), 0 to 255, seen in pixels `across` m long; tiles too small for a pixel melt into their
-        mean."""
+        """Return colors, shape (n, 3), 0 to 255, seen in pixels `across` m long; tiles too small for a pixel
+        melt into their mean."""
         sharp = np.clip(1.5 - across * np.float32(1 / TILE_SIZE_M), 0.0, 1.0)
         odd = (np.floor(x * np.float32(1 / TILE_SIZE_M)) + np.floor(y * np.float32(1 / TILE_SIZE_M))).astype(
             np.int32
@@ -92,7 +90,7 @@ class PaintMap:
                 self._stroke(start, end, line.width / 2, place)
 
     def _stroke(self, start: tuple[float, float], end: tuple[float, float], half: float, paint: int) -> None:
-        """All cells whose center is within `half` m of a straight piece."""
+        """Paint all cells whose center is within `half` m of a straight piece."""
         spans = []
         for axis in (0, 1):
             ends = sorted((start[axis], end[axis]))
@@ -113,7 +111,7 @@ class PaintMap:
         self._cells[spans[0], spans[1]][apart <= half] = paint
 
     def paint(self, colors: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """The colors with the paint at points over them."""
+        """Return the colors with the paint at points over them."""
         column, row = (
             (values - np.float32(low)) * np.float32(1 / self._cell)
             for values, low in zip((x, y), self._corner, strict=True)
@@ -135,7 +133,7 @@ def fill_background(
     pixel: float,
     floor: Floor | None,
 ) -> None:
-    """Draw what is seen where no body is into the pixels `where` of a picture.
+    """Draw the background into the pixels `where` of a picture, in which there is no body.
 
     `rays` have a length of 1 along the line of sight (world frame), `pixel` is the width of a pixel at a
     distance of 1 m.
@@ -166,7 +164,7 @@ def fill_background(
 
 
 def downsampled(picture: Image, samples: int) -> Image:
-    """Each block of `samples` x `samples` pixels as one of their mean."""
+    """Return the picture with each block of `samples` x `samples` pixels as one of their mean."""
     if samples == 1:
         return picture
     height, width, _ = picture.shape
@@ -178,7 +176,7 @@ def downsampled(picture: Image, samples: int) -> Image:
 
 
 def brightened(picture: Image, brightness: float) -> Image:
-    """The picture in another light; 1 leaves it as it is."""
+    """Return the picture in another light; 1 leaves it as it is."""
     return (
         picture
         if brightness == 1.0
@@ -187,7 +185,7 @@ def brightened(picture: Image, brightness: float) -> Image:
 
 
 class CameraPose(NamedTuple):
-    """From where (m), and unit vectors ahead, left and up."""
+    """The position (m) of a camera, and unit vectors ahead, left and up."""
 
     eye: Triple
     ahead: Triple
@@ -196,13 +194,13 @@ class CameraPose(NamedTuple):
 
 
 def pose_along(frame: Frame) -> CameraPose:
-    """Along the x axis of a frame, z up."""
+    """Return the pose that looks along the x axis of a frame, z up."""
     ahead, left, up = (rotate(frame[1], axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
     return CameraPose(frame[0], ahead, left, up)
 
 
 def pose_of_view(view: View) -> CameraPose:
-    """From the eye of a view at its target; straight down, up is the x axis."""
+    """Return the pose that looks from the eye of a view at its target; straight down, up is the x axis."""
     ahead = _unit(subtract(view.target, view.eye))
     left = cross((0.0, 0.0, 1.0), ahead)
     left = (0.0, 1.0, 0.0) if _length(left) < 1e-9 else _unit(left)
@@ -210,7 +208,8 @@ def pose_of_view(view: View) -> CameraPose:
 
 
 class Camera:
-    """`height` x `width` pixels; `fov` is the vertical angle (rad). A pixel is what its center sees."""
+    """A camera with `height` x `width` pixels; `fov` is the vertical angle (rad). Each pixel is sampled at
+    its center."""
 
     def __init__(self, client: int, width: int, height: int, fov: float, floor: Floor | None) -> None:
         self._pixel = 2 * tan(fov / 2) / height
@@ -219,15 +218,13 @@ class Camera:
         self._rays = np.ones((height, width, 3), np.float32)
         self._rays[..., 1] = across - self._pixel * (np.arange(width) + 0.5)[None, :]
         self._rays[..., 2] = upward - self._pixel * (np.arange(height) + 0.5)[:, None]
-        shift, near = (
-            self._pixel / 2,
-            NEAR_CLIP_M,
-        )  # the renderer looks through the upper left corner of a pixel, turned upside down
+        # The renderer samples a pixel at its upper left corner, turned upside down.
+        shift, near = (self._pixel / 2, NEAR_CLIP_M)
         frustum = (near * edge for edge in (shift - across, shift + across, shift - upward, shift + upward))
         self._projection = p.computeProjectionMatrix(*frustum, near, CAMERA_RANGE_M)
 
     def _rendered(self, aim: CameraPose) -> tuple[Image, NDArray[np.float32], NDArray[np.int32]]:
-        """Colors, the buffer of depths, and the numbers of bodies (-1 for none), of bodies alone."""
+        """Return colors, the buffer of depths, and the numbers of bodies (-1 for none), of bodies alone."""
         width, height = self._size
         eye = add(aim.eye, scaled(aim.ahead, EYE_OFFSET_M))
         _, _, pixels, buffer, numbers = p.getCameraImage(
@@ -253,16 +250,16 @@ class Camera:
         )
 
     def _world_rays(self, aim: CameraPose) -> NDArray[np.float32]:
-        """The line of sight of each pixel in the world frame, with a length of 1 ahead."""
+        """Return the line of sight of each pixel in the world frame, with a length of 1 ahead."""
         return (self._rays.reshape(-1, 3) @ np.array(aim[1:], np.float32)).reshape(self._rays.shape)
 
     def render(self, aim: CameraPose, background: Image) -> Image:
-        """Colors of bodies, before a background."""
+        """Return the colors of bodies, before a background."""
         colors, _, numbers = self._rendered(aim)
         return np.where((numbers < 0)[..., None], background, colors)
 
     def background(self, aim: CameraPose) -> Image:
-        """Floor and sky."""
+        """Return the colors of floor and sky."""
         width, height = self._size
         picture = np.zeros((height, width, 3), np.uint8)
         fill_background(
@@ -278,8 +275,8 @@ class Camera:
     def camera_image(
         self, aim: CameraPose, places: NDArray[np.int32], ground: int, names: tuple[str, ...]
     ) -> CameraImage:
-        """All that is seen; `places` are those of PyBullet's numbers among `names`, `ground` is that of the
-        floor."""
+        """Return the whole picture; `places` are the indices of PyBullet's numbers among `names`, `ground` is
+        that of the floor."""
         seen, buffer, numbers = self._rendered(aim)
         colors, bare, rays = seen.copy(), numbers < 0, self._world_rays(aim)
         depth = CAMERA_RANGE_M * NEAR_CLIP_M / (

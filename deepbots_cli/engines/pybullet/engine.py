@@ -63,8 +63,8 @@ R = TypeVar("R")
 
 
 class Substeps(NamedTuple):
-    """What is called in a step: `begins` once, then in each engine step `acts`, `drives`, the physics, and
-    `looks`.
+    """The functions that a step calls: `begins` once, then in each engine step `acts`, `drives`, the physics,
+    and `looks`.
 
     Drives are motors that renew their torque. They see the targets that acts have just set.
     """
@@ -75,8 +75,8 @@ class Substeps(NamedTuple):
     looks: list[Callback]
 
     def stepper(self, client: int, now: list[int]) -> Callable[[int], None]:
-        """`Engine.step`. In most worlds nothing acts or looks; asking costs 1 % of the cheapest step. `now`
-        counts states of the world."""
+        """Return `Engine.step`. In most worlds nothing acts or looks; checking for it costs 1 % of the
+        cheapest step. `now` counts states of the world."""
         advance, (begins, acts, drives, looks) = p.stepSimulation, self
 
         def step(substeps: int) -> None:
@@ -156,7 +156,7 @@ class PyBulletEngine:
         self._cache.invalidate()
 
     def _reset_body(self, body: Body, pose: Frame, brakes: dict[int, float]) -> None:
-        """Put the center of a body there, all of it at rest, with brakes of so many N m or N on its
+        """Put the center of a body at a pose, all of it at rest, with brakes of so many N m or N on its
         joints."""
         number, client = body.number, self._client
         p.resetBasePositionAndOrientation(number, *pose, client)
@@ -298,7 +298,7 @@ class PyBulletEngine:
         client = self._client
         for body in reversed(
             self._require_open()._moving
-        ):  # robots before objects, to which they spread what is not a number
+        ):  # robots before objects, which get values that are not finite from them
             joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
             for what, values in (
                 ("pose", p.getBasePositionAndOrientation(body.number, client)),
@@ -350,10 +350,8 @@ class PyBulletEngine:
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         camera, pose = cameras.Camera(self._client, width, height, fov, self._floor), self.pose(*part)
-        names, places = (
-            tuple(self._pools),
-            np.zeros(p.getNumBodies(self._client) + 1, np.int32),
-        )  # of PyBullet's numbers among the names
+        # `places` has the index among the names for each of PyBullet's numbers.
+        names, places = (tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32))
         for place, pool in enumerate(self._pools.values()):
             places[[body.number for body in pool]] = place
         ground = names.index(GROUND) if GROUND in names else -1
@@ -379,8 +377,8 @@ class PyBulletEngine:
         )
 
     def snapshot(self) -> object:
-        """Refused: PyBullet's `saveState` leaves out motors, masses and frictions, and is not exact in every
-        world (docs/engines.md)."""
+        """Refuse a snapshot: PyBullet's `saveState` leaves out motors, masses and frictions, and is not exact
+        in every world (docs/engines.md)."""
         raise EngineError(
             "PyBullet has no exact snapshot of a world; begin the episode again and repeat its actions"
         )
@@ -406,7 +404,7 @@ class PyBulletEngine:
     def _bound(
         self, part: Part, bind: Callable[[Body, int], Callable[P, R]], none: int = BASE_LINK
     ) -> Callable[P, R]:
-        """What `bind` makes of a link, in whichever form its body takes; `none` stands for the link None."""
+        """Bind a function to a link, in whichever form its body takes; `none` replaces the link None."""
         return self._pool(part[0]).bind_current(lambda body: bind(body, _index(body, part[1], none)))
 
 

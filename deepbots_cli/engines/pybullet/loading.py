@@ -47,28 +47,26 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import Ground, ObjectBody, Terrain, WorldModel
 
 PARKING_SPACING_M = 1000.0  # m between bodies that are parked
-DEFAULT_CONTACT_ERP = 0.08  # that PyBullet by itself takes away in a physics step
+DEFAULT_CONTACT_ERP = 0.08  # the share of a penetration that PyBullet removes in a physics step by default
 CONTACT_DISTANCE_M = 1e-4
-"""Surfaces further apart than this (m) are no contact for the solver.
+"""The distance (m) beyond which surfaces are no contact for the solver.
 
-PyBullet keeps a point of contact until its surfaces are 2 % of the size of a link apart, so a wheel that
-rolls takes along points that carry nothing, and the solver iterates over all of them. With this limit a step
-of CartPole costs 0.68 of what it did, and its heights differ by 1e-6 m. At 2e-5 m and below, wheels lose the
-ground between two steps and sink by 0.3 mm. On terrain there is no such limit: with it, two trainings of
-PitEscape took 1.25 and 1.65 times as many steps. The cause was not measured; a ball that rolls over an edge
-of a triangle may be further away than this for a step.
+PyBullet keeps a point of contact until its surfaces are 2 % of the size of a link apart, so a rolling wheel
+keeps points that carry nothing, and the solver iterates over all of them. With this limit a step of CartPole
+costs 0.68 of what it did, and its heights differ by 1e-6 m. At 2e-5 m and below, wheels lose the ground
+between two steps and sink by 0.3 mm. On terrain there is no such limit: with it, two trainings of PitEscape
+took 1.25 and 1.65 times as many steps. The cause was not measured; a ball that rolls over an edge of a
+triangle may be further away than this for a step.
 """
 TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
-_MAX_VISUAL_CELLS = (
-    100  # cells of what is drawn along either side; a finer picture would take longer than it shows
-)
+_MAX_VISUAL_CELLS = 100  # drawn cells along either side; more of them take longer and are hardly seen
 _CYLINDER = "cylinder.obj"
 GEAR_ERP, GEAR_FORCE = 0.2, 1e5
-"""Share of the error of a follower that is taken away in a physics step, and the largest force (N or N m) for
-it."""
+"""The share of the error of a follower that is removed in a physics step, and the largest force (N or N m)
+for it."""
 NO_RATIO = 1e-12  # PyBullet takes 0 for a ratio that is not given
 GEAR_ITERATIONS = 100
-"""Iterations of the solver in a world with a follower; PyBullet's own number is 50, and it stops earlier
+"""The iterations of the solver in a world with a follower; PyBullet's own number is 50, and it stops earlier
 where the forces converge.
 
 A follower that is ten times heavier than its driven leader is off by 2 mm in motion with 50 iterations and by
@@ -82,7 +80,7 @@ UNLIMITED_RANGE = (1.0, -1.0)  # the loader reads a missing limit as 0, and lowe
 
 
 def create_client(world: WorldModel) -> int:
-    """A client with the world's gravity and timestep, and nothing in it."""
+    """Return a client with the world's gravity and timestep, and nothing in it."""
     client: int = p.connect(p.DIRECT)
     if client < 0:
         raise EngineError("PyBullet cannot create another world in this process; close some environments")
@@ -111,7 +109,7 @@ def create_client(world: WorldModel) -> int:
 
 
 def bodies(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
-    """Everything there is, in the order of the world model."""
+    """Yield all bodies, in the order of the world model."""
     for pool in _loaded(client, world):
         for body, link in [
             (each, link) for each in pool for link in each.model.links if world.terrain is None
@@ -163,7 +161,7 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
 
 
 def join_islands(client: int, pools: Iterable[Pool[Body]]) -> None:
-    """Tie all that moves to one another with gears that exert nothing, so that the solver sees one group.
+    """Join all moving bodies to one another with gears that exert nothing, so that the solver sees one group.
 
     It solves bodies whose boxes overlap together, iterates until such a group is done, and forgets overlaps
     at a moment that depends on the whole past. Of 150 episodes of three carts after a reset 34 differed from
@@ -218,8 +216,7 @@ def _load(
 
 
 def _follow(client: int, number: int, follower: int, leader: int, mimic: Mimic) -> None:
-    """Hold a joint where its leader puts it, by a gear: PyBullet keeps `follower + ratio * leader` at the
-    target."""
+    """Make a joint follow its leader, by a gear: PyBullet keeps `follower + ratio * leader` at the target."""
     joints = (number, follower, number, leader)
     gear = p.createConstraint(
         *joints, p.JOINT_GEAR, (0, 0, 1), ZERO_VECTOR, ZERO_VECTOR, physicsClientId=client
@@ -258,7 +255,7 @@ def _plane(client: int, ground: Ground) -> Body:
 
 
 def _terrain(client: int, ground: Terrain) -> Body:
-    """Heights as a heightfield, meshes as they are, neither of them convex.
+    """Return the ground with heights as a heightfield, meshes as they are, neither of them convex.
 
     Raises:
         EngineError: Its file has gone or changed, or it has no height somewhere.
@@ -297,7 +294,7 @@ def _terrain(client: int, ground: Terrain) -> Body:
 def _drawn_terrain(
     client: int, vertices: NDArray[np.float64], faces: NDArray[np.int64], ground: Terrain, middle: float = 0.0
 ) -> int:
-    """What is seen of it, shaded smoothly."""
+    """Return the visual shape of the terrain, shaded smoothly."""
     normals = np.zeros_like(vertices)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     for corner in range(3):
@@ -321,10 +318,10 @@ def _ground_body(client: int, number: int, friction: Friction) -> Body:
 
 
 def for_loader(model: RobotModel, folder: Path) -> RobotModel:
-    """The model with both ends on each range of a joint, a color on all that is seen, and meshes still as
-    they were checked.
+    """Return the model with both ends on each range of a joint, a color on all visible shapes, and the
+    checked meshes.
 
-    A link without visuals shows what it collides with. Cylinders are seen as the mesh in `folder`: those of
+    A link without visuals shows its collision shapes. Cylinders are drawn as the mesh in `folder`: those of
     the library share normals between side and caps, so that a flat disc looked like a cone.
 
     Raises:
@@ -357,8 +354,8 @@ def _seen_shape(shape: Shape, folder: Path) -> Shape:
 
 
 def _cylinder_mesh(sides: int = 48) -> str:
-    """A cylinder of radius 1 and length 1 as OBJ: two corners and a normal for each side, the normals of the
-    caps, and their middles."""
+    """Return a cylinder of radius 1 and length 1 as OBJ: two corners and a normal for each side, the normals
+    of the caps, and their middles."""
     angles = 2 * np.pi * np.arange(sides) / sides
     rim = [f"{x:.6f} {y:.6f}" for x, y in zip(np.cos(angles), np.sin(angles), strict=True)]
     lines = [f"v {x_y} {z}" for x_y in rim for z in (-0.5, 0.5)] + ["v 0 0 -0.5", "v 0 0 0.5"]

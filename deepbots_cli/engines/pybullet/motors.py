@@ -39,7 +39,7 @@ def velocity_motor(
 
 
 def torque_motor(client: int, body: int, indices: Sequence[int], max_torque: Sequence[float]) -> MotorWriter:
-    """A velocity motor that aims out of reach, and so exerts its limit, which is the target torque.
+    """Return a velocity motor that aims out of reach, and so exerts its limit, which is the target torque.
 
     PyBullet forgets plain torques after every engine step; renewing them costs as much as the motor from
     four substeps on, and their reader would not show them. The motions agree to the last digit or two.
@@ -73,7 +73,7 @@ def torque_motor(client: int, body: int, indices: Sequence[int], max_torque: Seq
 def position_motor(
     client: int, body: int, indices: Sequence[int], max_torque: Sequence[float], timestep: float
 ) -> MotorWriter:
-    """PyBullet's own servo; `timestep` (s) is that of an engine step."""
+    """Return PyBullet's own servo; `timestep` (s) is that of an engine step."""
     limits, mode, set_all = _limits(max_torque), p.POSITION_CONTROL, p.setJointMotorControlArray
     zeros = [0.0] * len(indices)
     gains = [[min(1.0, timestep / SERVO_TIME)] * len(indices), [1.0] * len(indices)]
@@ -84,8 +84,8 @@ class Springs:
     """Exerts `stiffness * (target - position) - damping * velocity`, limited, once joints have targets;
     `apply` renews it.
 
-    `torques` is what the joints got in the last engine step. 12 joints take 5 us of an engine step of 45 us
-    (a walking robot); PyBullet's own plug-in for the same purpose takes 20, and cannot be stopped.
+    `torques` are the torques on the joints in the last engine step. 12 joints take 5 us of an engine step of
+    45 us (a walking robot); PyBullet's own plug-in for the same purpose takes 20, and cannot be stopped.
     """
 
     def __init__(
@@ -132,14 +132,14 @@ class Springs:
 
 
 def _plain_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[list[float]], object]:
-    """Torques for the next engine step alone; the friction of the joints' brakes acts as well."""
+    """Return a function that exerts torques in the next engine step alone; the friction of the joints' brakes
+    acts as well."""
     joints, zeros, mode = tuple(indices), [0.0] * len(indices), p.TORQUE_CONTROL
     if len(joints) == 1:
         index, set_one = joints[0], p.setJointMotorControl2
         return lambda torques: set_one(body, index, mode, 0.0, 0.0, torques[0], *DEFAULT_GAINS, client)
-    set_all = (
-        p.setJointMotorControlArray
-    )  # positional arguments, those that mean nothing here included, cost a quarter less
+    # Positional arguments cost a quarter less, even with those that have no meaning here.
+    set_all = p.setJointMotorControlArray
     return lambda torques: set_all(body, joints, mode, zeros, zeros, torques, zeros, zeros, client)
 
 
@@ -153,8 +153,8 @@ def torques(
     indices: Sequence[int],
     springs: Mapping[tuple[int, tuple[int, ...]], Springs],
 ) -> TorqueReader:
-    """What the motors of joints exerted; PyBullet does not tell of `springs`, which are known when read
-    rather than when bound."""
+    """Return a reader of the torques that the motors of joints exerted. PyBullet does not report the torques
+    of `springs`; they are looked up in each reading, because they are not known when the reader is bound."""
 
     def read_torques() -> list[float]:
         exerted = [state[3] for state in read()]
@@ -174,8 +174,8 @@ def torques(
 
 
 def pusher(client: int, owner: Body, index: int, frame: Literal["world", "link"]) -> Pusher:
-    """PyBullet's own frame of a link is that of its inertia, and of links that it last moved: both are
-    settled here."""
+    """Return a function that pushes a link. PyBullet's own frame of a link is that of its inertia, and it
+    uses the pose of a link before its last move; both are corrected here."""
     return _in_link(client, owner, index) if frame == "link" else _in_world(client, owner, index)
 
 

@@ -1,8 +1,6 @@
-"""The state of a PyBullet world: bodies by name, what is read of them, and the parameters that an episode
-varies.
+"""The state of a PyBullet world: bodies by name, readers, and the parameters that an episode varies.
 
-A reading is kept while the world stands still. A change of a parameter notes its way back, for the next
-reset.
+A reading is kept until the world changes. A change of a parameter records how to undo it, for the next reset.
 """
 
 from __future__ import annotations
@@ -32,8 +30,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """What the world model says of a link: mass (kg), principal moments (kg m^2), and its frame of inertia in
-    its own frame."""
+    """The dynamics of a link in the world model: mass (kg), principal moments (kg m^2), and its frame of
+    inertia in its own frame."""
 
     mass: float
     moments: Triple
@@ -78,7 +76,7 @@ class Body:
         self._weights: dict[int, tuple[float, Triple]] = {}
 
     def dynamics(self, index: int) -> Dynamics:
-        """Of a link as it was loaded: first asked for, and so kept, before anything may vary."""
+        """Return the dynamics of a link as it was loaded: read, and so kept, before anything varies."""
         if index not in self._dynamics:
             info = p.getDynamicsInfo(self.number, index, self._client)
             self._dynamics[index] = Dynamics(info[0], info[2], (info[3], info[4]))
@@ -88,22 +86,22 @@ class Body:
         return self.model.link(next(name for name, its in self.links.items() if its == index))
 
     def scale_mass(self, index: int, factor: float) -> None:
-        """So many times the mass that a link was loaded with, and the inertia."""
+        """Multiply the mass with which a link was loaded by a factor, and its inertia."""
         loaded = self.dynamics(index)
         self._weights[index] = loaded.mass * factor, frames.scaled(loaded.moments, factor)
         if not self.suspended:
             self._apply_weight(index)
 
     def _apply_weight(self, index: int) -> None:
-        """One call for both: a mass alone would get the inertia of the link's shape."""
+        """Set mass and inertia in one call: a mass alone would get the inertia of the link's shape."""
         mass, moments = self._weights[index]
         p.changeDynamics(
             self.number, index, mass=mass, localInertiaDiagonal=moments, physicsClientId=self._client
         )
 
     def deactivate(self) -> None:
-        """Stay where it is put, at no cost: PyBullet takes a body without mass for a fixed one. Nothing for a
-        fixed body."""
+        """Stop the body where it is, at no cost: PyBullet takes a body without mass for a fixed one. This
+        does nothing for a fixed body."""
         if not self.fixed and not self.suspended:
             self.suspended = True
             p.changeDynamics(self.number, BASE_LINK, mass=0.0, physicsClientId=self._client)
@@ -123,7 +121,7 @@ class Body:
         return self.center == ZERO_VECTOR and self._parallel
 
     def center_pose(self, position: Triple, orientation: Quaternion) -> Frame:
-        """The pose of the inertia, from that of the root link."""
+        """Return the pose of the inertia, from that of the root link."""
         if self.is_centered:
             return position, orientation
         return frames.add(position, frames.rotate(orientation, self.center)), frames.multiply(
@@ -131,7 +129,7 @@ class Body:
         )
 
     def origin_pose(self, position: Triple, orientation: Quaternion) -> Frame:
-        """The pose of the root link, from that of the inertia."""
+        """Return the pose of the root link, from that of the inertia."""
         turned = orientation if self._parallel else frames.multiply(orientation, self._back)
         return frames.subtract(position, frames.rotate(turned, self.center)), turned
 
@@ -143,11 +141,10 @@ MAX_UNCACHED_JOINTS = 3  # joints, which are read for less than it takes to ask 
 
 
 class ReadCache:
-    """Counts the states of a world. Several sensors, a signal and a reward may ask for the same pose in one
-    of them.
+    """Counts the states of a world, so that a pose that several sensors, signals and rewards read is computed
+    once per state.
 
-    `generation` holds the number of the present one as its only item; whatever changes what may be read goes
-    on to the next.
+    `generation` is a list with the number of the present state; code that changes the world increments it.
     """
 
     def __init__(self) -> None:
@@ -158,9 +155,10 @@ class ReadCache:
         self.generation[0] += 1
 
     def cached(self, key: Hashable, read: Callable[[], R]) -> Callable[[], R]:
-        """A reader that calls `read` once per moment, however many ask; all that go by one key are one.
+        """Return a reader that calls `read` once per state, for any number of readings; readers with the same
+        key are one.
 
-        Asking costs 0.07 us, so it is for what takes several times as long.
+        The check costs 0.07 us, so it is for readings that take several times as long.
         """
         now, moment, value = self.generation, -1, None
 
@@ -229,7 +227,7 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
 
 
 def _root_frames(client: int, owner: Body, read_cache: ReadCache) -> Callable[[], tuple[Triple, Frame]]:
-    """Where the center of mass of a root link is, and the pose of the link."""
+    """Return a reader of the center of mass of a root link, and of the pose of the link."""
     read = partial(p.getBasePositionAndOrientation, owner.number, client)
 
     def placed() -> tuple[Triple, Frame]:
@@ -251,9 +249,9 @@ _CONTACT_PARAMETERS = {
 
 
 class Parameters:
-    """Sets a parameter by the method of its name, with whose it is and the values.
+    """Sets a parameter by the method of its name, with its owner and the values.
 
-    `light`, the brightness of pictures, and `gravity` (m/s^2) are as they are now; at first those of the
+    `light`, the brightness of pictures, and `gravity` (m/s^2) are the present ones; at first those of the
     world model.
     """
 
@@ -265,7 +263,7 @@ class Parameters:
         self._undo: dict[object, Callable[[], object]] = {}
 
     def restore(self) -> None:
-        """Bring back every parameter of the world model."""
+        """Restore every parameter of the world model."""
         for back in self._undo.values():
             back()
         self._undo.clear()
@@ -289,7 +287,8 @@ class Parameters:
         return owner, find(owner.joints, joint, f"'{robot}' has no joint")
 
     def _set_mass(self, body: str, link: str, mass: float) -> None:
-        """That of the base of a fixed body means nothing, and would set it loose."""
+        """Set the mass of a link. The base of a fixed body keeps its mass, because another mass would free
+        it."""
         owner, index = self._link(body, link)
         if index == BASE_LINK and owner.fixed:
             return
@@ -302,7 +301,7 @@ class Parameters:
         self._undo["mass", owner.number, index] = partial(owner.scale_mass, index, 1.0)
 
     def _set_contact(self, name: str, body: str, link: str, value: float) -> None:
-        """One call per property: two in one went to the root link."""
+        """Set one property per call: with two in one call, one was set on the root link."""
         owner, index = self._link(body, link)
         change = partial(p.changeDynamics, owner.number, index, physicsClientId=self._client)
         usual = contact_parameters(owner.model.link(link or owner.model.root).friction)
@@ -318,7 +317,7 @@ class Parameters:
         )
 
     def _set_joint_friction(self, robot: str, joint: str, friction: float) -> None:
-        """A reset brakes every joint anew, so there is no way back to note."""
+        """Set the friction of a joint. A reset brakes every joint anew, so no undo is recorded."""
         owner, index = self._joint(robot, joint)
         p.setJointMotorControl2(
             owner.number, index, p.VELOCITY_CONTROL, 0.0, 0.0, friction, *DEFAULT_GAINS, self._client
@@ -357,8 +356,8 @@ class Parameters:
 
 
 def contact_parameters(friction: Friction) -> dict[str, float]:
-    """By PyBullet's names. The friction of a pair is a product, so silence means 1 for `lateral`, and 0 for
-    the others."""
+    """Return the parameters under PyBullet's names. PyBullet multiplies the coefficients of both bodies, so a
+    coefficient that is not given is 1 for `lateral`, and 0 for the others."""
     lateral = 1.0 if friction.lateral is None else friction.lateral
     others = (friction.spinning or 0.0, friction.rolling or 0.0, friction.restitution or 0.0)
     return dict(zip(_CONTACT_PARAMETERS.values(), (lateral, *others), strict=True))

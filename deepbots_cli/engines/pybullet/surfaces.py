@@ -1,4 +1,4 @@
-"""What touches what and how hard, how far apart surfaces are, and how far rays from a link are free."""
+"""Contacts and their forces, distances between surfaces, and free distances of rays from a link."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Contacts and gaps
 
 ANY_LINK = -2  # PyBullet's number for all links of a body
-MAX_CLEARANCE_M = 1e6  # m; the distance between surfaces is asked for up to here
+MAX_CLEARANCE_M = 1e6  # m; larger distances between surfaces are not computed
 MAX_LINK_QUERIES = 2  # links; from three on one query for all links costs less than one for each
 ContactQuery = Callable[[], Any]
 LinkKey = tuple[int, int]
@@ -43,10 +43,10 @@ class ContactFlag:
 
 
 class ContactMonitor:
-    """Looks after every engine step at what the links of one body touch, until nothing is left to learn
+    """Checks the contacts of the links of one body after every engine step, until every reader has its answer
     before the next `reset`.
 
-    One query for the whole body, or for the links whose marks are still open where these are few: a robot
+    It makes one query for the whole body, or one for each link without an answer if these are few: a robot
     that stands on four feet, and must not touch the ground otherwise, costs 2.2 us in the first engine step
     and 0.7 in each further one.
     """
@@ -65,8 +65,8 @@ class ContactMonitor:
         self._open_flags, self._queries = self._flags, self._first_queries
 
     def update(self) -> None:
-        """A pair is listed while it is near; it touches if its surfaces overlap, or if it took a force to
-        keep them from it."""
+        """Query contacts. A pair is listed while it is near; it touches if its surfaces overlap, or if a
+        force kept them from it."""
         learned = False
         for query in self._queries:
             for point in query():
@@ -96,20 +96,21 @@ class ContactMonitor:
         return mark.read
 
     def touches_any_of(self, link: int, others: Collection[LinkKey]) -> ContactReader:
-        """Whether the link touched one of `others`."""
+        """Return whether the link touched one of `others`."""
         wanted = frozenset(others)
         return self._flag(
             link, lambda other, other_link: (other, other_link) in wanted or (other, ANY_LINK) in wanted
         )
 
     def touches_any_but(self, link: int, without: Collection[int]) -> ContactReader:
-        """Whether the link touched anything but the bodies `without`."""
+        """Return whether the link touched anything but the bodies `without`."""
         left_out = frozenset(without)
         return self._flag(link, lambda other, other_link: other not in left_out)
 
 
 def penetrations(client: int) -> dict[tuple[LinkKey, LinkKey], float]:
-    """How deep (m) links of two bodies lie within each other, as the world stands now; only pairs that do."""
+    """Return the depths (m) of links of two bodies within each other in the present state; only pairs that
+    overlap."""
     p.performCollisionDetection(client)
     depths: dict[tuple[LinkKey, LinkKey], float] = {}
     for point in p.getContactPoints(physicsClientId=client):
@@ -139,7 +140,7 @@ def clearance(client: int, one: LinkKey, other: LinkKey) -> ClearanceReader:
 # Rays
 
 FIRST_GROUP, LAST_GROUP = 6, 30  # bits of a collision group that the library leaves free
-ALL_GROUPS, ALL_BUT_STATIC = -1, ~2  # masks of what moves, and of what does not
+ALL_GROUPS, ALL_BUT_STATIC = -1, ~2  # masks of moving bodies, and of static ones
 MAX_CORRECTION_M = 0.05  # m; farther from PyBullet's answer a closed form has met another surface
 RoundShape = Sphere | Cylinder | Capsule
 
@@ -203,7 +204,7 @@ class Rays:
         return read
 
     def _level_reader(self, body: Body, index: int, rays: Sequence[Frame], reach: float) -> RayReader:
-        """Of rays that follow the yaw of a link alone, which PyBullet cannot mount on it."""
+        """Return a reader of rays that follow the yaw of a link alone, which PyBullet cannot mount on it."""
         ends = [frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0))) for origin, turned in rays]
         points = [origin for origin, _ in rays], ends
         pose, mask = state.pose(self._client, body, index, self._cache), ~self._collision_group_bit(body)
@@ -226,7 +227,8 @@ class Rays:
         return read
 
     def _free(self, hit: Any, start: Triple, stop: Triple, reach: float) -> float:
-        """The free distance along a ray from its hit; surfaces that PyBullet builds of triangles are round."""
+        """Return the free distance along a ray from its hit; surfaces that PyBullet builds of triangles are
+        round."""
         surface = self._round_surfaces.get(hit[:2])
         if surface is None:
             return float(hit[2] * reach)
@@ -234,7 +236,7 @@ class Rays:
         return surface.hit_distance(start, way, hit[2] * reach)
 
     def _collision_group_bit(self, body: Body) -> int:
-        """The bit of a body's own group; what it collides with stays as it was."""
+        """Return the bit of a body's own group; its collisions stay the same."""
         if body.number not in self._groups:
             place = FIRST_GROUP + len(self._groups)
             if place > LAST_GROUP:
@@ -259,7 +261,8 @@ class RoundSurface:
     origin: Frame
 
     def hit_distance(self, start: Triple, direction: Triple, near: float) -> float:
-        """How far (m) along a unit direction the surface is met, if that is close to the answer `near`."""
+        """Return the distance (m) along a unit direction at which the surface is met, if that is close to the
+        answer `near`."""
         center, turned = frames.compose(self.pose(), self.origin)
         back = frames.inverse(turned)
         s, d = frames.rotate(back, frames.subtract(start, center)), frames.rotate(back, direction)
@@ -286,13 +289,13 @@ def _ball(s: Triple, d: Triple, height: float, radius: float) -> float:
 
 
 def _first(a: float, b: float, c: float) -> float:
-    """The lesser root of a t^2 + 2 b t + c, and infinity where there is none."""
+    """Return the lesser root of a t^2 + 2 b t + c, and infinity if there is none."""
     discriminant = b * b - a * c
     return (-b - sqrt(discriminant)) / a if a > 0.0 and discriminant >= 0.0 else inf
 
 
 def _rounded(client: int, body: Body, index: int, read_cache: ReadCache) -> RoundSurface | None:
-    """The surface of a link that collides with one round shape and nothing else."""
+    """Return the surface of a link that collides with one round shape and nothing else."""
     link = body.link(index)
     if len(link.collisions) != 1:
         return None
