@@ -1,4 +1,4 @@
-"""What a run says of itself: `run.json`, how it was trained and how it ended, and `evaluations/NNNN.json`."""
+"""The records of a run: `run.json`, with its inputs and its result, and `evaluations/NNNN.json`."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import RECORD_NAME
 
 FORMAT = 5
-"""Of the run directory as a whole; raised when an older deepbots could no longer read it."""
+"""The format of the run directory as a whole. It is raised when an older deepbots could no longer read it."""
 Status = Literal["running", "finished", "interrupted", "failed"]
 PATIENCE = "patience"
-"""What `stopped_by` says of a training that did not get better."""
+"""The value of `stopped_by` for a training that did not improve."""
 ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand"]
 _MAX_RECORD_BYTES = 4_000_000
 _MAX_EVALUATION_BYTES = 200_000_000
@@ -62,7 +62,7 @@ class BestModel(BaseModel):
 
     @property
     def text(self) -> str:
-        """`after 35,288 steps, by success rate on new starts`."""
+        """How the model was chosen, such as `after 35,288 steps, by success rate on new starts`."""
         after = "" if self.steps is None else f"after {self.steps:,} steps, "
         if self.chosen_by == "return":
             return f"{after}chosen by return in an evaluation, by a version before 0.2"
@@ -122,12 +122,12 @@ class RunResult(BaseModel):
 
     @property
     def confirmed_at(self) -> SolvedAt | None:
-        """When a confirmation showed that the task is solved. Versions before 0.2 had no confirmations."""
+        """The confirmation that showed that the task is solved. Versions before 0.2 had no confirmations."""
         return self.solved_at if self.confirmations else None
 
     @property
     def best_model(self) -> BestModel | None:
-        """`best`, also of a record of a version before 0.2, which has the return alone."""
+        """The best model, also for a record of a version before 0.2, which has the return alone."""
         if self.best is not None or self.best_return is None:
             return self.best
         return BestModel(chosen_by="return", measure="mean_return", mean_return=self.best_return)
@@ -203,7 +203,7 @@ class RunRecord(BaseModel):
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """The record of a run.
+        """Return the record of a run.
 
         Raises:
             RunError: The record is missing, damaged, or was written in a format that this deepbots does not
@@ -226,14 +226,14 @@ def write_record(folder: Path, record: RunRecord) -> None:
 
 
 def changed_settings(command: Sequence[str]) -> tuple[str, ...]:
-    """The assignments `path=value` of `--set` in a command line."""
+    """Return the assignments `path=value` of `--set` in a command line."""
     words = list(command)
     after = [value for word, value in pairwise(words) if word == "--set"]
     return (*after, *(word.removeprefix("--set=") for word in words if word.startswith("--set=")))
 
 
 def short_settings(settings: Sequence[str]) -> str:
-    """`learning_rate=0.003, hidden=32` for assignments, without the paths to their keys."""
+    """Return assignments without the paths to their keys, such as `learning_rate=0.003, hidden=32`."""
     return ", ".join(
         "=".join((path.rpartition(".")[2], value))
         for path, _, value in (text.partition("=") for text in settings)
@@ -241,12 +241,13 @@ def short_settings(settings: Sequence[str]) -> str:
 
 
 def timestamp() -> str:
-    """The time in UTC, to the second, as ISO 8601."""
+    """Return the time in UTC, to the second, as ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def versions(*further: str) -> dict[str, str]:
-    """Of Python, of what a training result depends on, and of further packages."""
+    """Return the versions of Python, of the packages on which the result of a training depends, and of
+    further packages."""
     installed = {"python": platform.python_version()}
     for name in (*_VERSIONED_PACKAGES, *further):
         try:
@@ -299,7 +300,7 @@ class Evaluation(Scores, frozen=True):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """`circumstances`, and remarks on the number of episodes."""
+        """The circumstances, and remarks on the number of episodes."""
         return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
 
 
@@ -313,7 +314,7 @@ class EvaluationRecord(Evaluation, frozen=True):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """An evaluation that was kept.
+        """Return an evaluation that was kept.
 
         Raises:
             RunError: The file is damaged.
@@ -322,7 +323,7 @@ class EvaluationRecord(Evaluation, frozen=True):
 
     @property
     def text(self) -> str:
-        """Mean return and success rate with their intervals, and what they are of."""
+        """Mean return and success rate with their intervals, and the circumstances."""
         text = f"mean return {self.mean_return:.4g}"
         if self.return_interval is not None:
             equal = "; all returns are equal" * (self.std_return == 0)
@@ -357,8 +358,8 @@ class EvaluationWithEpisodes(EvaluationRecord, frozen=True, allow_inf_nan=False)
         return outcomes
 
     def failed(self, program: Program) -> list[int]:
-        """The numbers of the episodes that failed: without a success, or where none is defined, ended by a
-        failure."""
+        """Return the numbers of the episodes that failed: without a success, or where none is defined, ended
+        by a failure."""
         bad = [
             not each.is_success if self.success_defined else each.ended_by in program.failures
             for each in self.outcomes
@@ -367,19 +368,19 @@ class EvaluationWithEpisodes(EvaluationRecord, frozen=True, allow_inf_nan=False)
 
     @property
     def replay_options(self) -> dict[str, Any]:
-        """What `trace_episodes` needs to repeat its episodes."""
+        """The arguments with which `trace_episodes` repeats its episodes."""
         return {"seed": self.seed, "model": self.model, "deterministic": self.deterministic}
 
 
 def in_parentheses(remarks: Iterable[str]) -> str:
-    """` (a; b)`, each remark once; empty without one."""
+    """Return remarks in parentheses, each once: ` (a; b)`. Empty without a remark."""
     joined = "; ".join(dict.fromkeys(remarks))
     return f" ({joined})" if joined else ""
 
 
 def remark_on_episodes(episodes: int, planned: int | None, required: int | None) -> tuple[str, ...]:
-    """What to say of the number of episodes of an evaluation; `required` is the number that `solved` asks
-    for."""
+    """Return remarks on the number of episodes of an evaluation. `required` is the number that `solved`
+    requires."""
     if planned is not None and episodes < planned:
         return (f"stopped by a requirement after {episodes} of {planned} episodes",)
     return (f"fewer than {required} episodes",) if required is not None and episodes < required else ()
