@@ -86,7 +86,7 @@ class GroupRecord(CampaignRecord):
 
     @property
     def options(self) -> dict[str, Any]:
-        """Return the options of each training."""
+        """The options of each training."""
         return self.model_dump(include={*TrainingOptions.__annotations__})
 
 

@@ -461,7 +461,7 @@ class Plan(NamedTuple):
 
 
 def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> Iterator[Plan]:
-    """Return the conditions that a scenario has; `mass_of` as for `evaluate_robustness`."""
+    """Yield the conditions that a scenario has; `mass_of` as for `evaluate_robustness`."""
     if program.format != "none":
         ways = [("to_robot", "latency to the robot")]
         if any(robot.emitted for robot in program.robots):

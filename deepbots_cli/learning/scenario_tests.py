@@ -117,7 +117,7 @@ def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | No
 def _first_of_each(
     misses: Sequence[UnmetExpectation], test: ScenarioTest, period: float
 ) -> Iterator[UnmetExpectation]:
-    """Return the first miss of each expectation, with the number of episodes that miss it, and the position
+    """Yield the first miss of each expectation, with the number of episodes that miss it, and the position
     of the first miss."""
     for first in {miss.where: miss for miss in reversed(misses)}.values():
         episodes = {miss.episode for miss in misses if miss.where == first.where}

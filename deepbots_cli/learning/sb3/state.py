@@ -148,7 +148,7 @@ class ReplayFiles:
             episode_starts(buffer)[:] = starts
 
     def _find_episodes(self, buffer: HerReplayBuffer, oldest: int, added: int, *, begin_anew: bool) -> None:
-        """Return the length of each complete episode that has ended; 0 elsewhere, which is not drawn from."""
+        """Set the length of each complete episode that has ended; 0 elsewhere, which is not drawn from."""
         rows = self._rows(buffer, oldest, added)
         buffer.ep_length[:] = 0
         for row in range(buffer.n_envs):
