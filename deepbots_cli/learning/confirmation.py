@@ -1,7 +1,7 @@
 """The confirmation of a model on new starts, which shows that the task is solved and the training may stop.
 
 An evaluation during a training is small and there are many of them, so one of them may meet `solved` by luck.
-A model whose evaluation meets `solved` is therefore confirmed on new starts, as many as `solved` asks for.
+A model whose evaluation meets `solved` is therefore confirmed on new starts, as many as `solved` requires.
 The training stops only if the confirmation shows more than the required value. A confirmation is judged once,
 by all of its episodes, so the chance of a false stop is easy to compute:
 

@@ -62,7 +62,7 @@ class BestModel(BaseModel):
 
     @property
     def text(self) -> str:
-        """How the model was chosen, such as `after 35,288 steps, by success rate on new starts`."""
+        """The origin of the model, such as `after 35,288 steps, by success rate on new starts`."""
         after = "" if self.steps is None else f"after {self.steps:,} steps, "
         if self.chosen_by == "return":
             return f"{after}chosen by return in an evaluation, by a version before 0.2"
@@ -79,7 +79,7 @@ class BestModel(BaseModel):
 
 
 class RunResult(BaseModel):
-    """How a training ended, or how far it has come.
+    """The result of a training, or its progress so far.
 
     Attributes:
         status: How it ended. An interrupted training keeps everything learned; `resume(run)` continues it.

@@ -14,8 +14,8 @@
     │                        step-000020000.zip with --keep-checkpoints; earlier-1.zip was the best before
     │                        `eval --keep`
     ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
-    ├── logs/                what callbacks and loggers append
-    └── checkpoints/         what a resumed training goes on from
+    ├── logs/                the output of callbacks and loggers
+    └── checkpoints/         the state from which a resumed training continues
 
 A directory is made once and never overwritten. All files are replaced whole, so a killed process leaves a
 usable run.
