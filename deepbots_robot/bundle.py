@@ -115,7 +115,8 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
     except (
         BundleError,
         OSError,
-    ) as error:  # an OSError means a name that the file system does not accept, or a folder without rights
+    ) as error:
+        # An OSError means a name that the file system does not accept, or a folder without rights.
         raise BundleError(f"{folder}: {_one_line(error, 1000)}; export the run again") from error
     return bundle
 
@@ -508,9 +509,8 @@ def read_parity(content: bytes, info: BundleInfo) -> Parity:
 def _read_archive(content: bytes, names: Collection[str]) -> dict[str, Array]:
     """Read the arrays of these names, which must be the only content of a zip file. This takes no more time
     and memory than their size justifies."""
-    if (
-        content.count(_ENTRY_OF_ARCHIVE) > 2 * len(names) + 100
-    ):  # otherwise each of millions of entries would become an object
+    # Each of millions of entries would become an object.
+    if content.count(_ENTRY_OF_ARCHIVE) > 2 * len(names) + 100:
         raise BundleError(f"{PARITY_NAME} has more entries than {BUNDLE_NAME} has fields")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         entries = archive.infolist()

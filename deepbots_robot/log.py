@@ -155,9 +155,8 @@ def read_log(
         raise ValueError(f"{path} is not a log of a robot")
     topics: dict[int, str] = {}
     count, ended = 0, False
-    with suppress(
-        McapError, struct.error, EOFError, KeyError, ValueError, RecursionError
-    ):  # the writing process was killed
+    # A process that was killed leaves an incomplete end.
+    with suppress(McapError, struct.error, EOFError, KeyError, ValueError, RecursionError):
         for record in _records(content):
             ended = isinstance(record, records.Footer)
             if isinstance(record, records.Channel):

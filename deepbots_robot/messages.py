@@ -174,9 +174,8 @@ class MessageLink(ABC):
             self._is_crowded = True
             return []
         arrival = read(content, self._fields)
-        if (
-            not arrival.problem and sender != self._introduced
-        ):  # remarks on another connection do not apply to this one
+        # Remarks on another connection do not apply to this one.
+        if not arrival.problem and sender != self._introduced:
             self._remarks, self._other, self._introduced = [], None, sender
         # Bytes that are no message change neither the answered connection nor the format.
         if not arrival.problem:

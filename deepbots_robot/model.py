@@ -317,7 +317,8 @@ def decode(content: bytes) -> BundleInfo:
         msgspec.DecodeError,
         RecursionError,
         UnicodeDecodeError,
-    ) as error:  # a ValidationError is a DecodeError
+    ) as error:
+        # A ValidationError is a DecodeError.
         raise BundleError(f"bundle.json is damaged: {' '.join(str(error).split())[:200]}") from error
     problem = next(_problems(info), None)
     if problem is not None:

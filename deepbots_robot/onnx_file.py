@@ -169,7 +169,8 @@ def require_plain(graph: bytes) -> int:
         _WireError,
         UnicodeDecodeError,
         IndexError,
-    ) as error:  # an IndexError means an operator with too few inputs
+    ) as error:
+        # An IndexError means an operator with too few inputs.
         raise BundleError("policy.onnx is damaged: it is no ONNX model") from error
     except _RefusedError as error:
         raise BundleError(f"policy.onnx is refused: {error}") from error

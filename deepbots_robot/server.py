@@ -264,9 +264,8 @@ class Server:
             return
         now = self._clock()
         passed = 0.0 if self._lockstep else (now - self._sent_at) * self._speed
-        if (
-            self._lockstep or passed >= (1.0 - EARLY) * self._step_time
-        ):  # a step is sooner only after a reset, which does not extend the reach
+        # A step is sooner only after a reset, which does not extend the reach.
+        if self._lockstep or passed >= (1.0 - EARLY) * self._step_time:
             passed = max(passed, self._step_time)
         commands = self.commands.limit(found, passed)
         if commands is None:

@@ -44,9 +44,8 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
         fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces)
         for traces in (t.random, t.policy or t.random)
     ]
-    if (
-        share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]
-    ):  # the policy earns the other terms in either case
+    # A policy that earns much more of the other terms is not dominated by this one.
+    if share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]:
         return None
     steps = sum(trace.steps for trace in t.random)
     return {

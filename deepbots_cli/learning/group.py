@@ -368,9 +368,8 @@ def _train_seeds(
         with suppress(KeyboardInterrupt):  # a signal before a training handles it, or a second one
             for seed, outcome in zip(left, outcomes, strict=False):
                 if isinstance(outcome, DeepbotsError):
-                    if not group.runs or isinstance(
-                        outcome, StorageError
-                    ):  # the settings cannot be trained, or the folder cannot be written to
+                    # The settings cannot be trained, or the folder cannot be written to.
+                    if not group.runs or isinstance(outcome, StorageError):
                         raise outcome
                     failed[seed] = outcome.full_message
                 elif outcome is not None:

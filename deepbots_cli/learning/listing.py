@@ -269,7 +269,8 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
         ValueError,
         KeyError,
         TypeError,
-    ):  # there is none yet, or it has just been replaced
+    ):
+        # There is no checkpoint yet, or it has just been replaced.
         return None
 
 
@@ -289,9 +290,8 @@ def teacher_of(run: Path) -> str | None:
         return DEMONSTRATIONS_NAME
     kept = run / RESOLVED_NAME
     try:
-        if not kept.is_file() or b"teacher" not in read_at_most(
-            kept, _MAX_SCENARIO_BYTES
-        ):  # reading all of it takes 5 ms
+        # Reading all of the file takes 5 ms.
+        if not kept.is_file() or b"teacher" not in read_at_most(kept, _MAX_SCENARIO_BYTES):
             return None
     except OSError:
         return None

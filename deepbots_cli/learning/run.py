@@ -144,9 +144,8 @@ class Run:
             write_text(path / "environment.py", compiled.code)
             write_record(path, record)
             return Run(path, record, compiled)
-        except (
-            BaseException
-        ) as error:  # includes Ctrl-C: half a directory is no run, and would block the next one
+        except BaseException as error:
+            # This includes Ctrl-C. Half a directory is no run, and would block the next one.
             shutil.rmtree(path, ignore_errors=True)
             if isinstance(error, OSError):
                 raise StorageError(unwritable_message(path, error)) from error

@@ -62,9 +62,8 @@ class Scalars:
             log.record("action/probability", float(np.exp(log_probs).mean()))
         if isinstance(observations, dict):
             observations = observations.get("observation")
-        if observations is not None and observations.shape[-1] > max(
-            self._seen.values(), default=0
-        ):  # a world of the caller may have other observations
+        # A world of the caller may have other observations.
+        if observations is not None and observations.shape[-1] > max(self._seen.values(), default=0):
             shares = (np.abs(observations) >= 1.0).mean(axis=(0, 1))
             for name, place in self._seen.items():
                 log.record(f"saturation/{name}", float(shares[place]))

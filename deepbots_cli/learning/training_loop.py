@@ -222,9 +222,8 @@ class TrainingProcess:
         try:
             learner.begin(total, callback, self._followers)
             self.checkpoints.restore()
-            if (
-                self._is_complete
-            ):  # it was killed before its last evaluation, or before its record was written
+            # The training was killed before its last evaluation, or before its record was written.
+            if self._is_complete:
                 callback.evaluate(UNLIMITED_SHARE)
                 return "finished"
             self._iterate(learner, collector)

@@ -181,9 +181,8 @@ class _Search(Watcher):
     def on_done(self, item: int, outcome: object) -> None:
         number = self._numbers[item]
         with self._locks.pop(number):
-            if isinstance(
-                outcome, UsageError
-            ):  # an error of the study or the worker; errors of a training are in a `TrialResult`
+            # This is an error of the study or the worker; errors of a training are in a `TrialResult`.
+            if isinstance(outcome, UsageError):
                 raise outcome
             result = (
                 TrialResult("failed", reason=outcome.full_message)

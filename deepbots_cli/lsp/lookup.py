@@ -190,11 +190,12 @@ def expression_at(view: CursorView) -> ExpressionNode | None:
     index = _index(reading.text, view.known_offset)
     text = reading.text.text
     tree = parser.parse(text, ignore_finding)
+    # A comment is not part of the expression.
     if (
         tree is None
         or not tree.start <= index <= tree.end
         or "#" in text[text.rfind("\n", 0, index) + 1 : index]
-    ):  # a comment
+    ):
         return None
     return _innermost(ExpressionNode(reading, index, tree))
 

@@ -154,9 +154,8 @@ class Checker:
         try:
             analysis = await loop.run_in_executor(self._executor, self._run, document, self._workspace.drafts)
             self._workspace.record(analysis)
-            if (
-                self._workspace.documents.get(document.uri) is document
-            ):  # otherwise a newer version is scheduled
+            # If the text has changed, a newer version is scheduled.
+            if self._workspace.documents.get(document.uri) is document:
                 self._record(analysis)
         except Exception as error:  # an internal error must not end the server  # noqa: BLE001
             self._warn(

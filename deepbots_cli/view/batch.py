@@ -127,9 +127,8 @@ class BatchPlayer(Player):
         frame = self.reader.read(
             value_of_row(batch.rows.by_world(self.observation), world), value_of_row(action, world)
         )
-        if step := int(
-            batch.step_count[world * batch.copies]
-        ):  # before the first step, the single world has all values
+        # Before the first step, the single world has all values.
+        if step := int(batch.step_count[world * batch.copies]):
             frame = replace(
                 frame,
                 step=step,

@@ -85,9 +85,8 @@ class Panel:
         if not isinstance(player, ReplayPlayer):
             drive = {"Drive": partial(add_drive, gui, playback, queue)}
             tabs = drive | tabs if playback.by_hand else tabs | drive
-        if (
-            player.opened.parameters and len(worlds) == 1 and playback.driven is None
-        ):  # a recording has fixed parameters
+        # A recording has fixed parameters.
+        if player.opened.parameters and len(worlds) == 1 and playback.driven is None:
             tabs["Parameters"] = partial(add_parameters, gui, player.opened.parameters, on_parameter)
         if player.opened.run is not None:
             tabs["Training"] = partial(TrainingTab, gui, player.opened.run)

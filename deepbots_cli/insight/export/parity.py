@@ -193,9 +193,9 @@ def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
         }
         try:
             rows.add(first, inputs, policy.step(values=inputs))
-        except (
-            BundleError
-        ):  # a command that is not finite: `apply` need not be defined far beyond the values of an episode
+        except BundleError:
+            # `apply` need not be defined far beyond the values of an episode, so commands may be infinite
+            # there.
             rows.cut()
         if rows.count == wanted:
             break

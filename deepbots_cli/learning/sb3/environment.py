@@ -53,11 +53,12 @@ class CollectorEnvironment(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
+        # A batch has its own masks.
         if (
             method_name == "action_masks"
             and isinstance(self.collector, LocalCollector)
             and (masks := self.collector.action_masks()) is not None
-        ):  # a batch has its own
+        ):
             return [masks[index] for index in self._get_indices(indices)]
         return [
             agent.get_wrapper_attr(method_name)(*method_args, **method_kwargs)

@@ -476,9 +476,8 @@ class OffPolicyLearner(StableLearner):
                 replay_buffer=model.replay_buffer,
                 log_interval=self._log_interval,
             )
-            if (
-                shards is not None
-            ):  # at the end of an episode, the library has reset the noise of the next one
+            # At the end of an episode, the library has reset the noise of the next one.
+            if shards is not None:
                 self._actor.remember(memory)
                 if self.setup.training.staleness:
                     shards.ask_ahead(self._actor, model.train_freq.frequency)

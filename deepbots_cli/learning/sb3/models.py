@@ -183,9 +183,8 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
             for name in archive.namelist():
                 if name.endswith(".pth"):
                     content = archive.read(name)
-                    if not content.startswith(
-                        b"PK\x03\x04"
-                    ):  # torch would read it as a file from before 2020
+                    # torch would read other content as a file from before 2020.
+                    if not content.startswith(b"PK\x03\x04"):
                         raise ValueError("it contains objects other than plain tensors")
                     with _opened(io.BytesIO(content), len(content)) as inner:
                         _check_pickle(inner)
