@@ -41,7 +41,7 @@ class BestModel(BaseModel):
             played new starts. `evaluation`: there was no second model, or the training was interrupted.
             `return`: by the mean return of an evaluation, in versions before 0.2. `hand`: a person named it
             (`eval MODEL --keep`).
-        measure: What the task asks for, by which it was chosen.
+        measure: The measure of the task, by which it was chosen.
         episodes: The held-out episodes that chose it, of which the other values are; they are better than
             those of new episodes on average, because they chose it.
         success_rate: None where the scenario defines no success.
@@ -82,13 +82,14 @@ class RunResult(BaseModel):
     """The result of a training, or its progress so far.
 
     Attributes:
-        status: How it ended. An interrupted training keeps everything learned; `resume(run)` continues it.
+        status: The end of the training. An interrupted training keeps everything learned; `resume(run)`
+            continues it.
         steps: Number of steps, summed over all rows of the environment, without `evaluation_steps`.
         mean_return: Mean return of the recent episodes, like `success_rate`; None if no episode has ended.
         best: The best model; None if there were too few episodes for an evaluation. `best_return` is read
             from records of versions before 0.2.
         evaluation_steps: Steps of all held-out episodes during the training.
-        confirmations: How often a confirmation of a solved task began.
+        confirmations: The number of confirmations of a solved task that began.
         confirmed_seed: The root seed of the starts that confirmed the task and ended the training; None if
             none did.
         stage: The stage of the curriculum in which the training ended; `stages` are the stages before it.

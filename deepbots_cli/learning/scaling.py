@@ -45,7 +45,7 @@ class ShardTiming:
         worlds_us: Steps of the worlds, divided by the number of processes.
         policy_us: The rest of collecting: actions of the policy, and counting steps and episodes.
         transfer_us: Orders to the shards, and their answers.
-        waiting_us: How much longer than the mean the slowest process takes.
+        waiting_us: The time by which the slowest process is slower than the mean.
         update_us: Learning.
     """
 
