@@ -1,4 +1,5 @@
-"""`deepbots-robot check BUNDLE` and `deepbots-robot serve BUNDLE`, where deepbots itself is not installed.
+"""The commands `deepbots-robot check BUNDLE` and `deepbots-robot serve BUNDLE`, for machines without deepbots
+itself.
 
 Use the script `deepbots-robot`: `python -m` puts the current folder first on the path of imports, so in the
 folder of a bundle it would run a file `json.py` of that bundle.
@@ -67,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; 1 after an error, or if nothing was served in `--seconds`."""
+    """Run a command. Returns 1 after an error, or if nothing was served in `--seconds`."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a terminal of another encoding shows escapes

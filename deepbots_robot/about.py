@@ -1,4 +1,4 @@
-"""What the two ends of a link say about themselves, and what of it does not fit: fields, scenario, pace."""
+"""The descriptions that the two ends of a link exchange, and their misfits: fields, scenario, pace."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class About(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
     """One end of a link.
 
     Attributes:
-        role: Whether it acts, or is acted for.
+        role: The role of the end: it is the policy, or the robot.
         scenario: The name of its scenario.
-        digest: Of what makes an episode of this scenario.
-        pace: How its time passes: `in lockstep`, or `at speed 1`.
-        sends: What it sends: counts and units by the names of fields. Over ROS 2 only where it is short
-            enough for discovery.
-        takes: What it receives.
-        rate: How many steps a second of its time has: at which the robot steps, or the policy acts. 0 if it
-            is not known.
+        digest: The digest of all parts of the scenario that affect an episode.
+        pace: The pace of its time: `in lockstep`, or `at speed 1`.
+        sends: The sent fields: counts and units by their names. Over ROS 2 only if it is short enough for
+            discovery.
+        takes: The received fields.
+        rate: The number of steps in a second of its time, at which the robot steps, or the policy acts. 0 if
+            it is unknown.
         scores: Whether it needs the values at the end of an episode too, since it computes rewards.
     """
 
@@ -44,7 +44,7 @@ class About(msgspec.Struct, frozen=True, omit_defaults=True, forbid_unknown_fiel
 
 
 class Remark(NamedTuple):
-    """A sentence about the other end; nothing works with an end that `is_misfit`."""
+    """A sentence about the other end. An end that `is_misfit` cannot be used."""
 
     text: str
     is_misfit: bool = False
@@ -55,7 +55,7 @@ def pace(*, lockstep: bool, speed: float) -> str:
 
 
 def with_fields(about: About, sends: Sequence[Field], takes: Sequence[Field]) -> About:
-    """With what it sends and receives, without the action, which nobody needs."""
+    """Return the description with the sent and received fields, without the action, which no end requires."""
     named = (
         {field.name: describe(field) for field in fields if field.name != ACTION} for fields in (sends, takes)
     )
@@ -63,8 +63,8 @@ def with_fields(about: About, sends: Sequence[Field], takes: Sequence[Field]) ->
 
 
 def misfit(own: About, other: About, *, topics: bool = False) -> str:
-    """Why the two ends cannot work together; empty if they can. With `topics`, a field that nobody takes does
-    no harm."""
+    """Return why the two ends cannot work together; empty if they can. With `topics`, a field that no end
+    receives does no harm."""
     problem = _difference(own, other, topics=topics) or _difference(other, own, topics=topics)
     if own.role == other.role:
         problem = f"it is a {own.role} too"
@@ -72,7 +72,7 @@ def misfit(own: About, other: About, *, topics: bool = False) -> str:
 
 
 def _difference(sender: About, taker: About, *, topics: bool) -> str:
-    """The first field that one end sends otherwise than the other one takes it."""
+    """Return the first field that one end sends otherwise than the other one receives it."""
     for name in (*taker.takes, *(() if topics else sender.sends)):
         sent, taken = sender.sends.get(name), taker.takes.get(name)
         if sent is None:
@@ -85,7 +85,7 @@ def _difference(sender: About, taker: About, *, topics: bool) -> str:
 
 
 def differences(own: About, other: About) -> list[str]:
-    """What two ends that work together should agree on."""
+    """Return the disagreements of two ends that can work together."""
     if own.scenario != other.scenario:
         return [f"{_other(other)} is of another scenario than {_this(own)}"]
     texts = []

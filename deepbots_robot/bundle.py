@@ -1,8 +1,8 @@
 """Loading a bundle with all checks, and the policy in it as an object to call.
 
 The checks refuse a bundle that is damaged, put together from several exports, or made to read files, to run
-without an end, or to command more than its own ranges. Who can write digests can write other weights: only a
-signature says who exported it.
+without an end, or to command more than its own ranges. An attacker who can write weights can also write
+digests. Only a signature proves who exported the bundle.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ BUNDLE_NAME, GRAPH_NAME, PARITY_NAME = "bundle.json", "policy.onnx", "parity.npz
 SCENARIO_NAME, README_NAME, SIGNATURE_NAME = "scenario.yaml", "README.md", "bundle.sig"
 _REQUIRED = (GRAPH_NAME, PARITY_NAME, SCENARIO_NAME, README_NAME)
 METADATA_KEY = "deepbots.bundle"
-"""Metadata of the graph: the digest of the bundle.json that belongs to it."""
+"""The key of the metadata of the graph with the digest of the bundle.json that belongs to it."""
 TOLERANCE = 1e-5
-"""Largest difference of a command, in shares of its range, and of two scores that count as equal."""
+"""The largest difference of a command, in shares of its range, and of two scores that count as equal."""
 _MAX_JSON_BYTES = 4_000_000
 _MAX_SIGNATURE_BYTES = 10_000
 _MAX_GRAPH_BYTES = 100_000_000
 _MAX_PARITY_BYTES = 100_000_000
-"""Packed and unpacked."""
+"""The largest size of the recorded steps, packed and unpacked."""
 _MAX_PARITY_OPERATIONS = 3_000_000_000
-"""Operations of all recorded steps together, which take at most 1.2 s."""
+"""The largest number of operations of all recorded steps together, which take at most 1.2 s."""
 _BYTE_OPERATIONS = 8
-"""What the digest of a byte takes, as operations of the graph: 2.6 ns."""
+"""The cost of the digest of a byte in operations of the graph: 2.6 ns."""
 _STEP_OPERATIONS, _FIELD_OPERATIONS = 100_000, 20_000
-"""What Python does in a step, and for each input, memory and command in it, as operations of the graph."""
+"""The cost of Python in a step, and for each input, memory and command in it, in operations of the graph."""
 _MAX_BYTES = 500_000_000
-"""All files of a bundle together."""
+"""The largest size of all files of a bundle together."""
 _CHUNK_BYTES = 1 << 20
 _MAX_DESCRIPTION_BYTES = 1 << 26
 _MAX_RATIO = 10_000
 _MAX_HEADER_BYTES = 20_000
-"""Of an array; numpy reads 10,000."""
+"""The largest size of the header of an array; numpy reads 10,000."""
 _ENTRY_OF_ARCHIVE = b"PK\x01\x02"
 """The bytes with which an entry of the directory of a zip file begins."""
 
@@ -80,11 +80,11 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
     Args:
         folder: The folder of the bundle.
         trusted: Public keys, or a file with one key per line: the bundle must be signed with one of them.
-            Without it, a signature is not looked at.
+            Without them, a signature is not checked.
 
     Raises:
-        BundleError: A check fails; names the file and, of a step that differs, the number of the step and the
-            field.
+        BundleError: A check fails; the message names the file and, for a step that differs, the number of the
+            step and the field.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -104,9 +104,7 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
         size = _checked_size(folder, info)
         for name in info.files.keys() - {GRAPH_NAME, PARITY_NAME}:
             _check_digest(folder, info, name)
-        if (
-            model.encode(info) != description
-        ):  # a key that occurs twice, which other readers may read otherwise
+        if model.encode(info) != description:  # a key occurs twice, which other readers may read differently
             raise BundleError(f"{BUNDLE_NAME} is not written as an export writes it")
         bundle = Bundle(info, _exported(folder, info, GRAPH_NAME, _MAX_GRAPH_BYTES), folder)
         replay(
@@ -117,27 +115,32 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
     except (
         BundleError,
         OSError,
-    ) as error:  # an OSError is of a name that the file system does not take, or of a folder without rights
+    ) as error:
+        # An OSError means a name that the file system does not accept, or a folder without rights.
         raise BundleError(f"{folder}: {_one_line(error, 1000)}; export the run again") from error
     return bundle
 
 
 def read_info(folder: Path) -> BundleInfo:
-    """bundle.json alone, without the graph.
+    """Read bundle.json alone, without the graph.
 
     Raises:
-        BundleError: It is missing, damaged or of another format.
+        BundleError: The file is missing, damaged or of another format.
     """
     return model.decode(_read(folder, BUNDLE_NAME, _MAX_JSON_BYTES))
 
 
 def description_digest(info: BundleInfo) -> str:
-    """The digest of everything in a bundle.json but the digests of the files."""
+    """Return the digest of everything in a bundle.json except for the digests of the files."""
     return hashlib.sha256(msgspec.json.encode(msgspec.structs.replace(info, files={}))).hexdigest()
 
 
 def _checked_size(folder: Path, info: BundleInfo) -> int:
-    """The bytes of all files together. Raises: BundleError: They are too many."""
+    """Return the size of all files together, in bytes.
+
+    Raises:
+        BundleError: The files are too large.
+    """
     sizes = 0
     for name in info.files:
         sizes += _regular_file(folder, name).stat().st_size
@@ -147,8 +150,11 @@ def _checked_size(folder: Path, info: BundleInfo) -> int:
 
 
 def _check_digest(folder: Path, info: BundleInfo, name: str) -> None:
-    """Compare a file that is not needed here with its digest. Raises: BundleError: It is missing, or another
-    one."""
+    """Compare a file that is not needed here with its digest.
+
+    Raises:
+        BundleError: The file is missing, or has another digest.
+    """
     digest, left = hashlib.sha256(), _MAX_BYTES
     with _opened(folder, name) as file:
         while left > 0 and (content := file.read(_CHUNK_BYTES)):
@@ -159,8 +165,11 @@ def _check_digest(folder: Path, info: BundleInfo, name: str) -> None:
 
 
 def _exported(folder: Path, info: BundleInfo, name: str, most: int) -> bytes:
-    """The content of a file. Raises: BundleError: It is missing, too large, or another one than `info` has
-    the digest of."""
+    """Read the content of a file.
+
+    Raises:
+        BundleError: The file is missing, too large, or does not match the digest in `info`.
+    """
     content = _read(folder, name, most)
     if hashlib.sha256(content).hexdigest() != info.files.get(name):
         raise BundleError(f"{name} is not the file that was exported")
@@ -168,8 +177,8 @@ def _exported(folder: Path, info: BundleInfo, name: str, most: int) -> bytes:
 
 
 def _opened(folder: Path, name: str) -> BinaryIO:
-    """A file in a folder, opened so that a link or a pipe that takes its place after the checks is neither
-    followed nor waited for."""
+    """Open a file in a folder. A link or a pipe that replaces it after the checks is neither followed nor
+    waited for."""
     flags = (
         os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     )
@@ -181,7 +190,11 @@ def _opened(folder: Path, name: str) -> BinaryIO:
 
 
 def _regular_file(folder: Path, name: str) -> Path:
-    """The path of a file in a folder. Raises: BundleError: It is missing, or reached through a link."""
+    """Return the path of a file in a folder.
+
+    Raises:
+        BundleError: The file is missing, or reached through a link.
+    """
     path = folder
     for part in PurePosixPath(name).parts:
         path = path / part
@@ -208,36 +221,35 @@ class Bundle:
 
     Attributes:
         info: The content of bundle.json.
-        folder: Where it was read from; None for one that was not.
+        folder: The folder from which the policy was read; None if it was not read from one.
         operations: An upper limit of the operations of a step.
     """
 
     def __init__(self, info: BundleInfo, graph: bytes, folder: Path | None = None) -> None:
-        """The session of a graph that fits `info`.
+        """Create the session of a graph that fits `info`.
 
         Raises:
-            BundleError: The graph cannot be run, or has other inputs, outputs or metadata than `info` says.
+            BundleError: The graph cannot be run, or its inputs, outputs or metadata differ from `info`.
         """
         self.operations = onnx_file.require_plain(graph)
         self.info, self.folder = info, folder
         options = onnxruntime.SessionOptions()
-        options.add_session_config_entry(
-            "session.strict_shape_type_inference", "1"
-        )  # else another shape is a warning
+        # By default, another shape only gives a warning.
+        options.add_session_config_entry("session.strict_shape_type_inference", "1")
         options.intra_op_num_threads = options.inter_op_num_threads = (
-            1  # a small network takes longer on several threads
+            1  # a small network is slower on several threads
         )
         # Else a model whose bytes 4 to 7 are "ORTM" is read as the format of onnxruntime, in which these
         # checks see another graph.
         options.add_session_config_entry("session.load_model_format", "ONNX")
-        options.log_severity_level = 4  # what onnxruntime writes to the terminal is raised as well
+        options.log_severity_level = 4  # errors that onnxruntime writes to the terminal are raised as well
         try:
             self.session = onnxruntime.InferenceSession(
                 graph, options, providers=["CPUExecutionProvider"], enable_fallback=False
             )
             inputs, outputs = self.session.get_inputs(), self.session.get_outputs()
             metadata = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
-        except Exception as error:  # of onnxruntime, or of Python where a name in the graph is no text
+        except Exception as error:  # by onnxruntime, or by Python for a name that is no text
             raise BundleError(f"{GRAPH_NAME} cannot be run by onnxruntime: {_one_line(error)}") from error
         problem = next(_differences(info, inputs, outputs), None)
         if problem is not None:
@@ -247,10 +259,10 @@ class Bundle:
         self.output_names = tuple(entry.name for entry in outputs)
 
     def start(self, rate_hz: float | None = None) -> Policy:
-        """The policy at the start of an episode, with a memory of its own.
+        """Return the policy at the start of an episode, with its own memory.
 
         Args:
-            rate_hz: How often `step` is called per second of the robot, by default at the rate of the bundle.
+            rate_hz: The number of calls of `step` per second of the robot, by default the rate of the bundle.
                 In a loop that is n times faster, the policy acts in every nth call, beginning with the first,
                 and returns its last commands in between.
 
@@ -268,10 +280,10 @@ class Bundle:
         return Policy(self, round(every))
 
     def description(self) -> dict[str, bytes]:
-        """What says what the values mean: bundle.json, the scenario as `resolved.yaml`, and its files in
-        `inputs`.
+        """Return the files that define the meaning of the values: bundle.json, the scenario as
+        `resolved.yaml`, and its files in `inputs`.
 
-        The scenario is left out where it is missing or too large: a policy acts without it.
+        The scenario is left out if it is missing or too large, because a policy acts without it.
         """
         contents = {BUNDLE_NAME: model.encode(self.info)}
         if self.folder is None:
@@ -289,7 +301,7 @@ class Bundle:
 
 
 def _differences(info: BundleInfo, inputs: Sequence[Any], outputs: Sequence[Any]) -> Iterator[str]:
-    """How the inputs and outputs of a graph differ from those of a bundle.json."""
+    """Yield the differences of the inputs and outputs of a graph from those of a bundle.json."""
     read: tuple[model.Input | model.Memory, ...] = (*info.inputs, *info.memory)
     inputs_wanted = [(entry.name, entry.shape, entry.dtype) for entry in read]
     outputs_wanted: list[tuple[str, tuple[int, ...], str]] = [
@@ -322,11 +334,11 @@ def _differences(info: BundleInfo, inputs: Sequence[Any], outputs: Sequence[Any]
 class Policy:
     """A policy that acts: `step` once per timestep of the bundle, `reset` at the start of an episode.
 
-    One policy acts for one robot: it remembers what it needs from the steps before.
+    One policy acts for one robot, because it has a memory of earlier steps.
     """
 
     def __init__(self, bundle: Bundle, every: int = 1) -> None:
-        """Acts in every so manyth call of `step`."""
+        """Create a policy that acts once in `every` calls of `step`."""
         self._every = every
         self._run = bundle.session.run
         self._inputs = [(entry.name, entry.shape, _NUMPY_TYPES[entry.dtype]) for entry in bundle.info.inputs]
@@ -338,15 +350,15 @@ class Policy:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all steps before: the next one is the first of an episode."""
+        """Forget all earlier steps. The next one is the first of an episode."""
         self._memory = dict(self._initial)
         self._calls, self._last = 0, dict[str, Array]()
 
     def step(self, values: Mapping[str, Any]) -> dict[str, Array]:
-        """The commands for the values that the sensors have now.
+        """Return the commands for the present values of the sensors.
 
         Args:
-            values: For each input its values in its shape, in SI units; a single number for the shape [1].
+            values: The values of each input in its shape, in SI units; a single number for the shape [1].
 
         Returns:
             The command of each actuator (float64 [n], SI units) by its name; `action`, and with choices
@@ -355,7 +367,7 @@ class Policy:
         Raises:
             InputError: A value is missing, unknown, of another shape or kind, or not finite.
             BundleError: The graph cannot compute with these values, or computes a command that is not finite.
-                Like after an InputError, the memory of the policy has not changed.
+                As after an InputError, the memory of the policy has not changed.
         """
         if values.keys() != self._names:
             raise InputError(self._wrong_names(values))
@@ -367,11 +379,11 @@ class Policy:
             return {name: value.copy() for name, value in self._last.items()}
         try:
             results = dict(zip(self._outputs, self._run(None, feeds), strict=True))
-        except Exception as error:  # of onnxruntime, such as a place beyond the end of a table
+        except Exception as error:  # raised by onnxruntime, for example for a place beyond the end of a table
             raise BundleError(f"{GRAPH_NAME} cannot compute with these values: {_one_line(error)}") from error
         for name, low, high in self._ranges:
             value = results[name]
-            if not ((value >= low) & (value <= high)).all():  # also where it is no number
+            if not ((value >= low) & (value <= high)).all():  # includes NaN
                 if not np.isfinite(value).all() or value.dtype.kind == "i":
                     raise BundleError(f"{GRAPH_NAME} computes '{name}' as {_numbers(value)}")
                 results[name] = np.clip(value, low, high).astype(value.dtype)
@@ -392,8 +404,7 @@ class Policy:
 
 
 def _ranges(info: BundleInfo) -> Iterator[tuple[str, Array, Array]]:
-    """The smallest and the largest number of each output; where there is no limit, those of finite
-    numbers."""
+    """Yield the smallest and the largest number of each output; without a limit, those of finite numbers."""
     limit = np.finfo(np.float64).max
     for entry in info.outputs:
         low, high = (
@@ -409,7 +420,7 @@ def _ranges(info: BundleInfo) -> Iterator[tuple[str, Array, Array]]:
 
 
 def initial_value(entry: model.Memory) -> Array:
-    """A memory at the start of an episode."""
+    """Return a memory at the start of an episode."""
     return np.ascontiguousarray(
         np.broadcast_to(np.array(entry.initial, _NUMPY_TYPES[entry.dtype]), model.size_of(entry.shape))
     ).reshape(entry.shape)
@@ -430,7 +441,7 @@ def _fitting(name: str, value: Any, shape: tuple[int, ...], kind: type[Any]) -> 
     if array.dtype == kind:
         pass
     elif kind in (np.float64, np.float32) and array.dtype.kind in "iuf":
-        with np.errstate(over="ignore"):  # is refused below
+        with np.errstate(over="ignore"):  # an infinite value is refused below
             array = array.astype(kind)
     else:
         raise InputError(
@@ -459,10 +470,10 @@ class Parity:
 
 
 def read_parity(content: bytes, info: BundleInfo) -> Parity:
-    """The steps of a parity.npz.
+    """Read the steps of a parity.npz.
 
     Raises:
-        BundleError: It is damaged, or has other arrays than the bundle.
+        BundleError: The file is damaged, or has other arrays than the bundle.
     """
     wanted = {f"input/{entry.name}": entry for entry in info.inputs} | {
         f"output/{entry.name}": entry for entry in info.outputs
@@ -472,7 +483,7 @@ def read_parity(content: bytes, info: BundleInfo) -> Parity:
         arrays = _read_archive(content, names)
     except BundleError:
         raise
-    except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damaged files
+    except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds of exceptions for damaged files
         raise BundleError(f"{PARITY_NAME} is damaged: {_one_line(error)}") from error
     starts = arrays.pop("starts")
     count = len(arrays["output/action"]) if arrays["output/action"].ndim else 0
@@ -496,19 +507,17 @@ def read_parity(content: bytes, info: BundleInfo) -> Parity:
 
 
 def _read_archive(content: bytes, names: Collection[str]) -> dict[str, Array]:
-    """The arrays of these names, which are all that a zip file holds, in a way that takes no more time and
-    memory than they have bytes."""
-    if (
-        content.count(_ENTRY_OF_ARCHIVE) > 2 * len(names) + 100
-    ):  # each of millions of entries would become an object
+    """Read the arrays of these names, which must be the only content of a zip file. This takes no more time
+    and memory than their size justifies."""
+    # Each of millions of entries would become an object.
+    if content.count(_ENTRY_OF_ARCHIVE) > 2 * len(names) + 100:
         raise BundleError(f"{PARITY_NAME} has more entries than {BUNDLE_NAME} has fields")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         entries = archive.infolist()
         sizes = {entry.filename: entry.file_size for entry in entries}
         if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in entries):
-            raise BundleError(
-                f"{PARITY_NAME} is compressed otherwise than by an export"
-            )  # LZMA takes as much memory as the file says
+            # LZMA allocates as much memory as the file states.
+            raise BundleError(f"{PARITY_NAME} is compressed otherwise than by an export")
         if sum(entry.compress_size for entry in entries) > len(content):
             raise BundleError(f"{PARITY_NAME} has arrays in the same bytes")
         if len(sizes) != len(entries):
@@ -521,15 +530,13 @@ def _read_archive(content: bytes, names: Collection[str]) -> dict[str, Array]:
 
 
 def _read_array(archive: zipfile.ZipFile, name: str, size: int) -> Array:
-    """An array of numbers, which takes no more memory than its bytes."""
+    """Read an array of numbers, which takes no more memory than its bytes."""
     with archive.open(name) as file:
         content = file.read(size)
     header = io.BytesIO(content[:_MAX_HEADER_BYTES])
     if np.lib.format.read_magic(header) != (1, 0):
         raise ValueError(f"{name} has another version than an export writes")
-    with warnings.catch_warnings(
-        action="ignore"
-    ):  # such as one about headers of Python 2, which shows a path
+    with warnings.catch_warnings(action="ignore"):  # for example, one about headers of Python 2 shows a path
         shape, by_columns, dtype = np.lib.format.read_array_header_1_0(header)
     if dtype.hasobject or len(content) - header.tell() != model.size_of(shape) * dtype.itemsize:
         raise ValueError(f"{name} has another number of bytes than its shape and type")
@@ -539,8 +546,8 @@ def _read_array(archive: zipfile.ZipFile, name: str, size: int) -> Array:
 
 
 def most_steps(bundle: Bundle, spent: int = 0) -> int:
-    """How many recorded steps may be repeated when a bundle is loaded and other checks have taken `spent`
-    operations."""
+    """Return the number of recorded steps that may be repeated when a bundle is loaded and other checks have
+    taken `spent` operations."""
     info = bundle.info
     python = _STEP_OPERATIONS + _FIELD_OPERATIONS * (
         len(info.inputs) + 2 * len(info.memory) + len(info.outputs)
@@ -549,7 +556,7 @@ def most_steps(bundle: Bundle, spent: int = 0) -> int:
 
 
 def replay(bundle: Bundle, parity: Parity, spent: int = 0) -> None:
-    """Repeat recorded steps, where other checks have already taken the time of `spent` operations.
+    """Repeat recorded steps, after other checks that took the time of `spent` operations.
 
     Raises:
         BundleError: A command or a score differs by more than 1e-5 of its range, or another option is chosen
@@ -575,7 +582,7 @@ def replay(bundle: Bundle, parity: Parity, spent: int = 0) -> None:
             raise BundleError(f"step {step} in {PARITY_NAME}: {error}") from error
         wanted = {name: rows[step] for name, rows in parity.outputs.items()}
         if skipping or _are_tied(bundle.info.choices, answers, wanted):
-            skipping = True  # the commands are those of another option, and what follows may depend on them
+            skipping = True  # the commands are those of another option, and later steps may depend on them
             continue
         if "scores" in wanted:
             spans["scores"] = max(1.0, float(np.abs(wanted["scores"]).max()))
@@ -586,13 +593,13 @@ def replay(bundle: Bundle, parity: Parity, spent: int = 0) -> None:
 
 
 def span_of(entry: model.Output) -> Array:
-    """The width of the range of each component of a command; 1 where there is no limit."""
+    """Return the width of the range of each component of a command; 1 without a limit."""
     ends = zip(*entry.range, strict=True)
     return np.array([1.0 if low is None or high is None or low == high else high - low for low, high in ends])
 
 
 def _are_tied(choices: tuple[int, ...], answers: Mapping[str, Array], wanted: Mapping[str, Array]) -> bool:
-    """Whether another option was chosen, of two whose scores are equal but for rounding."""
+    """Return whether another option was chosen, of two whose scores are equal except for rounding."""
     if not choices or np.array_equal(answers["action"], wanted["action"]):
         return False
     now, before = np.atleast_1d(answers["action"]), np.atleast_1d(wanted["action"])
@@ -610,6 +617,7 @@ def _numbers(array: Array) -> str:
 
 
 def _one_line(error: BaseException, most: int = 200) -> str:
-    """The text of an error without characters that a terminal obeys; names in a graph are part of it."""
+    """Return the text of an error, which may contain names of a graph, without characters that a terminal
+    obeys."""
     text = " ".join(str(error).split())[:most] or type(error).__name__
     return model.printable(text)

@@ -4,9 +4,9 @@ A topic `/cart/joint_states` of ROS 2 is the topic `rt/cart/joint_states` of DDS
 sends sensor data: best effort, the last five messages; commands and resets arrive reliably. An image takes
 its time in this serializer: 640 x 480 pixels in color take 34 to 67 ms, 64 x 48 less than 1 ms.
 
-Every program in a domain knows the topics and types of the others, so that a type that differs or a second
-policy is noticed whoever the other end is. What two ends of deepbots say about themselves is the user data of
-their participants.
+Every program in a domain receives the topics and types of the others, so that a type that differs or a second
+policy is noticed for any other end. The descriptions of two ends of deepbots are the user data of their
+participants.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _PLAIN_CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 SENSOR_DATA = Qos(
     Policy.Reliability.BestEffort, Policy.History.KeepLast(5), Policy.Durability.Volatile, _PLAIN_CDR
 )
-"""The profile of ROS 2 for sensors: the newest five messages, without asking again for a lost one."""
+"""The profile of ROS 2 for sensors: the newest five messages, without a repetition of a lost one."""
 COMMANDS = Qos(
     Policy.Reliability.Reliable(duration(milliseconds=100)),
     Policy.History.KeepLast(10),
@@ -58,23 +58,23 @@ COMMANDS = Qos(
 """The default profile of ROS 2, for commands and resets."""
 _TAKEN = 256
 _CONNECTED = 2.0
-"""Seconds after the first connection in which listeners of all topics are waited for; another program may
-leave some out."""
+"""The time after the first connection, in s, in which the link waits for listeners of all topics. Another
+program may leave some out."""
 _DISCOVERY = 0.5
-"""Seconds in which a policy looks for another one before it begins; on one machine they find each other
+"""The time in s in which a policy looks for another one before it begins. On one machine they find each other
 within 0.1 s."""
 _DESCRIBED = 8000
-"""Bytes of what a participant says about itself, which a message of discovery has room for."""
+"""The largest size of the description of a participant in bytes, which fits into a message of discovery."""
 
 _DOMAINS: dict[int, tuple[str, Any]] = {}
-"""The domains of this process with their networks; a process has one of each number, which two ends in it
+"""The domains of this process with their networks. A process has one of each number, which two ends in it
 share."""
 
 Mapped = Sequence[tuple[Field, Topic]]
 
 
 class RosLink:
-    """One end of a link over ROS 2.
+    """An end of a link over ROS 2.
 
     The end of the robot (`robot=True`) sends sensors and resets and receives commands.
     """
@@ -201,15 +201,14 @@ class RosLink:
     def send(self, values: Mapping[str, Array], stamp: float) -> None:
         for writer, codec in self._writers:
             if all(field.name in values for field in codec.fields):
-                with suppress(DDSException):  # a reader that stands still
+                with suppress(DDSException):  # the reader does not react
                     writer.write(codec.encode(values, stamp), round(stamp * 1e9))
 
     def reset(self, number: int, stamp: float) -> None:
         if self._episode_writer is not None:
             self._episode_writer.write(idl.Header(idl.time_of(stamp), str(number)))
-            with suppress(
-                Exception
-            ):  # a reader that was killed never answers, and cyclonedds then raises an AttributeError of its own
+            # A killed reader never answers, and cyclonedds then raises its own AttributeError.
+            with suppress(Exception):
                 self._episode_writer.wait_for_acks(duration(seconds=1))
 
     def connected(self) -> bool:
@@ -230,8 +229,8 @@ class RosLink:
         return self._others.abouts()
 
     def close(self) -> None:
-        """End all topics at once: one that is lost at the end of the process counts for 10 s at the other
-        end."""
+        """End all topics at once. A topic that is lost at the end of the process is alive for 10 s at the
+        other end."""
         self._others.close()
         self._conditions.clear()
         self._readers.clear()
@@ -245,7 +244,7 @@ def _by_topic(mapped: Mapped) -> dict[str, Codec]:
 
 
 def _taken(reader: Any) -> list[Any]:
-    """The messages of a reader; an exception stands for bytes that are none of its type."""
+    """Return the messages of a reader. An exception stands for bytes that are no message of its type."""
     messages: list[Any] = []
     for _ in range(_TAKEN):
         try:

@@ -1,5 +1,5 @@
-"""The other programs in a domain of ROS 2: which topics of ours they use, and how, and what those of deepbots
-say about themselves."""
+"""The other programs in a domain of ROS 2: the topics of ours that they use, and the descriptions of programs
+of deepbots."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from cyclonedds.qos import Policy
 from deepbots_robot.about import About, Remark, differences, misfit
 
 MARK = b"deepbots="
-"""What the user data of a participant begins with, before the `About` as JSON."""
+"""The prefix of the user data of a participant, before the `About` as JSON."""
 KILLED = "(a program that was killed counts for 10 s)"
 _MOST, _TAKEN = 2000, 50
-"""How many ends of topics are known at most, and how many are taken at a time; a call that takes none lasts
-0.05 ms."""
+"""The largest number of known ends of topics, and of ends that are taken at a time. A call that takes none
+lasts 0.05 ms."""
 _SETTLED = 1.0
-"""Seconds in which the other end of the same scenario is found, if it runs already, before one of another
-scenario counts."""
+"""The time in s in which the other end of the same scenario is found, if it runs already, before one of
+another scenario is considered."""
 
 
 class End(NamedTuple):
@@ -44,7 +44,7 @@ class Others:
     """Watches the other programs in a domain."""
 
     def __init__(self, participant: DomainParticipant, ends: Mapping[str, End], about: About | None) -> None:
-        """`ends` are our topics, by their names in DDS."""
+        """Watch the topics. `ends` are our topics, by their names in DDS."""
         self._began = time.monotonic()
         self._own, self._about, self._ends = participant.guid, about, ends
         topics = (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription, BuiltinTopicDcpsParticipant)
@@ -53,7 +53,7 @@ class Others:
         ]
 
     def sent_by_others(self, names: Sequence[str]) -> str:
-        """The first of these topics that another program sends on; empty if there is none."""
+        """Return the first of these topics on which another program sends; empty if there is none."""
         self._update()
         return next(
             (
@@ -65,8 +65,8 @@ class Others:
         )
 
     def remarks(self) -> list[Remark]:
-        """What does not fit between our topics and those of others, and which topics several programs send
-        on."""
+        """Return the misfits between our topics and those of others, and the topics on which several programs
+        send."""
         self._update()
         texts = []
         senders: Counter[str] = Counter()
@@ -95,12 +95,12 @@ class Others:
         return [*texts, *self._differences()]
 
     def abouts(self) -> list[About]:
-        """What programs of deepbots in the domain say about themselves."""
+        """Return the descriptions of programs of deepbots in the domain."""
         read = [_about(each) for key, each in self._readers[2][1].items() if key != self._own]
         return [each for each in read if each is not None]
 
     def _update(self) -> None:
-        """Take what has changed since the last call."""
+        """Take the changes since the last call."""
         for reader, endpoints in self._readers:
             for each in reader.take(_TAKEN):
                 if each.sample_info.instance_state == InstanceState.Alive and len(endpoints) < _MOST:
@@ -109,7 +109,7 @@ class Others:
                     endpoints.pop(each.key, None)
 
     def _of_others(self) -> Iterator[tuple[bool, Any]]:
-        """Who sends (True) or receives on a topic of ours."""
+        """Yield the other programs that send (True) or receive on a topic of ours."""
         for (_, endpoints), is_sent in zip(self._readers[:2], (True, False), strict=True):
             yield from (
                 (is_sent, each)
@@ -118,8 +118,8 @@ class Others:
             )
 
     def _differences(self) -> Iterator[Remark]:
-        """What programs of deepbots with the other role should agree on with this one: those of its scenario,
-        else all."""
+        """Yield the disagreements with programs of deepbots with the other role: those of its scenario, else
+        all."""
         own = self._about
         if own is None:
             return
@@ -142,7 +142,7 @@ class Others:
 
 
 def _about(participant: Any) -> About | None:
-    """What a program says about itself; None where it is none of deepbots."""
+    """Return the description of a program; None if it is no program of deepbots."""
     data = bytes(participant.qos[Policy.Userdata].data) if Policy.Userdata in participant.qos else b""
     try:
         return msgspec.json.decode(data.removeprefix(MARK), type=About) if data.startswith(MARK) else None
@@ -151,8 +151,8 @@ def _about(participant: Any) -> About | None:
 
 
 def _lost(topic: str, own: End, other: Any, *, is_sent: bool) -> str:
-    """Why no message passes: one end asks for reliable ones, and the other one sends with best effort. Empty
-    if messages pass."""
+    """Return why no message passes: one end requires reliable ones, and the other one sends with best effort.
+    Empty if messages pass."""
     is_reliable = Policy.Reliability in other.qos and isinstance(
         other.qos[Policy.Reliability], Policy.Reliability.Reliable
     )
@@ -179,5 +179,5 @@ def _dds_type(type: str) -> str:
 
 
 def _ros_type(name: str) -> str:
-    """A type as people write it."""
+    """Return a type in the form that people write."""
     return name.replace("::msg::dds_::", "/").removesuffix("_")[:100]

@@ -1,5 +1,5 @@
-"""ROS 2 messages as types of Cyclone DDS: the fields of the .msg files in their order, with the type names
-that ROS 2 gives them.
+"""ROS 2 messages as types of Cyclone DDS, with the fields of the .msg files in their order and the type names
+of ROS 2.
 
 Every type is `final`, so that its bytes are plain CDR, as ROS 2 sends them. `TYPES` has them by the name that
 a person writes, such as `sensor_msgs/JointState`. Needs the package `cyclonedds`; type annotations of this
@@ -152,7 +152,8 @@ class Imu(IdlStruct, typename="sensor_msgs::msg::dds_::Imu_"):
 @final
 @dataclass
 class Range(IdlStruct, typename="sensor_msgs::msg::dds_::Range_"):
-    """As in ROS 2 Humble and Iron. Jazzy adds the field `variance` at the end, which is not read here."""
+    """The message of ROS 2 Humble and Iron. Jazzy adds the field `variance` at the end, which is not read
+    here."""
 
     header: Header
     radiation_type: uint8
@@ -224,7 +225,7 @@ TYPES: dict[str, Any] = {
 
 
 def time_of(stamp: float) -> Time:
-    """A time in s as a ROS 2 time."""
+    """Return a time in s as a ROS 2 time."""
     nanoseconds = round(stamp * 1e9)
     return Time(nanoseconds // 10**9, nanoseconds % 10**9)
 
@@ -257,5 +258,6 @@ _EMPTY: Mapping[str, Any] = {
 
 
 def empty(type: str, stamp: float, frame: str) -> Any:
-    """A message of zeros; `stamp` is a time in s, and `frame` the `frame_id`, for messages with a header."""
+    """Create a message of zeros. `stamp` is a time in s, and `frame` the `frame_id`, for messages with a
+    header."""
     return _EMPTY[type](Header(time_of(stamp), frame))

@@ -1,5 +1,5 @@
-"""Checks of what a robot sends: layout, finite numbers, range, age and order. A message that fails one of
-them is not used at all."""
+"""Checks of the messages of a robot: layout, finite numbers, range, age and order. A message that fails one
+of them is not used at all."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from deepbots_robot.model import printable
 from deepbots_robot.topics import Field
 
 SLACK = 0.01
-"""By how much of its range a value may be beyond it: robot files round limits, and a joint gives way at its
-stop."""
+"""The share of its range by which a value may be beyond it: robot files round limits, and a joint gives way
+at its stop."""
 MAX_JUMP = 1.0
-"""By how much, in s, the stamps of a robot may go ahead of the time that has passed here. More is a clock
-that jumped."""
+"""The time in s by which the stamps of a robot may go ahead of the time that has passed here. A larger one is
+a clock that jumped."""
 RESTART = 1.0
-"""After this many seconds without a usable message, the next one sets the clock anew, as after a restart of
-the robot."""
+"""The time without a usable message, in s, after which the next one sets the clock anew, as after a restart
+of the robot."""
 
 
 class Refusal(NamedTuple):
-    """Why a message is not used: a word to count it by, and a sentence."""
+    """The reason why a message is not used: a word for counting, and a sentence."""
 
     kind: str
     text: str
 
     @property
     def is_harmless(self) -> bool:
-        """Whether a network can cause it: such a message is ignored. The server answers all other refusals
+        """Whether a network can cause it. Such a message is ignored. The server answers all other refusals
         with the safe posture."""
         return self.kind in (TWICE, ORDER, LATE)
 
@@ -47,7 +47,7 @@ class Input:
 
     Attributes:
         field: Its name, shape and unit.
-        dtype: As the policy takes it.
+        dtype: The dtype that the policy requires.
         low: Smallest value, -inf without a limit.
         high: Largest value, inf without a limit.
         max_age: The age in s beyond which a value is not used.
@@ -65,7 +65,7 @@ class Input:
 
 
 class _State:
-    """What is known of one field."""
+    """The state of one field."""
 
     def __init__(self) -> None:
         self.value: Array | None = None
@@ -76,8 +76,8 @@ class _State:
 
 
 class Intake:
-    """The newest value of each input. `speed` is how many seconds of the robot pass in one second here; None
-    without a clock."""
+    """The newest value of each input. `speed` is the number of seconds of the robot that pass in one second
+    here; None without a clock."""
 
     def __init__(self, inputs: Sequence[Input], speed: float | None = 1.0) -> None:
         self.inputs = {each.field.name: each for each in inputs}
@@ -90,14 +90,14 @@ class Intake:
         self._begun = -np.inf
 
     def begin(self, stamp: float | None) -> None:
-        """An episode begins: what was measured before `stamp` is not used any more."""
+        """Begin an episode. Values that were measured before `stamp` are not used any more."""
         self._begun = -np.inf if stamp is None else stamp
         for name, state in self._states.items():
             if state.stamp is None or state.stamp < self._begun:
                 self._states[name] = _State()
 
     def take(self, arrival: Arrival, now: float) -> Refusal | None:
-        """Use a message, or say why nothing of it is used. `now` is a monotonic time in s."""
+        """Use a message, or return why no part of it is used. `now` is a monotonic time in s."""
         self.received += 1
         refusal = Refusal("unreadable", arrival.problem) if arrival.problem else self._refusal(arrival, now)
         if refusal is not None:
@@ -135,10 +135,10 @@ class Intake:
         return None
 
     def _late(self, state: _State, declared: Input, stamp: float, now: float) -> Refusal | None:
-        """What is wrong with the time of a message.
+        """Return the fault in the time of a message; None if there is none.
 
-        The clock of the robot may be any. The smallest difference between it and the clock here, at the
-        arrival of a message, stands for a message without delay.
+        The clock of the robot may show any time. The smallest difference between it and the clock here, at
+        the arrival of a message, represents a message without delay.
         """
         name = declared.field.name
         if self._speed is not None and now - state.received > RESTART:
@@ -166,7 +166,7 @@ class Intake:
     # What the server asks
 
     def stale(self, now: float) -> list[str]:
-        """The inputs without a value that is young enough."""
+        """Return the inputs without a value that is young enough."""
         if self._speed is None:
             return self.missing()
         return [
@@ -176,7 +176,8 @@ class Intake:
         ]
 
     def ages(self, now: float) -> dict[str, float]:
-        """The time in s since the newest value of each input came; inputs that never had one are left out."""
+        """Return the time in s since the newest value of each input arrived. Inputs that never had a value
+        are left out."""
         speed = self._speed or 1.0
         return {
             name: (now - state.received) * speed
@@ -185,7 +186,7 @@ class Intake:
         }
 
     def missing(self) -> list[str]:
-        """The inputs that never had a value."""
+        """Return the inputs that never had a value."""
         return [
             name
             for name, state in self._states.items()
@@ -193,7 +194,7 @@ class Intake:
         ]
 
     def deadline(self) -> float:
-        """When the first input will be too old."""
+        """Return the time at which the first input will be too old."""
         if self._speed is None:
             return np.inf
         return min(
@@ -202,7 +203,7 @@ class Intake:
         )
 
     def complete(self) -> bool:
-        """Whether each input that has a new value in every step has got one since the last step."""
+        """Return whether each input that has a new value in every step has got one since the last step."""
         states = self._states
         needed = {name: each for name, each in self.inputs.items() if each.is_needed}
         return all(
@@ -211,21 +212,21 @@ class Intake:
         )
 
     def newest(self) -> tuple[float | None, float]:
-        """The newest stamp of all inputs, and when the last message came."""
+        """Return the newest stamp of all inputs, and the time at which the last message arrived."""
         stamps = [state.stamp for state in self._states.values() if state.stamp is not None]
         return max(stamps, default=None), max(
             (state.received for state in self._states.values()), default=-np.inf
         )
 
     def values(self) -> Mapping[str, Array]:
-        """The newest value of each input, for one step."""
+        """Return the newest value of each input, for one step."""
         for state in self._states.values():
             state.fresh = False
         return {name: state.value for name, state in self._states.items() if state.value is not None}
 
 
 def _wrong(value: Array, declared: Input) -> Refusal | None:
-    """What is wrong with the values of a field."""
+    """Return the fault in the values of a field; None if there is none."""
     name = declared.field.name
     if value.dtype.kind not in "fiub" or value.shape != declared.field.shape:
         return Refusal("layout", f"{name} has the shape {value.shape}, and not {declared.field.shape}")

@@ -1,4 +1,4 @@
-"""A link between robot and policy: what both transports offer, and what arrives on them.
+"""A link between robot and policy: the interface of all transports, and the messages that arrive on them.
 
 One end sends sensor fields and resets and receives commands, the other end the reverse. A link carries arrays
 by the names of fields; `intake` checks them.
@@ -23,7 +23,7 @@ EPISODE_TOPIC = "/deepbots/episode"
 ACTION_TOPIC = "/deepbots/action"
 """The topic of the action of a policy, std_msgs/Float64MultiArray."""
 MAX_BYTES = 16 * 2**20
-"""Of a message; a picture of 1024 x 1024 pixels in color has three million."""
+"""The largest size of a message in bytes. A picture of 1024 x 1024 pixels in color has three million."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class Arrival:
         source: The topic, or the robot that sent it.
         fields: Arrays by the names of fields.
         stamp: The sender's time in s; None if the message has none.
-        problem: Why it cannot be read; empty if it can.
-        kind: `reset` says that an episode begins.
+        problem: The reason why it cannot be read; empty if it can.
+        kind: The kind; with `reset`, an episode begins.
         number: The number of the episode of a reset.
-        about: What the sender says about itself, in the first message of an episode.
+        about: The description of the sender, in the first message of an episode.
     """
 
     source: str
@@ -50,31 +50,31 @@ class Arrival:
 
 
 class Link(Protocol):
-    """One end of a link."""
+    """An end of a link."""
 
     name: str
     """The transport and its address, for people."""
 
     def wait(self, timeout: float) -> None:
-        """Return when something has arrived, or after `timeout` s."""
+        """Wait until a message has arrived, at most `timeout` s."""
 
     def take(self) -> Sequence[Arrival]:
-        """The messages that arrived since the last call, in their order; resets first."""
+        """Return the messages that arrived since the last call, in their order; resets first."""
 
     def send(self, values: Mapping[str, Array], stamp: float) -> None:
         """Send fields, which were measured or computed at `stamp` (s)."""
 
     def reset(self, number: int, stamp: float) -> None:
-        """Say that episode `number` begins. What is sent afterwards arrives afterwards."""
+        """Announce that episode `number` begins. Messages that are sent afterwards arrive afterwards."""
 
     def connected(self) -> bool:
-        """Whether the other end listens."""
+        """Return whether the other end listens."""
 
     def remarks(self) -> Sequence[Remark]:
-        """What is known now of other programs on the link that do not fit, or that get in the way."""
+        """Return remarks on other programs on the link that do not fit, or that interfere."""
 
     def others(self) -> Sequence[About]:
-        """What other ends have said about themselves, as far as it is known now."""
+        """Return the descriptions of other ends, as far as they have arrived."""
 
     def close(self) -> None:
         """End the link."""

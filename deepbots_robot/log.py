@@ -30,15 +30,16 @@ from mcap.writer import CompressionType, Writer
 from deepbots_robot.link import Array
 
 FLUSH = 0.5
-"""Seconds between two times at which what was written goes to the file."""
+"""The time in s between two times at which the written messages are flushed to the file."""
 MAX_EVENTS = 20
-"""Events of one kind in a second; further ones are counted in the report alone."""
+"""The largest number of events of one kind in a second. Further ones are counted in the report alone."""
 MAX_READ = 1 << 28
 _MAX_RECORD = 1 << 26
 _MAGIC = b"\x89MCAP0\r\n"
 _NS = 1_000_000_000
 _LATEST = 1.8e10
-"""The latest time in s: MCAP has nanoseconds in 64 bits. In lockstep, times are those of the robot."""
+"""The latest time in s, because MCAP has nanoseconds in 64 bits. In lockstep, times are those of the
+robot."""
 _STEP = {
     "type": "object",
     "properties": {
@@ -138,7 +139,7 @@ class LogWriter:
 def read_log(
     path: Path, note: Callable[[str], object] = lambda text: None
 ) -> Iterator[tuple[str, float, dict[str, Any]]]:
-    """Topic, stamp (s) and content of each message, up to where the file ends.
+    """Yield topic, stamp (s) and content of each message, up to the end of the file.
 
     Args:
         note: Called after the last message if the file is longer than `MAX_READ`, or has no end, as after a
@@ -146,7 +147,7 @@ def read_log(
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It is no log.
+        ValueError: The file is no log.
     """
     with path.open("rb") as file:
         content = file.read(MAX_READ)
@@ -154,9 +155,8 @@ def read_log(
         raise ValueError(f"{path} is not a log of a robot")
     topics: dict[int, str] = {}
     count, ended = 0, False
-    with suppress(
-        McapError, struct.error, EOFError, KeyError, ValueError, RecursionError
-    ):  # the end of a process that was killed
+    # A process that was killed leaves an incomplete end.
+    with suppress(McapError, struct.error, EOFError, KeyError, ValueError, RecursionError):
         for record in _records(content):
             ended = isinstance(record, records.Footer)
             if isinstance(record, records.Channel):
@@ -177,7 +177,7 @@ def read_log(
 
 
 def read_attached(path: Path) -> dict[str, bytes]:
-    """The attached files of a log by their names.
+    """Read the attached files of a log by their names.
 
     Raises:
         OSError: The file cannot be read.

@@ -4,13 +4,14 @@
     {"robot": "cart", "stamp": 12.34, "reset": 3}                                 from the robot: episode 3 begins
     {"robot": "cart", "stamp": 12.35, "fields": {"cart.wheels": [5, 5, 5, 5]}}    to the robot: its commands
 
-A reset may have what the robot says about itself, as `about`; the policy answers with a message of the same
-kind, so that each end can say what does not fit. Of an end that does not fit nothing is used. Values that the
-robot cannot measure may come in messages of the robot `supervisor`. A picture is its bytes, rows first, in
-JSON in base64.
+A reset may have the description of the robot as `about`. The policy answers with a message of the same kind,
+so that each end can report misfits. No message of an end that does not fit is used. Values that the robot
+cannot measure may come in messages of the robot `supervisor`. A picture is its bytes, rows first, in JSON in
+base64.
 
 A policy takes the messages of one connection, the first that sends a readable one, until it is silent for
-`HELD` s. Those of other connections are dropped unread, so they neither delay nor change what the robot gets.
+`HELD` s. Those of other connections are dropped unread, so they neither delay nor change the commands of the
+robot.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from deepbots_robot.topics import MAX_NUMBERS, Field
 
 SUPERVISOR = "supervisor"
 HELD = 1.0
-"""Seconds of silence after which a policy takes the messages of another connection; of a slow policy, three
-periods."""
+"""The time of silence in s after which a policy takes the messages of another connection; three periods for a
+slow policy."""
 _CROWDED = Remark(
     "another program sends to this policy, which takes only what the first one sends; start a policy for"
     " each robot"
@@ -55,7 +56,7 @@ _READ_JSON, _READ_PACKED = msgspec.json.Decoder(Message), msgspec.msgpack.Decode
 
 
 def read(content: bytes, fields: Mapping[str, Field]) -> Arrival:
-    """A message; `problem` says what is wrong with bytes that are none."""
+    """Read a message. `problem` has the fault of bytes that are no message."""
     try:
         message = (_READ_JSON if content[:1] == b"{" else _READ_PACKED).decode(content)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OverflowError) as error:
@@ -87,7 +88,7 @@ def write(
     reset: int | None = None,
     about: About | None = None,
 ) -> bytes:
-    """The bytes of a message."""
+    """Return the bytes of a message."""
     fields: dict[str, Any] = {
         name: value.tobytes() if value.dtype == np.uint8 else value.reshape(-1).astype(float).tolist()
         for name, value in values.items()
@@ -99,15 +100,15 @@ def write(
 _NUMBER_BYTES, _NAME_BYTES = 26, 1300
 """The longest number of JSON with its comma, and the longest name with its escapes."""
 _OTHER_BYTES = 16_384
-"""Robot, stamp, reset, and what an end says about itself."""
+"""The largest size of robot, stamp, reset, and the description of an end, in bytes."""
 _WAITING_BYTES = 1 << 20
-"""Messages of one connection that wait to be read; more are dropped, the oldest first, or wait in the
-sockets."""
+"""The largest size of the messages of one connection that wait to be read, in bytes. Of more messages, the
+oldest are dropped, or wait in the sockets."""
 
 
 def longest_message(fields: Sequence[Field], about: About | None = None) -> int:
-    """The bytes of the longest message with these fields that the other end may send; longer ones are none of
-    its messages."""
+    """Return the size of the longest message with these fields that the other end may send, in bytes. Longer
+    ones are refused."""
     own = 0 if about is None else 4 * len(msgspec.json.encode(about))
     values = sum(
         _NAME_BYTES + (4 * field.count // 3 + 4 if field.is_picture else _NUMBER_BYTES * field.count)
@@ -117,7 +118,7 @@ def longest_message(fields: Sequence[Field], about: About | None = None) -> int:
 
 
 class MessageLink(ABC):
-    """What links with these messages share: they answer the sender of the last readable message, in its
+    """The base of links with these messages. They answer the sender of the last readable message, in its
     format."""
 
     def __init__(self, receives: Sequence[Field], sends: Sequence[Field], about: About | None) -> None:
@@ -126,12 +127,12 @@ class MessageLink(ABC):
         self._other: About | None = None
         self._remarks: list[Remark] = []
         self._introduced: Any = None
-        """The connection of the last readable message, of which the remarks are."""
+        """The connection of the last readable message, which the remarks are about."""
         self._is_crowded = False
         self._packed = False
         self._longest = longest_message(receives, self._about)
         self._most_waiting = max(4, min(256, _WAITING_BYTES // self._longest))
-        """Messages of one connection that wait to be read."""
+        """The largest number of messages of one connection that wait to be read."""
         self._held = max(HELD, 3.0 / about.rate) if about is not None and about.rate else HELD
         self._heard_at = -self._held
         self._robots: dict[str, list[str]] = {}
@@ -167,17 +168,17 @@ class MessageLink(ABC):
         )
 
     def _received(self, content: bytes, sender: Any = None) -> Sequence[Arrival]:
-        """A message, unless it is of another connection, of an end that does not fit, or only says what that
-        end is."""
+        """Return a message, unless it is of another connection, of an end that does not fit, or only
+        describes this end."""
         if not self._is_taken(sender):
             self._is_crowded = True
             return []
         arrival = read(content, self._fields)
-        if (
-            not arrival.problem and sender != self._introduced
-        ):  # what did not fit at another connection says nothing about this one
+        # Remarks on another connection do not apply to this one.
+        if not arrival.problem and sender != self._introduced:
             self._remarks, self._other, self._introduced = [], None, sender
-        if not arrival.problem:  # bytes that are no message change neither who is answered nor how
+        # Bytes that are no message change neither the answered connection nor the format.
+        if not arrival.problem:
             self._packed = content[:1] != b"{"
             self._heard_at = time.monotonic()
             self._answer(sender)
@@ -193,16 +194,16 @@ class MessageLink(ABC):
         return [] if is_useless or is_introduction else [arrival]
 
     def _is_taken(self, sender: Any) -> bool:
-        """Whether the messages of this connection are read now."""
+        """Return whether the messages of this connection are read now."""
         return self._is_answered(sender) or time.monotonic() - self._heard_at >= self._held
 
     @abstractmethod
     def _is_answered(self, sender: Any) -> bool:
-        """Whether this is the connection to which messages are sent; also where there is none."""
+        """Return whether this is the connection to which messages are sent; true if there is none."""
 
     @abstractmethod
     def _answer(self, sender: Any) -> None:
-        """Send what follows to this connection."""
+        """Send the next messages to this connection."""
 
     @abstractmethod
     def _write(self, content: bytes) -> None:

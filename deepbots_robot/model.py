@@ -26,12 +26,13 @@ _MAX_PARTS, _MAX_PART = 20, 255
 
 
 class BundleError(Exception):
-    """A bundle cannot be used; the message says what is wrong with which file, in one sentence."""
+    """The error for a bundle that cannot be used. The message names the file and its fault, in one
+    sentence."""
 
 
 class InputError(ValueError):
-    """The values given to `Policy.step` do not fit the inputs of the bundle; the memory of the policy has not
-    changed."""
+    """The error for values of `Policy.step` that do not fit the inputs of the bundle. The memory of the
+    policy has not changed."""
 
 
 # Values that occur in several records. A terminal obeys control characters, and Unicode has some that turn
@@ -286,7 +287,7 @@ class BundleInfo(Record, frozen=True):
 
 
 _LIMITS = {"float32": (-3.4e38, 3.4e38), "int64": (-(2.0**53), 2.0**53), "bool": (0, 1), "uint8": (0, 255)}
-"""The least and the largest number of a type."""
+"""The smallest and the largest number of a type."""
 
 
 class _Format(msgspec.Struct):
@@ -294,12 +295,12 @@ class _Format(msgspec.Struct):
 
 
 def encode(info: BundleInfo) -> bytes:
-    """`bundle.json`."""
+    """Return the content of `bundle.json`."""
     return msgspec.json.format(msgspec.json.encode(info), indent=2) + b"\n"
 
 
 def decode(content: bytes) -> BundleInfo:
-    """The records of `bundle.json`, whose parts fit each other.
+    """Return the records of `bundle.json`, whose parts are checked against each other.
 
     Raises:
         BundleError: The text is no JSON, has another format, an unknown or a missing key, or values that
@@ -316,7 +317,8 @@ def decode(content: bytes) -> BundleInfo:
         msgspec.DecodeError,
         RecursionError,
         UnicodeDecodeError,
-    ) as error:  # a ValidationError is a DecodeError
+    ) as error:
+        # A ValidationError is a DecodeError.
         raise BundleError(f"bundle.json is damaged: {' '.join(str(error).split())[:200]}") from error
     problem = next(_problems(info), None)
     if problem is not None:
@@ -325,18 +327,18 @@ def decode(content: bytes) -> BundleInfo:
 
 
 def plain(info: BundleInfo) -> Mapping[str, Any]:
-    """The content as `json` reads it."""
+    """Return the content as `json` reads it."""
     plain_data: Mapping[str, Any] = json.loads(msgspec.json.encode(info))
     return plain_data
 
 
 def printable(text: str) -> str:
-    """A text of another program with `?` for each character that a terminal obeys."""
+    """Return a text of another program with `?` for each character that a terminal obeys."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def size_of(shape: tuple[int, ...]) -> int:
-    """The number of values in a tensor."""
+    """Return the number of values in a tensor."""
     size = 1
     for side in shape:
         size *= side
@@ -344,7 +346,8 @@ def size_of(shape: tuple[int, ...]) -> int:
 
 
 def _problems(info: BundleInfo) -> Iterator[str]:
-    """What no schema says: names are unique, and lists have the length of their tensor."""
+    """Yield faults that a schema cannot express: names are unique, and lists have the length of their
+    tensor."""
     if abs(info.rate_hz * info.timestep_s - 1.0) > 1e-6:
         yield f"rate_hz {info.rate_hz:g} is not 1 / timestep_s {info.timestep_s:g}"
     read = [*(entry.name for entry in info.inputs), *(entry.name for entry in info.memory)]
@@ -410,7 +413,7 @@ def _wrong_input(entry: Input) -> Iterator[str]:
 
 
 def _wrong_topics(info: BundleInfo) -> Iterator[str]:
-    """Topics of fields that are not there, and types that no message has."""
+    """Yield topics of fields that do not exist, and types that no message has."""
     fields: tuple[Input | Output, ...] = (*info.inputs, *info.outputs)
     names = {field.name for field in fields}
     for name, topic in info.ros.items():

@@ -1,10 +1,10 @@
-"""Whether the graph of a bundle is one that an export writes: known operators and fields, no other files,
+"""Checks that the graph of a bundle is one that an export writes: known operators and fields, no other files,
 bounded work.
 
-onnxruntime would read tensors from files that a graph names, run loops, and allocate what shapes ask for.
-This module reads the graph by itself and accepts only what an export writes, byte for byte: a reader that
-skips what it does not know, such as a field number that another reader cuts to 32 bits, sees another graph
-than onnxruntime. The definitions are those of the protobuf wire format,
+onnxruntime would read tensors from files that a graph names, run loops, and allocate any memory that shapes
+require. This module reads the graph by itself and accepts only the output of an export, byte for byte. A
+reader that skips unknown parts, such as a field number that another reader cuts to 32 bits, reads another
+graph than onnxruntime. The definitions are those of the protobuf wire format,
 https://protobuf.dev/programming-guides/encoding, and of `onnx.proto3` of ONNX.
 
 Every tensor has a static shape, in `value_info` for those between two nodes. onnxruntime compares these
@@ -33,15 +33,18 @@ OPERATORS = frozenset([*_ELEMENTWISE.split(), *_OF_TENSORS.split()])
 _SHAPED_BY_INPUTS = frozenset(["ReduceSum", "Reshape", "Slice", "Split", "Squeeze", "Unsqueeze"])
 """Operators whose later inputs determine the shape of the result; these must be weights."""
 OPERATOR_SETS = frozenset([17])
-"""The versions of the operators of ONNX that exports were written with."""
+"""The versions of the operators of ONNX that exports use."""
 MAX_NODES = 5_000
-"""The largest shipped scenario has 181."""
+"""The largest number of nodes; the largest shipped scenario has 181."""
 MAX_VALUE_BYTES = 128_000_000
-"""Numbers in all weights and results of a step together, and the copies that operators make of them."""
+"""The largest size of the numbers in all weights and results of a step together, with the copies that
+operators make of them."""
 MAX_OPERATIONS = 1_000_000_000
-"""Operations in a step; one is a multiplication and an addition of float32, at most 0.4 ns."""
+"""The largest number of operations in a step. One is a multiplication and an addition of float32, at most 0.4
+ns."""
 _MAX_PLAIN_BYTES = 1_000_000
-"""Names, nodes and shapes, without the numbers of weights; the largest shipped scenario has 11 kB."""
+"""The largest size of names, nodes and shapes, without the numbers of weights; the largest shipped scenario
+has 11 kB."""
 _MAX_SIDES = 8
 _MAX_SIDE = 1 << 31
 
@@ -97,7 +100,7 @@ _SIDE: _Message = {1: _NUMBER}
 
 _GRAPH_OF_MODEL, _OPERATOR_SETS, _PROPERTIES, _WEIGHTS, _NUMBERS = 7, 8, 14, 5, 9
 _BYTES_OF_TYPE = {1: 4, 2: 1, 3: 1, 6: 4, 7: 8, 9: 1, 11: 8}
-"""Bytes of a number by the type of a tensor: float32, uint8, int8, int32, int64, bool, float64."""
+"""The bytes of a number by the type of a tensor: float32, uint8, int8, int32, int64, bool, float64."""
 _BOOL, _FLOAT_KINDS = 9, frozenset([1, 11])
 
 _AXIS, _FLAG, _ANY = (-_MAX_SIDES, _MAX_SIDES), (0, 1), (0, 0)
@@ -119,16 +122,16 @@ _ATTRIBUTES: Mapping[str, Mapping[str, tuple[int, int]]] = {
     "Split": {"axis": _AXIS},
     "Transpose": {"perm": (0, _MAX_SIDES)},
 }
-"""The attributes that an export writes, with the least and the largest of their integers."""
+"""The attributes that an export writes, with the smallest and the largest of their integers."""
 _OF_FLOATS = frozenset(["Div", "Mod", "Pow"])
-"""Operators that an export uses for floats alone; a division of integers by 0 would end the process."""
+"""The operators that an export uses for floats alone; a division of integers by 0 would end the process."""
 
 # What operators cost, measured with onnxruntime 1.32 on one core of 2.5 GHz: at most 0.4 ns for each
 # operation.
 
 _NODE_COST, _NAME_COST = 1_000, 300
 _SUM_COST = 1_000
-"""Of each matrix of a stack, and of each picture."""
+"""The cost of each matrix of a stack, and of each picture, in operations."""
 _COST = 8
 _COSTS: Mapping[str, int] = {
     "Mod": 1_000,  # subtracts the divisor from 1e308 bit by bit
@@ -136,18 +139,18 @@ _COSTS: Mapping[str, int] = {
     "Pow": 60,
     **dict.fromkeys(["Atan", "Elu", "Erf", "Exp", "LeakyRelu", "Log", "Sigmoid", "Sqrt", "Tanh"], 30),
 }
-"""Operations for each number that an operator reads or makes."""
+"""The operations for each number that an operator reads or writes."""
 _INTEGER_SUM_COST = 2
 _COPY_COST = 60
-"""Of each part of a table, which may be too large for the cache."""
+"""The cost of each part of a table, which may be too large for the cache, in operations."""
 
 
 class _RefusedError(Exception):
-    """The graph is none that an export writes; the text says why."""
+    """The error for a graph that no export writes; the text has the reason."""
 
 
 class _WireError(Exception):
-    """The bytes are no such message."""
+    """The error for bytes that are no such message."""
 
 
 def require_plain(graph: bytes) -> int:
@@ -157,8 +160,8 @@ def require_plain(graph: bytes) -> int:
         An upper limit of the operations of a step, of which 1,000 stand for the start of a node.
 
     Raises:
-        BundleError: It is no ONNX model, or has a field, an operator, a file, an inner graph or a size that
-            no export writes.
+        BundleError: The graph is no ONNX model, or has a field, an operator, a file, an inner graph or a size
+            that no export writes.
     """
     try:
         return _operations_of_model(memoryview(graph))
@@ -166,7 +169,8 @@ def require_plain(graph: bytes) -> int:
         _WireError,
         UnicodeDecodeError,
         IndexError,
-    ) as error:  # an IndexError is of an operator with too few inputs
+    ) as error:
+        # An IndexError means an operator with too few inputs.
         raise BundleError("policy.onnx is damaged: it is no ONNX model") from error
     except _RefusedError as error:
         raise BundleError(f"policy.onnx is refused: {error}") from error
@@ -197,7 +201,7 @@ def _operations_of_model(content: memoryview) -> int:
 
 
 def _plain_sizes(content: memoryview) -> Iterator[int]:
-    """The bytes of each field of a model but the numbers of its weights.
+    """Yield the bytes of each field of a model except for the numbers of its weights.
 
     Reading them one by one takes no memory: a million of empty fields would take 200 MB.
     """
@@ -276,7 +280,7 @@ class _Node(NamedTuple):
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     axis: int
-    """0 where it has none."""
+    """The axis; 0 if the node has none."""
 
 
 def _node(content: memoryview) -> _Node:
@@ -298,7 +302,7 @@ def _node(content: memoryview) -> _Node:
 
 
 def _attribute(operator: str, attribute: _Fields) -> tuple[str, list[int]]:
-    """The name and the integers of an attribute that an export writes, with numbers that make sense."""
+    """Return the name and the integers of an attribute that an export writes, with numbers in its range."""
     name = _text(attribute, 1)
     limits = _ATTRIBUTES.get(operator, {}).get(name)
     if limits is None:
@@ -313,8 +317,8 @@ def _attribute(operator: str, attribute: _Fields) -> tuple[str, list[int]]:
 
 
 def _operations(node: _Node, read: Sequence[_Tensor], results: Sequence[_Tensor]) -> int:
-    """An upper limit of the operations of a node; the factor of a result is the length of the sums that make
-    a number of it."""
+    """Return an upper limit of the operations of a node. The factor of a result is the length of the sums
+    that make a number of it."""
     written, taken = sum(tensor.size for tensor in results), sum(tensor.size for tensor in read)
     shapes = [tensor.shape for tensor in read]
     match node.operator:
@@ -347,15 +351,15 @@ def _operations(node: _Node, read: Sequence[_Tensor], results: Sequence[_Tensor]
 
 
 def _copied(node: _Node, read: Sequence[_Tensor], results: Sequence[_Tensor]) -> int:
-    """The bytes that an operator takes for itself: of `Conv` the part of the picture below each number of a
-    result."""
+    """Return the bytes that an operator allocates for itself: for `Conv`, the part of the picture below each
+    number of a result."""
     if node.operator == "Conv":
         return prod(read[1].shape[1:]) * prod(results[0].shape[2:]) * 4
     return 0
 
 
 def _weight(content: memoryview) -> tuple[str, _Tensor]:
-    """The name and the type of a weight, whose numbers are in the graph as plain bytes."""
+    """Return the name and the type of a weight, whose numbers are in the graph as plain bytes."""
     tensor = _read(content, _TENSOR, "a weight (its numbers may be in another file)")
     shape = tuple(_integers(tensor.get(1, ())))
     kind = tensor.get(2, (0,))[0]
@@ -373,7 +377,7 @@ def _weight(content: memoryview) -> tuple[str, _Tensor]:
 
 
 def _value(content: memoryview) -> tuple[str, _Tensor]:
-    """The name and the type of a tensor with a static shape."""
+    """Return the name and the type of a tensor with a static shape."""
     value = _read(content, _VALUE, "a value")
     name = _text(value, 1)
     tensor = _read(
@@ -403,7 +407,7 @@ _Fields = dict[int, list[int | memoryview]]
 
 
 def _read(content: memoryview, message: _Message, what: str) -> _Fields:
-    """The fields of a message, all of them known.
+    """Return the fields of a message, all of them known.
 
     Raises:
         _WireError: The bytes are no message.
@@ -441,7 +445,7 @@ def _bytes(value: int | memoryview) -> memoryview:
 
 
 def _integers(values: Iterator[int | memoryview] | list[int | memoryview] | tuple[()]) -> Iterator[int]:
-    """Integers, one by one or packed."""
+    """Yield integers, one by one or packed."""
     for value in values:
         if isinstance(value, int):
             yield value
@@ -453,7 +457,7 @@ def _integers(values: Iterator[int | memoryview] | list[int | memoryview] | tupl
 
 
 def _fields(message: memoryview) -> Iterator[tuple[int, int, int | memoryview]]:
-    """The number, the wire type and the content of each field of a message."""
+    """Yield the number, the wire type and the content of each field of a message."""
     at = 0
     while at < len(message):
         key, at = _varint(message, at)
@@ -475,7 +479,7 @@ def _fields(message: memoryview) -> Iterator[tuple[int, int, int | memoryview]]:
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    """An integer of at most 64 bits in its shortest form, and the place after it."""
+    """Return an integer of at most 64 bits in its shortest form, and the place after it."""
     value = 0
     for shift in range(0, 70, 7):
         if at >= len(message):

@@ -1,4 +1,4 @@
-"""Fields as messages of ROS and back: the same for the messages of ROS 2 (`idl.py`) and those of ROS 1
+"""Converts fields to messages of ROS and back, for the messages of ROS 2 (`idl.py`) and those of ROS 1
 (`ros1.py`)."""
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _ENCODINGS = {1: "mono8", 3: "rgb8"}
 
 
 class Codec:
-    """The messages of one topic: `encode` takes the values of its fields, and `decode` gives them back."""
+    """The messages of one topic: `encode` takes the values of its fields, and `decode` returns them."""
 
     def __init__(self, type: str, fields: Sequence[tuple[Field, Topic]], empty: Empty) -> None:
-        """All topics of `fields` have this type; `empty` makes its messages.
+        """Create a codec. All topics of `fields` have this type; `empty` makes its messages.
 
         Raises:
             ValueError: A field does not fit the type.
@@ -35,7 +35,7 @@ class Codec:
         self.joints = tuple(dict.fromkeys(joint for field in self.fields for joint in field.joints))
 
     def encode(self, values: Mapping[str, Any], stamp: float) -> Any:
-        """A message with the values of the fields by name; `stamp` is a time in s, for messages with a
+        """Return a message with the values of the fields by name; `stamp` is a time in s, for messages with a
         header."""
         message = self._empty(self.type, stamp, self.fields[0].robot)
         if self.type == "sensor_msgs/JointState":
@@ -68,11 +68,11 @@ class Codec:
         return message
 
     def decode(self, message: Any) -> dict[str, np.ndarray[Any, Any]]:
-        """The values of the fields by name, in the shape of each.
+        """Return the values of the fields by name, in the shape of each.
 
         Raises:
-            ValueError: The message has other joints, another size, or a picture of another encoding; says
-                which.
+            ValueError: The message has other joints, another size, or a picture of another encoding; the
+                message names it.
         """
         return {
             field.name: self._value(message, field, part)
@@ -96,14 +96,14 @@ class Codec:
             numbers = np.asarray(value, float)
         if numbers.size != field.count:
             raise ValueError(f"{field.name} has {numbers.size} numbers, and not {field.count}")
-        if name in ("ranges", "range"):  # free up to the end of the sensor, as ROS 2 writes it
+        if name in ("ranges", "range"):  # inf means free up to the end of the sensor in ROS 2
             reach = getattr(message, "range_max" if name == "ranges" else "max_range")
             numbers[numbers == math.inf] = reach
         return numbers.reshape(field.shape)
 
 
 def _holder(message: Any, path: str) -> tuple[Any, str]:
-    """The object that has the last attribute of a path, and the name of this attribute."""
+    """Return the object that has the last attribute of a path, and the name of this attribute."""
     *steps, last = path.split(".")
     for step in steps:
         message = getattr(message, step)
@@ -143,7 +143,7 @@ def _picture(message: Any, field: Field) -> np.ndarray[Any, Any]:
 
 
 def _as_png(picture: np.ndarray[Any, Any]) -> bytes:
-    """The bytes of a PNG, which is small but for noise, and has the values of the camera."""
+    """Return the bytes of a PNG, which is small except for noise, and has the values of the camera."""
     from PIL import Image
 
     content = io.BytesIO()
@@ -154,7 +154,7 @@ def _as_png(picture: np.ndarray[Any, Any]) -> bytes:
 
 
 def _decompressed(content: bytes, field: Field) -> np.ndarray[Any, Any]:
-    """A PNG or JPEG; its size is read before its pixels."""
+    """Decompress a PNG or JPEG; its size is read before its pixels."""
     from PIL import Image
 
     rows, columns, channels = field.shape
@@ -186,7 +186,7 @@ def _set_scan(message: Any, type: str, field: Field) -> None:
 
 
 def stamp_of(message: Any) -> float | None:
-    """The time of a message in s; None where it has no header, or an empty stamp."""
+    """Return the time of a message in s; None if it has no header, or an empty stamp."""
     header = message if hasattr(message, "frame_id") else getattr(message, "header", None)
     if header is None or (header.stamp.sec == 0 and header.stamp.nanosec == 0):
         return None
@@ -194,7 +194,7 @@ def stamp_of(message: Any) -> float | None:
 
 
 def by_topic(mapped: Sequence[tuple[Field, Topic]], empty: Empty) -> dict[str, Codec]:
-    """The codec of each topic."""
+    """Return the codec of each topic."""
     sharing: dict[str, list[tuple[Field, Topic]]] = {}
     for field, topic in mapped:
         sharing.setdefault(topic.name, []).append((field, topic))

@@ -1,9 +1,9 @@
 """The link over ROS 1, where rospy is installed: the topics of ROS 2, through the master of ROS_MASTER_URI.
 
 rospy belongs to the Python of the system (Debian: ros-core, python3-sensor-msgs, python3-nav-msgs). A message
-without a header has the time at which it came. Each topic has a TCP connection of its own, so that the order
-of messages on different topics is not kept: the policy acknowledges a reset on `/deepbots/begun`, and the
-robot sends its first values afterwards.
+without a header has the time of its arrival. Each topic has its own TCP connection, so that the order of
+messages on different topics is not kept: the policy acknowledges a reset on `/deepbots/begun`, and the robot
+sends its first values afterwards.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from deepbots_robot.topics import Field, Topic
 
 _BEGUN_TOPIC = "/deepbots/begun"
 _PARAMETER = "/deepbots_about"
-"""Ends the name of the parameter with what a node says about itself."""
+"""The suffix of the name of the parameter with the description of a node."""
 _MAX_WAITING = 4096
 _LOOK = 1.0
-"""Seconds between two questions to the master."""
+"""The time in s between two requests to the master."""
 _ACKNOWLEDGED = 1.0
 _CONNECTED = 2.0
-"""Seconds after the first connection in which all topics are waited for."""
+"""The time after the first connection, in s, in which the link waits for all topics."""
 _FAILURES = (OSError, xmlrpc.client.Error, rosgraph.MasterException, socket.timeout)
 
 Mapped = Sequence[tuple[Field, Topic]]
 
 
 class Ros1Link:
-    """One end of a link over ROS 1; the end of the robot sends sensors and resets, and receives commands."""
+    """An end of a link over ROS 1. The end of the robot sends sensors and resets, and receives commands."""
 
     def __init__(
         self, receives: Mapped, sends: Mapped, *, robot: bool = False, about: About | None = None
@@ -223,7 +223,7 @@ class Ros1Link:
         self._looked_at = time.monotonic()
 
     def _described(self, key: str) -> About | None:
-        """What a node that runs says about itself, in its parameter."""
+        """Return the description of a node that runs, from its parameter."""
         if not key.endswith(_PARAMETER) or key == self._key:
             return None
         node = key.removesuffix(_PARAMETER).rpartition("/")[0]
@@ -234,7 +234,8 @@ class Ros1Link:
         return about if node == self._node or [*self._alive([node])] else None
 
     def _alive(self, nodes: Sequence[str]) -> list[str]:
-        """The nodes that answer, besides this one: the master still knows one that was killed."""
+        """Return the nodes that answer, besides this one, because the master also lists one that was
+        killed."""
         alive = []
         for node in nodes:
             if node != self._node:
@@ -253,8 +254,8 @@ class Ros1Link:
 
 
 def _end_node() -> None:
-    """End the node of this process without the wait of rospy, up to 5 s, for a daemon thread; Ctrl-C then
-    ends the process at once."""
+    """End the node of this process without the wait of rospy for a daemon thread, which takes up to 5 s.
+    Ctrl-C then ends the process at once."""
     with suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     getattr(rospy.core, "_shutdown_threads", []).clear()
@@ -262,7 +263,7 @@ def _end_node() -> None:
 
 
 class _Patient(xmlrpc.client.Transport):
-    """Waits for an answer half a second at most."""
+    """A transport that waits at most half a second for an answer."""
 
     def make_connection(self, host: Any) -> Any:
         connection = super().make_connection(host)
@@ -271,7 +272,7 @@ class _Patient(xmlrpc.client.Transport):
 
 
 def message_class(type: str) -> Any:
-    """The class of a type such as `sensor_msgs/JointState`.
+    """Return the class of a type such as `sensor_msgs/JointState`.
 
     Raises:
         ValueError: The package of the type is not installed.
@@ -287,7 +288,7 @@ def message_class(type: str) -> Any:
 
 
 def empty(type: str, stamp: float, frame: str) -> Any:
-    """A message of zeros."""
+    """Return a message of zeros."""
     message = message_class(type)()
     if hasattr(message, "header"):
         message.header.stamp, message.header.frame_id = Time.from_sec(stamp), frame

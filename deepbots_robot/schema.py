@@ -14,7 +14,7 @@ _URL = "https://json-schema.org/draft/2020-12/schema"
 
 
 def json_schema() -> str:
-    """The schema of the records in `model.py`."""
+    """Return the schema of the records in `model.py`."""
     about = {"$schema": _URL, "title": f"Bundle of an exported policy (bundle.json), format {FORMAT}"}
     return json.dumps(about | msgspec.json.schema(BundleInfo), indent=1) + "\n"
 

@@ -1,9 +1,9 @@
-"""The loop that acts for a robot: checks what comes, asks the policy once per step, limits its commands, and
-watches over silence.
+"""The loop that acts for a robot: it checks messages, calls the policy once per step, limits its commands,
+and reacts to silence.
 
-A step happens when every input has a new value, and no more often than the bundle's rate. Where a value is
+A step happens when every input has a new value, and no more often than the bundle's rate. If a value is
 missing, the step uses the last one while it is young enough. Otherwise the robot gets the safe posture in
-every step until all values are there again: on silence, and after a message that is wrong.
+every step until all values are there again: on silence, and after a faulty message.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ from deepbots_robot.model import printable
 from deepbots_robot.topics import ACTION, Field
 
 EARLY = 0.25
-"""The share of a period by which a step may come before its time, since messages do not come evenly."""
+"""The share of a period by which a step may come before its time, since messages do not arrive evenly."""
 LATE = 0.5
 """The share of a period after which a step no longer waits for new values."""
-_LONGEST_WAIT = 0.1  # s, so that a signal is noticed
+_LONGEST_WAIT = 0.1  # s; a longer wait would delay the reaction to a signal
 _LOOK = 1.0
-"""Seconds between two looks at what is known of the other end."""
+"""The time in s between two checks of the other end."""
 QUIET = 5.0
-"""Seconds without a value in lockstep, or without a first step, after which the server prints a remark."""
+"""The time in s without a value in lockstep, or without a first step, after which the server prints a
+remark."""
 _MOST_REMARKS = 100
 _MOST_ANSWERS = 100_000
-"""Answer times that are kept, so that the server takes no more memory the longer it runs."""
+"""The number of kept answer times, so that the memory of the server does not grow with its running time."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Output:
         low: Smallest command, -inf without a limit.
         high: Largest command, inf without a limit.
         max_rate: The largest change per s, inf without a limit.
-        safe: The command of the safe posture; NaN holds the last command.
+        safe: The command of the safe posture; NaN keeps the last command.
     """
 
     field: Field
@@ -56,16 +57,16 @@ class Output:
 
 
 class Policy(Protocol):
-    """What acts; `deepbots_robot.Policy` is one."""
+    """The interface of a policy; `deepbots_robot.Policy` has it."""
 
     def step(self, values: Mapping[str, Any]) -> Mapping[str, Array] | None:
-        """The commands for these values; None for the safe posture, while no episode runs."""
+        """Return the commands for these values; None for the safe posture, while no episode runs."""
 
     def reset(self) -> None: ...
 
 
 class Log(Protocol):
-    """Takes what happens; see `log.py`."""
+    """The interface of a log; see `log.py`."""
 
     def step(
         self,
@@ -89,8 +90,8 @@ class Commands:
         self.limited = 0
 
     def limit(self, commands: Mapping[str, Array], elapsed: float) -> dict[str, Array] | None:
-        """The commands that may be sent `elapsed` s after the last ones; None if one is missing, of another
-        shape, or not finite."""
+        """Return the commands that may be sent `elapsed` s after the last ones; None if one is missing, of
+        another shape, or not finite."""
         limited: dict[str, Array] = {}
         changed = False
         for output in self._outputs:
@@ -102,9 +103,8 @@ class Commands:
             last = self._last.get(output.field.name)
             if last is not None:
                 reach = output.max_rate * elapsed
-                value = np.clip(
-                    np.clip(value, last - reach, last + reach), output.low, output.high
-                )  # the range is clipped last
+                # The range is applied last.
+                value = np.clip(np.clip(value, last - reach, last + reach), output.low, output.high)
             changed |= bool((value != wanted).any())
             limited[output.field.name] = value
         self._last = limited
@@ -112,8 +112,8 @@ class Commands:
         return limited
 
     def safe(self) -> dict[str, Array]:
-        """The safe posture: what a component cannot say holds its last command, or is left out if there was
-        none."""
+        """Return the safe posture. A component without a safe command keeps its last command, or is left out
+        if there was none."""
         safe = {}
         for output in self._outputs:
             last = self._last.get(output.field.name)
@@ -141,7 +141,8 @@ class Server:
         log: Log | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`rate` is in steps per second of the robot; `speed` is how many of its seconds pass in one second.
+        """Create a server. `rate` is in steps per second of the robot; `speed` is the number of its seconds
+        that pass in one second.
 
         With `lockstep` the robot waits for each answer: a step happens whenever all inputs have new values,
         and silence is no fault.
@@ -153,19 +154,20 @@ class Server:
         """The newest times from values to commands, in s."""
         self.steps = self.safe_steps = self.held_steps = self.episodes = 0
         self.faults: Counter[str] = Counter()
-        """How often the robot went into the safe posture, by kind of reason."""
+        """The number of changes to the safe posture, by kind of reason."""
         self._policy, self._lockstep, self._log, self._clock = policy, lockstep, log, clock
         self._speed, self._step_time = speed, 1.0 / rate
         self._period = self._step_time / speed
         self._due = -np.inf
         self._begun_at = np.inf
-        self._fault = ""  # the kind of reason why the robot is in the safe posture, in this episode
+        self._fault = ""  # the kind of reason for the safe posture in this episode
         self._is_safe = False  # whether the last command was that of the safe posture
         self._last_sent: Mapping[str, Array] = {}
         self._sent_at = self._looked_at = clock()
-        self._heard_at = np.inf  # the last arrival; without one, or once its absence was said, none
+        # The time of the last arrival; inf without one, or once its absence was reported.
+        self._heard_at = np.inf
         self.remarks: list[str] = []
-        """What was noticed about the other end."""
+        """The remarks about the other end."""
 
     def run(self, stopped: Callable[[], bool] = lambda: False) -> None:
         """Serve until `stopped`; the safe posture is the last command."""
@@ -181,7 +183,7 @@ class Server:
                     self._send_safe("end", "the server ends")
 
     def _look(self) -> None:
-        """Say what does not fit at the other end, each sentence once."""
+        """Report misfits of the other end, each sentence once."""
         self._looked_at = self._clock()
         for text in (printable(remark.text) for remark in self.link.remarks()):
             if text not in self.remarks and len(self.remarks) < _MOST_REMARKS:
@@ -189,7 +191,7 @@ class Server:
                 self._event("remark", text)
 
     def _patience(self) -> float:
-        """How long nothing has to be done, in s."""
+        """Return the time in s in which nothing has to be done."""
         if self._lockstep or not np.isfinite(self._due):
             return _LONGEST_WAIT
         if self._fault:  # the deadline has passed
@@ -201,7 +203,7 @@ class Server:
         return float(min(max(0.0, until - self._clock()), _LONGEST_WAIT))
 
     def turn(self) -> None:
-        """Take what has arrived, and act if it is time."""
+        """Take the messages that have arrived, and act if it is time."""
         wrong: Refusal | None = None
         again = False
         for arrival in self.link.take():
@@ -226,7 +228,7 @@ class Server:
             self._keep_time(now)
 
     def _answer(self, wrong: Refusal | None, again: bool) -> None:
-        """In lockstep: one answer for each complete set of inputs; a set that comes again gets the same
+        """Answer in lockstep: once for each complete set of inputs. A set that arrives again gets the same
         answer."""
         if self.intake.complete():
             self._step()
@@ -239,7 +241,7 @@ class Server:
         stale = self.intake.stale(now)
         if stale:
             if not self._fault or now >= self._due:
-                silent = self.intake.stale(now + self._period)  # the others follow within a period
+                silent = self.intake.stale(now + self._period)  # the other inputs follow within a period
                 names = "any input" if len(silent) == len(self.intake.inputs) else ", ".join(silent[:3])
                 self._send_safe("silence", f"no new value of {names}")
         elif self.intake.complete() and (self._fault or now >= self._due - EARLY * self._period):
@@ -249,7 +251,7 @@ class Server:
             self._step(held=True)
 
     def _step(self, *, held: bool = False) -> None:
-        """Ask the policy; `held` if a value is missing, so that there is nothing that it answers."""
+        """Call the policy. With `held`, a value is missing, so the command answers no new value."""
         received = self.intake.newest()[1]
         values = self.intake.values()
         try:
@@ -262,9 +264,8 @@ class Server:
             return
         now = self._clock()
         passed = 0.0 if self._lockstep else (now - self._sent_at) * self._speed
-        if (
-            self._lockstep or passed >= (1.0 - EARLY) * self._step_time
-        ):  # a step is sooner only after a reset, which gives no more reach
+        # A step is sooner only after a reset, which does not extend the reach.
+        if self._lockstep or passed >= (1.0 - EARLY) * self._step_time:
             passed = max(passed, self._step_time)
         commands = self.commands.limit(found, passed)
         if commands is None:
@@ -301,14 +302,14 @@ class Server:
             self.link.send(commands, self._stamp())
 
     def _pace(self, now: float) -> None:
-        """The time of the next step: after one period, without catching up steps that were missed."""
+        """Set the time of the next step: after one period, without catching up steps that were missed."""
         first = not np.isfinite(self._due)
         self._due = (
             now + self._period if first else max(self._due + self._period, now + self._period * (1.0 - EARLY))
         )
 
     def _stamp(self) -> float:
-        """The time of a command: now, or in lockstep that of the values that it answers."""
+        """Return the time of a command: now, or in lockstep that of the values that it answers."""
         newest = self.intake.newest()[0] if self._lockstep else None
         return time.time() if newest is None else newest
 
@@ -326,7 +327,7 @@ class Server:
             self._log.event(self._stamp() + after, kind, printable(text))
 
     def report(self) -> dict[str, Any]:
-        """What was served: times in s, counts of messages, and why messages were refused."""
+        """Return the report: times in s, counts of messages, and why messages were refused."""
         answers = np.array(self.answers or [np.nan])
         middle, most = (float(np.quantile(answers, share)) if self.answers else None for share in (0.5, 0.99))
         return {
@@ -351,7 +352,7 @@ class Server:
 
 
 def report_lines(report: Mapping[str, Any]) -> list[str]:
-    """A report for people."""
+    """Return the lines of a report for people."""
     times = [report[name] for name in ("answer_median", "answer_p99", "answer_max")]
     shown = ["none" if each is None else f"{each * 1e3:.2f} ms" for each in times]
     lines = [

@@ -1,4 +1,4 @@
-"""Serving a bundle: its fields, the link that was asked for, the loop until a signal, and the report."""
+"""Serves a bundle: its fields, the requested link, the loop until a signal, and the report."""
 
 from __future__ import annotations
 
@@ -28,16 +28,17 @@ if TYPE_CHECKING:
 
 MAX_SPEED = 1000.0
 _MOST_EVENTS = 100
-"""Events of a kind in the log for each second: a flood of wrong messages would fill the disk."""
+"""The largest number of events of a kind in the log for each second, because a flood of wrong messages would
+fill the disk."""
 
 
 class ServeError(Exception):
-    """A bundle cannot be served as it was asked for; one sentence."""
+    """The error for a bundle that cannot be served as requested, in one sentence."""
 
 
 @dataclass(frozen=True)
 class Transport:
-    """Which link to open. Without an address it is ROS 2, by default on the loopback interface."""
+    """The link to open. Without an address it is ROS 2, by default on the loopback interface."""
 
     zmq: str | None = None
     websocket: str | None = None
@@ -51,11 +52,11 @@ class Transport:
 
     @classmethod
     def at(cls, address: str) -> Transport:
-        """The transport of an address: `ros1`, `ros`, `ros:3` of domain 3, `ros:3@eth0`, `tcp://HOST:PORT`,
-        `ipc://FILE`, `ws://HOST:PORT`.
+        """Return the transport of an address: `ros1`, `ros`, `ros:3` of domain 3, `ros:3@eth0`,
+        `tcp://HOST:PORT`, `ipc://FILE`, `ws://HOST:PORT`.
 
         Raises:
-            ServeError: It is none of these.
+            ServeError: The address is none of these.
         """
         ros = re.fullmatch(r"ros(?::([0-9]{1,3}))?(?:@(.{1,32}))?", address)
         if ros:
@@ -79,7 +80,7 @@ class Transport:
         robot: bool,
         about: About | None = None,
     ) -> Link:
-        """One end of the link, with what it says about itself.
+        """Open one end of the link, with the description of this end.
 
         Raises:
             ServeError: The package of the link is missing, or the address, the interface or a topic cannot be
@@ -146,7 +147,7 @@ class Transport:
 
 
 def field_of(entry: model.Input | model.Output) -> Field:
-    """An input or an output as a field."""
+    """Return an input or an output as a field."""
     if isinstance(entry, model.Output):
         return Field(
             entry.name,
@@ -170,7 +171,7 @@ def field_of(entry: model.Input | model.Output) -> Field:
 
 
 def _joints(entry: model.Output) -> tuple[str, ...]:
-    """The joints of the numbers; none where the numbers are not those of joints."""
+    """Return the joints of the numbers; empty if the numbers are not those of joints."""
     return (
         entry.joints
         if entry.kind in ("velocity", "position", "effort") and len(entry.joints) == entry.shape[0]
@@ -179,14 +180,15 @@ def _joints(entry: model.Output) -> tuple[str, ...]:
 
 
 def inputs_of(info: model.BundleInfo) -> list[Input]:
-    """The inputs with the limits that messages are checked by."""
+    """Return the inputs with the limits by which messages are checked."""
     return inputs_of_entries(info.inputs, info.rate_hz)
 
 
 def inputs_of_entries(
     entries: Sequence[model.Input], rate: float, *, needs_goals: bool = True
 ) -> list[Input]:
-    """As `inputs_of`, of a policy that acts at `rate`; without `needs_goals`, steps do not wait for goals."""
+    """Return the inputs for these entries of a policy that acts at `rate`; see `inputs_of`. Without
+    `needs_goals`, steps do not wait for goals."""
     return [
         Input(
             field_of(entry),
@@ -201,12 +203,12 @@ def inputs_of_entries(
 
 
 def outputs_of(info: model.BundleInfo) -> list[Output]:
-    """The outputs with the limits that commands are kept in."""
+    """Return the outputs with the limits of their commands."""
     return outputs_of_entries(info.outputs)
 
 
 def outputs_of_entries(entries: Sequence[model.Output]) -> list[Output]:
-    """As `outputs_of`."""
+    """Return the outputs for these entries; see `outputs_of`."""
     return [
         Output(
             field_of(entry),
@@ -236,7 +238,7 @@ def _filled(values: Sequence[float | None], shape: tuple[int, ...], missing: flo
 def mapped(
     fields: Sequence[Field], given: Mapping[str, Topic], *, commands: bool = False
 ) -> list[tuple[Field, Topic]]:
-    """Each field with its topic: the given one, else the first that fits.
+    """Return each field with its topic: the given one, else the default one.
 
     Raises:
         ServeError: Two fields cannot share a topic, or a field does not fit.
@@ -276,7 +278,7 @@ def serve(
     """Serve until SIGINT or SIGTERM, or for `seconds`; returns the report of the server.
 
     Args:
-        note: Called with sentences about what happens, at most one of each kind per second.
+        note: Called with sentences about events, at most one of each kind per second.
 
     Raises:
         ServeError: The link or the log cannot be opened.
@@ -333,14 +335,14 @@ def serve(
     finally:
         link.close()
         if writer is not None:
-            with suppress(OSError):  # a note has said so
+            with suppress(OSError):  # a note has reported it
                 writer.close()
     return server.report()
 
 
 def nothing_served(report: Mapping[str, Any], seconds: float | None) -> str:
-    """The sentence about a time that passed without a step; empty if there was one, or if the server ended by
-    a signal."""
+    """Return a sentence about a time that passed without a step; empty if there was one, or if the server
+    ended by a signal."""
     if seconds is None or report["steps"]:
         return ""
     missing = ", ".join(report["missing"][:5])
@@ -370,7 +372,7 @@ def _opened(path: Path | None, bundle: Bundle) -> LogWriter | None:
 
 
 class Notes:
-    """Passes on what happens to a log, and the more important part of it to a person."""
+    """Passes events to a log, and the more important of them to a person."""
 
     def __init__(self, log: LogWriter | None, note: Callable[[str], object]) -> None:
         self._log, self._note = log, note
@@ -379,11 +381,11 @@ class Notes:
         self._second = 0
 
     def step(self, *step: Any, **rest: Any) -> None:
-        """The same arguments as `LogWriter.step`."""
+        """Log a step; the arguments are those of `LogWriter.step`."""
         self._write(lambda log: log.step(*step, **rest))
 
     def _write(self, entry: Callable[[LogWriter], object]) -> None:
-        """Without the log, the robot still gets its commands."""
+        """Write to the log. Without the log, the robot still gets its commands."""
         try:
             if self._log is not None:
                 entry(self._log)
@@ -408,7 +410,7 @@ class Notes:
 
 
 class stopping:  # noqa: N801  a context manager
-    """Within, SIGINT and SIGTERM make `stopped()` true instead of ending the process."""
+    """Context in which SIGINT and SIGTERM make `stopped()` true instead of ending the process."""
 
     def __enter__(self) -> Callable[[], bool]:
         self._stopped = False
@@ -429,8 +431,8 @@ class stopping:  # noqa: N801  a context manager
 def until(
     stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], object]
 ) -> Callable[[], bool]:
-    """Whether the server should end: `stopped`, or after `seconds`. Without a step in the first 5 s, `note`
-    gets what is missing."""
+    """Return a function that returns whether the server should end: `stopped`, or after `seconds`. Without a
+    step in the first 5 s, `note` is called with the missing inputs."""
     began = time.monotonic()
     requested = False
 

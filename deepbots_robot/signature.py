@@ -1,8 +1,9 @@
 """Signatures of bundles (Ed25519): who exported a bundle, and that nothing in it was changed since.
 
-The digests in bundle.json find damage. They do not find a forger, who can write new digests. A signature
-covers bundle.json, and with it the digests of all other files. Public keys are lines such as `ssh-ed25519
-AAAA... name`, so `ssh-keygen -t ed25519` makes keys, too. The package `cryptography` computes and verifies.
+The digests in bundle.json reveal damage. They do not reveal a forgery, which may have new digests. A
+signature covers bundle.json, and with it the digests of all other files. Public keys are lines such as
+`ssh-ed25519 AAAA... name`, so `ssh-keygen -t ed25519` makes keys too. The package `cryptography` computes and
+verifies signatures.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 _CONTEXT = b"deepbots bundle 1\n"
-"""Comes before the signed bytes: a signature for another purpose is none of a bundle."""
+"""The prefix of the signed bytes, so that a signature for another purpose is no signature of a bundle."""
 _MAX_KEY_BYTES = 100_000
 _KIND = "ssh-ed25519"
 
 
 class KeyFileError(Exception):
-    """A key cannot be read or written; one sentence."""
+    """The error for a key that cannot be read or written, in one sentence."""
 
 
 class Signature(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -69,7 +70,7 @@ def write_key(path: Path) -> Path:
 
 
 def sign(description: bytes, key: Path) -> bytes:
-    """`bundle.sig` for a bundle.json.
+    """Return the content of `bundle.sig` for a bundle.json.
 
     Raises:
         KeyFileError: The file has no Ed25519 key without a password, or `cryptography` is missing.
@@ -82,7 +83,7 @@ def sign(description: bytes, key: Path) -> bytes:
     load_key = load_ssh_private_key if b"OPENSSH PRIVATE KEY" in content else load_pem_private_key
     try:
         private = load_key(content, password=None)
-    except (ValueError, TypeError, UnsupportedAlgorithm) as error:  # a TypeError asks for a password
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:  # a TypeError: a password is required
         raise KeyFileError(f"{key} is no private key without a password") from error
     if not isinstance(private, private_key):
         raise KeyFileError(f"{key} is a key of another kind; make one with: deepbots export --new-key FILE")
@@ -91,10 +92,10 @@ def sign(description: bytes, key: Path) -> bytes:
 
 
 def keys_of(trusted: str | Path | Sequence[str]) -> tuple[str, ...]:
-    """Public keys as `ssh-ed25519 AAAA...`, from lines or from a file with one key per line.
+    """Return public keys as `ssh-ed25519 AAAA...`, from lines or from a file with one key per line.
 
     Raises:
-        BundleError: There is no key, or a line is none.
+        BundleError: There is no key, or a line is no key.
     """
     if isinstance(trusted, str | Path):
         try:

@@ -1,8 +1,8 @@
-"""Which part of which ROS 2 message carries a field: units and counts, and the topics that a robot has by
-default.
+"""The parts of ROS 2 messages that carry fields: units and counts, and the default topics of a robot.
 
-A field is what one sensor measures, what one actuator is commanded, or a value that the scenario's supervisor
-computes. Nothing here needs ROS or an implementation of DDS, so that a scenario can be checked without them.
+A field is the measurement of one sensor, the command of one actuator, or a value that the scenario's
+supervisor computes. Nothing here needs ROS or an implementation of DDS, so that a scenario can be checked
+without them.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 MAX_NAME = 128
-"""Characters of a topic."""
+"""The largest number of characters of a topic."""
 MAX_NUMBERS = 4_000_000
-"""Numbers of a field: a picture of 1024 x 1024 pixels has three million."""
+"""The largest number of numbers of a field: a picture of 1024 x 1024 pixels has three million."""
 _TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 
 
@@ -45,13 +45,13 @@ class Field:
 
     @property
     def count(self) -> int:
-        """How many numbers it has."""
+        """The number of its numbers."""
         return math.prod(self.shape)
 
 
 @dataclass(frozen=True)
 class Topic:
-    """Where a field is sent: the topic, the type of its messages, and the part of a message.
+    """The place to which a field is sent: the topic, the type of its messages, and the part of a message.
 
     Without `part`, it is the part whose unit and count fit.
     """
@@ -66,7 +66,7 @@ ACTION = "action"
 
 
 def action_field(count: int) -> tuple[Field, Topic]:
-    """The action of a policy, which a robot needs no more than any other; a simulated one computes rewards
+    """Return the field of the action of a policy. A robot does not need it; a simulated one computes rewards
     with it."""
     return Field(ACTION, "", "value", "1", (count,)), Topic("/deepbots/action", "std_msgs/Float64MultiArray")
 
@@ -74,9 +74,9 @@ def action_field(count: int) -> tuple[Field, Topic]:
 @dataclass(frozen=True)
 class Part:
     """A part of a message: the attributes that lead to it, the units that it may have (any, if empty), and
-    how many numbers it has.
+    its number of numbers.
 
-    `count` is None where a message has any number of them; `by_joint` is whether they stand beside names of
+    `count` is None if a message may have any number of them; `by_joint` is whether they are beside names of
     joints.
     """
 
@@ -125,7 +125,7 @@ PARTS: Mapping[str, Mapping[str, Part]] = {
 
 
 def parts(type: str) -> dict[str, Part]:
-    """The parts of a type of message with their single numbers, by name."""
+    """Return the parts of a type of message with their single numbers, by name."""
     type_parts = dict(PARTS[type])
     for name, part in PARTS[type].items():
         for letter in _XYZW[: part.count or 0] if part.count in (3, 4) else "":
@@ -134,7 +134,7 @@ def parts(type: str) -> dict[str, Part]:
 
 
 def part_of(field: Field, topic: Topic) -> str:
-    """The name of the part of the message that carries a field.
+    """Return the name of the part of the message that carries a field.
 
     Raises:
         ValueError: The topic is no name of ROS 2, the type is unknown, or no part of it has the unit and the
@@ -172,7 +172,7 @@ def part_of(field: Field, topic: Topic) -> str:
 
 
 def _misfit(field: Field, part: Part) -> str:
-    """What of a field does not fit; empty if it fits."""
+    """Return the property of a field that does not fit; empty if it fits."""
     if part.picture != field.is_picture:
         return (
             f"is {'a picture' if part.picture else 'a row of numbers'}, and {field.name} is {describe(field)}"
@@ -187,7 +187,7 @@ def _misfit(field: Field, part: Part) -> str:
 
 
 def describe(field: Field) -> str:
-    """A field in words: `12 numbers in rad`."""
+    """Return a field in words, such as `12 numbers in rad`."""
     if field.is_picture:
         return f"a picture of {field.shape[1]} x {field.shape[0]}"
     numbers = f"{field.count} number{'s' * (field.count > 1)}"
@@ -199,8 +199,8 @@ def _described(part: Part) -> str:
 
 
 def conflicts(mapping: Mapping[str, tuple[Field, Topic]]) -> dict[str, str]:
-    """What is wrong between the topics of several fields, by the name of the later field: another type, or a
-    number that is taken."""
+    """Return the conflicts between the topics of several fields, by the name of the later field: another
+    type, or a number that is taken."""
     types: dict[str, tuple[str, str]] = {}
     taken: dict[tuple[str, str], str] = {}
     reasons: dict[str, str] = {}
@@ -222,11 +222,11 @@ def conflicts(mapping: Mapping[str, tuple[Field, Topic]]) -> dict[str, str]:
 
 
 def first_mapping(fields: Sequence[Field], *, commands: bool = False) -> dict[str, Topic]:
-    """A topic for each field: types of ROS 2 where they fit, else plain arrays of numbers.
+    """Return a topic for each field: types of ROS 2 if they fit, else plain arrays of numbers.
 
     Joints of a robot share `/ROBOT/joint_states`, and with `commands` `/ROBOT/joint_commands`. Two sensors of
-    one link that fit `sensor_msgs/Imu` have a topic each, because a message says nothing about when each of
-    its parts was measured.
+    one link that fit `sensor_msgs/Imu` have a topic each, because a message does not have the time at which
+    each of its parts was measured.
     """
     mapping: dict[str, Topic] = {}
     taken: set[tuple[str, str, str]] = set()

@@ -29,28 +29,27 @@ from deepbots_robot.link import Arrival
 from deepbots_robot.messages import MessageLink
 from deepbots_robot.topics import Field
 
-_SILENT = logging.getLogger(
-    __name__
-)  # websockets writes a traceback for each connection that is no WebSocket
+# websockets writes a traceback for each connection that is no WebSocket.
+_SILENT = logging.getLogger(__name__)
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
 
 
 MOST_CONNECTIONS = 8
 _PAUSE = 0.02
-"""Seconds between connections where there are too many, so that opening them takes little of the CPU."""
+"""The time in s between connections when there are too many, so that opening them takes little of the CPU."""
 _LOOK = 0.5
-"""Seconds after which a wait for a connection looks whether the link is closed."""
+"""The time in s after which a wait for a connection checks whether the link is closed."""
 _OPENING = 2.0
-"""Seconds within which a connection must become a WebSocket."""
+"""The time in s within which a connection must become a WebSocket."""
 _MOST_PARTS = 1000
-"""Parts of a message; the usual libraries send it in one."""
+"""The largest number of parts of a message; the usual libraries send it in one."""
 _SENDING = 0.5
-"""Seconds after which a robot that does not read is given up."""
+"""The time in s after which a robot that does not read is given up."""
 
 
 class WebSocketLink(MessageLink):
-    """One end of a link over WebSocket: a policy listens on a port, a robot connects to it."""
+    """An end of a link over WebSocket: a policy listens on a port, a robot connects to it."""
 
     def __init__(
         self,
@@ -64,7 +63,7 @@ class WebSocketLink(MessageLink):
         """Listen at `PORT` of this machine or at `HOST:PORT`, or with `robot` connect to it.
 
         Raises:
-            ValueError: The address is none, is taken, or cannot be reached at all.
+            ValueError: The address is no address, is taken, or cannot be reached at all.
         """
         host, _, port = address.rpartition(":")
         if not re.fullmatch(r"([A-Za-z0-9_.-]{1,255}:)?[0-9]{1,5}", address) or not 0 < int(port) < 2**16:
@@ -74,7 +73,7 @@ class WebSocketLink(MessageLink):
         super().__init__(receives, sends, about)
         self._robot, self._peer = robot, None
         self._waiting: deque[tuple[Any, str | bytes]] = deque(maxlen=self._most_waiting)
-        """Messages with their connections; the oldest are dropped."""
+        """The messages with their connections; the oldest are dropped."""
         self._here = threading.Event()
         self._server: Any = None
         self._open: dict[socket.socket, None] = {}
@@ -106,7 +105,7 @@ class WebSocketLink(MessageLink):
             self._accepting.start()
 
     def _accept(self) -> None:
-        """Take connections, in a thread of its own, until the link is closed.
+        """Take connections, in a separate thread, until the link is closed.
 
         `serve_forever` of websockets starts a thread for each connection at once, and ends when there are no
         more files to open.
@@ -114,7 +113,7 @@ class WebSocketLink(MessageLink):
         while not self._is_closed:
             try:
                 connection, address = self._server.socket.accept()
-            except OSError:  # nobody came, the other end is gone again, or there are too many open files
+            except OSError:  # no connection, a closed one, or too many open files
                 time.sleep(_PAUSE)
                 continue
             if len(self._open) >= MOST_CONNECTIONS:
@@ -129,9 +128,8 @@ class WebSocketLink(MessageLink):
     def _end_oldest(self) -> None:
         """End the oldest connection that the policy does not answer."""
         kept = getattr(self._peer, "socket", None)
-        oldest = next(
-            (each for each in list(self._open) if each is not kept), None
-        )  # others may end at this moment
+        # Other connections may end at this moment, so the keys are copied.
+        oldest = next((each for each in list(self._open) if each is not kept), None)
         with suppress(OSError):
             if oldest is not None:
                 oldest.shutdown(socket.SHUT_RDWR)
@@ -143,7 +141,7 @@ class WebSocketLink(MessageLink):
             self._open.pop(connection, None)
 
     def _listen(self, peer: Any) -> None:
-        """Take the messages of a connection, in a thread of its own, until it ends."""
+        """Take the messages of a connection, in a separate thread, until it ends."""
         with suppress(WebSocketException, OSError):
             if sys.platform != "win32":
                 peer.socket.setsockopt(
@@ -157,7 +155,7 @@ class WebSocketLink(MessageLink):
                     peer.close(1009, "a message in too many parts")
                     break
                 content = parts[0][:0].join(parts)
-                if not self._is_taken(peer):  # its messages would take the place of those of the robot
+                if not self._is_taken(peer):  # its messages would replace those of the robot
                     self._is_crowded = True
                     peer.close(1013, "the policy acts for another robot")
                     break
@@ -188,12 +186,12 @@ class WebSocketLink(MessageLink):
     def _write(self, content: bytes) -> None:
         peer: Any = self._peer
         if peer is not None:
-            with suppress(WebSocketException, OSError):  # nobody is there any more
+            with suppress(WebSocketException, OSError):  # the other end has closed
                 peer.send(content if self._packed else content.decode())
 
     def connected(self) -> bool:
         if self._peer is None and self._robot:
-            with suppress(WebSocketException, OSError):  # nobody is there yet
+            with suppress(WebSocketException, OSError):  # no other end is connected yet
                 peer = connect(
                     f"ws://{self._host}:{self._port}",
                     max_size=self._longest,
@@ -209,9 +207,8 @@ class WebSocketLink(MessageLink):
         self._is_closed = True
         if self._server is not None:
             with suppress(OSError):
-                self._server.socket.shutdown(
-                    socket.SHUT_RDWR
-                )  # ends the wait for a connection, which keeps the port
+                # This ends the wait for a connection, which would keep the port.
+                self._server.socket.shutdown(socket.SHUT_RDWR)
             self._accepting.join(2 * _LOOK)
         with suppress(WebSocketException, OSError):
             if self._server is not None:

@@ -2,8 +2,8 @@
 has a DEALER socket.
 
 A ROUTER takes the messages of its connections in turn, so a flood in one of them delays another one by a
-message. It keeps the parts of a message until the last one comes, however many, and has no limit for them:
-where the process grows, all connections are closed.
+message. It keeps the parts of a message until the last one arrives, and has no limit for their number. If the
+process grows, all connections are closed.
 
 `messages.py` describes the messages.
 """
@@ -30,15 +30,15 @@ from deepbots_robot.topics import Field
 
 ADDRESS = r"tcp://[A-Za-z0-9_.*:\[\]-]{1,255}:[0-9]{1,5}|ipc://[^\x00]{1,100}"
 _TAKEN = 64
-"""Messages that are taken before the policy may act."""
+"""The largest number of messages that are taken before the policy may act."""
 _MOST_SENT = 64
-"""Commands that wait for a robot that does not read."""
+"""The largest number of commands that wait for a robot that does not read."""
 _MOST_GROWTH = 100_000_000
-"""Bytes by which the process may grow; a policy has loaded its weights before."""
+"""The bytes by which the process may grow; a policy has loaded its weights before."""
 _LOOK = 0.05
-"""Seconds between two looks at the memory, which take 0.02 ms each."""
+"""The time in s between two checks of the memory, which take 0.02 ms each."""
 _CLOSING = 2.0
-"""Seconds in which ZeroMQ gives an address back."""
+"""The time in s in which ZeroMQ releases an address."""
 _ENDLESS = Remark(
     "the memory of this policy grew, as by a message without an end; all connections were closed, and robots"
     " connect again"
@@ -46,7 +46,7 @@ _ENDLESS = Remark(
 
 
 class ZmqLink(MessageLink):
-    """One end of a link over ZeroMQ: a policy binds an address, a robot connects to it."""
+    """An end of a link over ZeroMQ: a policy binds an address, a robot connects to it."""
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ class ZmqLink(MessageLink):
         self.name = f"ZeroMQ at {address}"
         super().__init__(receives, sends, about)
         self._robot, self._peer = robot, b""
-        if not robot and _is_taken(address):  # ZeroMQ would take the address away from the other policy
+        if not robot and _is_taken(address):  # otherwise ZeroMQ would take the address from the other policy
             raise ValueError(f"{address} cannot be opened: address already in use")
         self._address, self._was_flooded = address, False
         try:
@@ -89,7 +89,7 @@ class ZmqLink(MessageLink):
         opened.setsockopt(zmq.SNDHWM, _MOST_SENT)
         try:
             if self._robot:
-                opened.setsockopt(zmq.IMMEDIATE, 1)  # nothing waits for a policy that is not there
+                opened.setsockopt(zmq.IMMEDIATE, 1)  # no message waits for a policy that is not connected
                 opened.connect(self._address)
             else:
                 opened.bind(self._address)
@@ -99,15 +99,14 @@ class ZmqLink(MessageLink):
         return opened
 
     def _limit_memory(self) -> None:
-        """Close all connections of a policy where the process has grown; not those of a file, which only its
-        owners reach."""
+        """Close all connections of a policy if the process has grown, except those of a socket file, which
+        only its owners reach."""
         now = time.monotonic()
         if self._robot or now < self._looked_at + _LOOK or not self._address.startswith("tcp"):
             return
         self._looked_at, size = now, _process_bytes()
-        self._usual = max(
-            self._size, min(self._usual, size)
-        )  # after connections were closed, their memory is free a little later
+        # The memory of closed connections is released a little later.
+        self._usual = max(self._size, min(self._usual, size))
         if size <= self._usual + _MOST_GROWTH:
             return
         self._was_flooded, self._peer = True, b""
@@ -148,7 +147,7 @@ class ZmqLink(MessageLink):
             self._peer = sender[0]
 
     def _write(self, content: bytes) -> None:
-        with suppress(zmq.ZMQError):  # nobody is there, or does not read
+        with suppress(zmq.ZMQError):  # no robot is connected, or it does not read
             self._socket.send_multipart([content] if self._robot else [self._peer, content], zmq.NOBLOCK)
 
     def connected(self) -> bool:
@@ -159,7 +158,7 @@ class ZmqLink(MessageLink):
 
 
 def _process_bytes() -> int:
-    """The memory of this process; 0 where the system does not say."""
+    """Return the memory of this process in bytes; 0 if the system does not report it."""
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * mmap.PAGESIZE
     except OSError:
@@ -167,8 +166,8 @@ def _process_bytes() -> int:
 
 
 def _is_taken(address: str) -> bool:
-    """Whether somebody listens at a socket file."""
-    if sys.platform == "win32" or not address.startswith("ipc://"):  # there, Python has no socket files
+    """Return whether a process listens at a socket file."""
+    if sys.platform == "win32" or not address.startswith("ipc://"):  # Python has no socket files on Windows
         return False
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(0.5)

@@ -1,22 +1,23 @@
 """The command `deepbots`.
 
-command.py     the commands as one program; arguments that several commands share
-commands/      the commands, a module per topic, imported when one of its commands is called
-sources.py     scenarios, runs and robots as arguments
-processes.py   the processes of `--workers` and `--cluster`
-exits.py       exceptions to exit codes
-terminal.py    output, color, progress
-tables.py      tables as text
-records.py     results of trainings and evaluations as text, JSON and CSV
-trainings.py   the results of `train` and `resume`, and training_page.py the page beside them
-retries.py     the attempts of `train --retry`
-studies.py     the display and the table of a study of `tune`
-throughput.py  the speed of engines, as commands print it
-exploits.py    what `lint --exploits` keeps: recordings, and which tasks were searched
-help/          the text of `--help` of each command, without its options
-starters/      the scenarios that `new` writes
-glossary.yaml  the glossary: what `explain` prints and docs/reference/glossary.md holds
-project/       templates of `compile --project`
+command.py        the commands as one program; arguments that several commands share
+commands/         the commands, a module per topic, imported when one of its commands is called
+sources.py        scenarios, runs and robots as arguments
+processes.py      the processes of `--workers` and `--cluster`
+exits.py          exceptions to exit codes
+terminal.py       output, color, progress
+tables.py         tables as text
+records.py        results of trainings and evaluations as text, JSON and CSV
+trainings.py      the results of `train` and `resume`
+training_page.py  the page of `train --view`
+retries.py        the attempts of `train --retry`
+studies.py        the display and the table of a study of `tune`
+throughput.py     the speed of engines, as commands print it
+exploits.py       the output of `lint --exploits`: recordings, and a record of the searched tasks
+help/             the text of `--help` of each command, without its options
+starters/         the scenarios that `new` writes
+glossary.yaml     the glossary, printed by `explain`, and the source of docs/reference/glossary.md
+project/          templates of `compile --project`
 """
 
 from __future__ import annotations

@@ -22,12 +22,11 @@ from deepbots_cli.errors import UsageError
 MAX_SEED = 2**63 - 1
 """The largest seed that a run can record."""
 MAX_SEEDS = 1000
-"""Of a group."""
+"""The largest number of seeds of a group."""
 
 
 def known_engine(name: str | None) -> str | None:
-    """A callback that refuses the name of an unknown engine, and an engine that is not installed where
-    another one is."""
+    """Refuse the name of an unknown engine, and an engine that is not installed if another one is."""
     from deepbots_cli.engine_kinds import ENGINES
 
     if name is None:
@@ -45,7 +44,7 @@ def known_engine(name: str | None) -> str | None:
 
 
 def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str | int], int]:
-    """A parser of whole numbers: `100000`, `100_000`, `100k` or `1e5`."""
+    """Return a parser of whole numbers: `100000`, `100_000`, `100k` or `1e5`."""
 
     def parse(text: str | int) -> int:
         value = _whole(str(text))
@@ -62,7 +61,7 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
 
 
 def _workers(text: str | int) -> int:
-    """The parser of `--workers`."""
+    """Parse the value of `--workers`."""
     number = whole_number(-(10**9), 1024)(text)
     if number < 1:
         raise UsageError(
@@ -73,15 +72,14 @@ def _workers(text: str | int) -> int:
 
 
 ADVANCED = "Advanced"
-"""The group of options that few need, and of those that are dangerous; it is the last in the help."""
+"""The group of options that are rarely needed or dangerous; it is the last in the help."""
 EPISODES, SCENARIO, OUTPUT = "Episodes", "Scenario", "Output"
-"""Groups of options: which episodes run and who acts, what is changed in the scenario, and what is written
-where."""
+"""The groups of options: the episodes and their driver, changes of the scenario, and the output."""
 
 
 def option(usage: str, help: str, group: str | None = None, **settings: Any) -> Any:
-    """An option for `Annotated`, from its usage such as `--output -o FILE`: its names, and the word for its
-    value; a flag has none.
+    """Return an option for `Annotated`, from its usage such as `--output -o FILE`: its names, and the word
+    for its value; a flag has none.
 
     `group` is its section in the help, by default `Options`.
     """
@@ -93,17 +91,17 @@ def option(usage: str, help: str, group: str | None = None, **settings: Any) -> 
 def integer(
     usage: str, help: str, minimum: int = 1, maximum: int | None = None, group: str | None = None
 ) -> Any:
-    """An option that takes a whole number."""
+    """Return an option that takes a whole number."""
     return option(usage, help, group, parser=whole_number(minimum, maximum))
 
 
 def start_values(given: Sequence[str] | None) -> dict[str, Any]:
-    """The `options` of `reset` that `--start` gives: a number, a word, or several numbers with commas between
-    them.
+    """Return the `options` of `reset` from `--start`: a number, a word, or several numbers with commas
+    between them.
 
     Raises:
-        UsageError: One is not of the form NAME=VALUE, a name is given twice, or numbers are in brackets or
-            without commas.
+        UsageError: A value is not of the form NAME=VALUE, a name is given twice, or numbers are in brackets
+            or without commas.
     """
     values: dict[str, Any] = {}
     for text in given or ():
@@ -150,7 +148,7 @@ def _whole(text: str) -> int | None:
 
 
 def seed_list(text: str) -> tuple[int, ...]:
-    """Seeds from `0..4`, both ends included, or `0,3,7`.
+    """Parse seeds: `0..4`, both ends included, or `0,3,7`.
 
     Raises:
         typer.BadParameter: The text is neither.
@@ -178,12 +176,12 @@ def seed_list(text: str) -> tuple[int, ...]:
 
 
 def names(texts: Sequence[str] | None) -> tuple[str, ...]:
-    """The names of an option that may be repeated; `none` alone stands for no name."""
+    """Return the names of an option that may be repeated; `none` alone stands for no name."""
     return () if texts is None or list(texts) == ["none"] else tuple(texts)
 
 
 def fraction(text: str) -> float:
-    """A parser: a number from 0 to 1, written `0.8` or `80%`."""
+    """Parse a number from 0 to 1, written as `0.8` or `80%`."""
     from deepbots_cli.scenario.fields import read_fraction
 
     try:
@@ -324,7 +322,8 @@ _HELP = Path(__file__).with_name("help")
 
 
 def help_text(name: str) -> str:
-    """The help of a command, or of `deepbots`: its line in `COMMANDS`, and the text of `help/NAME.txt`.
+    """Return the help of a command, or of `deepbots`: its line in `COMMANDS`, and the text of
+    `help/NAME.txt`.
 
     In the file, blank lines separate paragraphs, which are wrapped, and indented blocks, which are shown as
     they are.
@@ -335,8 +334,8 @@ def help_text(name: str) -> str:
 
 
 class Command(TyperCommand):
-    """A command whose help has its options in groups, and which says what is written instead of the option of
-    another name."""
+    """A command whose help has its options in groups, and whose error for an option of another name suggests
+    the right one."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         names = {name for parameter in self.params for name in parameter.opts}
@@ -361,8 +360,8 @@ class Command(TyperCommand):
 
 @cache
 def _command(name: str) -> Any:
-    """The command of this name. It is kept for programs that call `main` several times: typer takes 4 ms to
-    read its annotations."""
+    """Return the command of this name. It is cached for programs that call `main` several times, because
+    typer takes 4 ms to read its annotations."""
     module, _, function = COMMANDS[name][0].partition(".")
     app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
     run = getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)
@@ -371,7 +370,7 @@ def _command(name: str) -> Any:
 
 
 class Commands(TyperGroup):
-    """The group of the commands; imports the module of a command when the command is called."""
+    """The group of the commands. It imports the module of a command when the command is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(COMMANDS)
@@ -419,8 +418,8 @@ class Commands(TyperGroup):
 
 
 def _with_permission_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the options --allow-path and --allow-code in the place of its parameter `permissions`,
-    if it has one."""
+    """Return the command with the options --allow-path and --allow-code instead of its parameter
+    `permissions`, if it has one."""
     signature = inspect.signature(command, eval_str=True)
     if "permissions" not in signature.parameters:
         return command
@@ -455,7 +454,7 @@ def run_command(arguments: Sequence[str] | None) -> None:
 
 
 def without_old_spelling(words: list[str]) -> list[str]:
-    """`train --resume RUN` and `tune --resume STUDY` of earlier versions as the commands `resume` and
+    """Return `train --resume RUN` and `tune --resume STUDY` of earlier versions as the commands `resume` and
     `apply`, with a note."""
     command, options = (words or [""])[0], words[1:]
     place = next(
@@ -486,4 +485,4 @@ def _deepbots(
         bool, option("--version", "Show the version and exit.", callback=_version, is_eager=True)
     ] = False,
 ) -> None:
-    """The options of the program itself."""
+    """Handle the options of the program itself."""

@@ -1,5 +1,4 @@
-"""Exit codes: an exception becomes a code and a line on stderr, and output whose reader is gone becomes
-neither."""
+"""Exit codes: an exception becomes a code and a line on stderr. Output without a reader is no error."""
 
 from __future__ import annotations
 
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 FAILED, WRONG_USAGE, INTERNAL_ERROR, INTERRUPTED = 1, 2, 3, 130
-"""The same for every command: findings or a result that was not met; wrong usage or a missing file; a fault
-of deepbots itself, which `lint` also reports as DB903 of the file; Ctrl-C or SIGTERM."""
+"""The exit codes of every command: findings or a result that was not met; wrong usage or a missing file; a
+fault of deepbots itself, which `lint` also reports as DB903 of the file; Ctrl-C or SIGTERM."""
 
 _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
 
@@ -41,7 +40,8 @@ def run_guarded(run: Callable[[], object]) -> int:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """SIGTERM ends a command like Ctrl-C: files are closed, and a run records that it was interrupted."""
+    """Raise KeyboardInterrupt, so that SIGTERM ends a command like Ctrl-C: files are closed, and a run
+    records that it was interrupted."""
     raise KeyboardInterrupt
 
 
@@ -60,9 +60,8 @@ def _exit_code(run: Callable[[], object]) -> int:
     except DeepbotsError as error:
         terminal.print_error(error.full_message)
         return WRONG_USAGE if isinstance(error, UsageError) else FAILED
-    except (
-        KeyboardInterrupt
-    ):  # before the command begins, or after its end; `Commands.invoke` tells of one in between
+    except KeyboardInterrupt:
+        # The interruption came before the command or after its end; `Commands.invoke` reports others.
         terminal.note("interrupted")
         return INTERRUPTED
     except OSError as error:
@@ -108,8 +107,8 @@ class _Stream(io.BufferedIOBase):
     """A stream that survives its reader: after the first failure everything is discarded, so that it is
     reported once.
 
-    A reader that is gone (`| head`) is no reason to end a training. A full disk is an error of standard
-    output only: nobody could read that of standard error.
+    A missing reader (`| head`) is no reason to end a training. A full disk is an error for standard output
+    only, because an error about standard error could not be read.
     """
 
     def __init__(self, target: BinaryIO, name: str, *, essential: bool) -> None:
@@ -147,8 +146,8 @@ class _Stream(io.BufferedIOBase):
 
 @contextmanager
 def _lasting_streams() -> Iterator[None]:
-    """Within, printing fails only where stdout is a file that cannot be written, and every character can be
-    printed.
+    """Context in which printing fails only if stdout is a file that cannot be written, and every character
+    can be printed.
 
     A terminal of another encoding shows escapes. Streams that a caller has put in place of the process's own
     stay as they are.

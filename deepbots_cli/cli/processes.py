@@ -12,12 +12,16 @@ from deepbots_cli.learning.executor import SERIAL, Executor
 
 
 def available_cores() -> int:
-    """The number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_dividable(workers: int | None, address: str | None, count: int, reason: str) -> None:
-    """Raises: UsageError: There are workers for `count` parts, fewer than two; `reason` says why."""
+    """Check that there are several parts for the workers.
+
+    Raises:
+        UsageError: There are workers for `count` parts, fewer than two; `reason` is the cause.
+    """
     if workers is not None:
         option = "--workers"
     elif address is not None:
@@ -32,8 +36,8 @@ def check_dividable(workers: int | None, address: str | None, count: int, reason
 def executor(
     workers: int | None, address: str | None, count: int | None = None, *, quiet: bool = False
 ) -> Iterator[Executor]:
-    """Where at most `count` calls run, or shards: in this process, unless an option names workers, which end
-    with the block.
+    """Context with the executor of at most `count` calls or shards: this process, unless an option names
+    workers, which end with the block.
 
     Raises:
         UsageError: Both options are given, or the cluster does not answer.

@@ -1,8 +1,8 @@
 """Records as text, JSON and CSV.
 
-A record is what has statistics of episodes: an evaluation, also one that a run keeps, a group, a listed run,
-a level of robustness, a part of the range of a drawn value. `scores` is its columns in every table,
-`with_interval` a statistic in a list of lines.
+A record is an object with statistics of episodes: an evaluation, which may be read from a run, a group, a
+listed run, a level of robustness, or a part of the range of a drawn value. `scores` returns its columns in
+every table, and `with_interval` a statistic in a list of lines.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ if TYPE_CHECKING:
     from deepbots_cli.view.frames import WorldFrame
 
 MAX_DRAWN = 8
-"""Drawn values with an effect that `--details` shows; `--json` has all of them."""
+"""The number of drawn values with an effect that `--details` shows; `--json` has all of them."""
 
 
 # Statistics
 
 
 def scores(record: Any, *, success_defined: bool = True, intervals: bool = True) -> Row:
-    """The columns of a record, of which a table leaves out those that are empty in every row: return and
-    success, with 95 % intervals.
+    """Return the columns of a record: return and success, with 95 % intervals. A table leaves out columns
+    that are empty in every row.
 
     A success that the scenario does not define (`success_defined`, here or of the record) is empty. The
     interval of equal returns is not shown, since it follows from the possible returns alone.
@@ -66,7 +66,7 @@ def scores(record: Any, *, success_defined: bool = True, intervals: bool = True)
 
 
 def differences(entry: GroupDifference | EngineDifference) -> Row:
-    """The columns of a difference between two records."""
+    """Return the columns of a difference between two records."""
     row: dict[str, object] = dict.fromkeys(("return", "return_95 %", "success", "success_95 %"))
     if entry.mean_return is not None:
         row |= {"return": entry.mean_return.mean, "return_95 %": interval_text(entry.mean_return.interval)}
@@ -77,7 +77,7 @@ def differences(entry: GroupDifference | EngineDifference) -> Row:
 
 
 def engines_table(pairs: Sequence[EngineDifference]) -> str:
-    """A row for each engine and case, against the first engine."""
+    """Return a row for each engine and case, against the first engine."""
     itself = "(the scenario itself)" if any(pair.case for pair in pairs) else ""
     return table(
         [
@@ -88,7 +88,7 @@ def engines_table(pairs: Sequence[EngineDifference]) -> str:
 
 
 def number(value: float) -> str:
-    """Two decimals; four where returns are small."""
+    """Return a number with two decimals; four if returns are small."""
     return f"{value:.4f}" if 0 < abs(value) < 1 else f"{value:.2f}"
 
 
@@ -97,14 +97,14 @@ def percent(share: float) -> str:
 
 
 def interval_text(interval: tuple[Any, Any] | None, form: Callable[[Any], str] = "{:.4g}".format) -> str:
-    """An interval as the text of a cell."""
+    """Return an interval as the text of a cell."""
     return "" if interval is None else " .. ".join(dict.fromkeys(map(form, interval)))
 
 
 def with_interval(
     value: float, interval: Interval | None, form: Callable[[float], str] = number, remark: str = ""
 ) -> str:
-    """A statistic and its interval, with a remark behind the interval."""
+    """Return a statistic and its interval, with a remark behind the interval."""
     return form(value) + (
         "" if interval is None else f" (95 %: {form(interval[0])} .. {form(interval[1])}{remark})"
     )
@@ -129,7 +129,7 @@ def _statistics(result: Summary, *, success_defined: bool) -> Row:
 
 
 def training_text(result: TrainingResult) -> str:
-    """What a training came to, one value per line, and how to go on."""
+    """Return the result of a training, one value per line, and the command that continues it."""
     rows: dict[str, object] = {
         "run": result.run,
         "steps": f"{result.steps:,} of {result.total_timesteps:,}",
@@ -169,7 +169,8 @@ def training_text(result: TrainingResult) -> str:
 
 
 def group_training_text(result: GroupTraining) -> str:
-    """The trainings of a group, a line for each seed that was trained, and how to go on."""
+    """Return the trainings of a group, a line for each seed that was trained, and the command that continues
+    it."""
     rows = [
         {
             "run": training.run.name,
@@ -198,16 +199,17 @@ def group_training_text(result: GroupTraining) -> str:
 
 
 def held_out(episodes: int) -> str:
-    """`1 held-out start`, `100 held-out starts`."""
+    """Return `1 held-out start`, `100 held-out starts`."""
     return f"{episodes:,} held-out start{'' if episodes == 1 else 's'}"
 
 
 def evaluation_text(
     result: EvaluationResult, cases: Sequence[EvaluationResult] = (), *, scenario: str | None = None
 ) -> str:
-    """Statistics with their intervals, how the episodes ended, the verdict, and the cases in a table.
+    """Return statistics with their intervals, the endings of the episodes, the verdict, and the cases in a
+    table.
 
-    `scenario` is the scenario, in words, where it is not the one of the training.
+    `scenario` is the scenario, in words, if it is not the one of the training.
     """
     terms = result.term_means if len(result.term_means) > 1 else {}
     rows = {
@@ -232,12 +234,12 @@ def evaluation_text(
 
 
 def evaluation_json(result: EvaluationResult, cases: Sequence[EvaluationResult] = ()) -> dict[str, Any]:
-    """An evaluation and its cases as a dictionary."""
+    """Return an evaluation and its cases as a dictionary."""
     return result.model_dump(mode="json") | {"cases": [case.model_dump(mode="json") for case in cases]}
 
 
 def kept_text(kept: KeptModel) -> str:
-    """The models that played new starts, and which one is the best from now on."""
+    """Return the models that played new starts, and the one that is the best from now on."""
     has_success = kept.run.program.defines_success
     rows = [
         {
@@ -259,13 +261,13 @@ def kept_text(kept: KeptModel) -> str:
 
 
 def kept_json(kept: KeptModel) -> dict[str, Any]:
-    """The same as a dictionary."""
+    """Return the models that played new starts, and the best one, as a dictionary."""
     played = [{"name": each.name, **vars(each.result)} for each in kept.played]
     return {"model": kept.name, "best": kept.best, "earlier": kept.earlier, "played": played}
 
 
 def summary_text(summary: Summary, *, success_defined: bool) -> str:
-    """The same values for episodes without a trained policy."""
+    """Return the statistics of episodes without a trained policy."""
     return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(
         _statistics(summary, success_defined=success_defined)
     )
@@ -276,7 +278,7 @@ def _notes(notes: Iterable[str]) -> list[str]:
 
 
 def evaluation_rows(what: str, results: Iterable[tuple[str | None, EvaluationResult]]) -> list[Row]:
-    """A row for each evaluation, under its name in the column `what`."""
+    """Return a row for each evaluation, under its name in the column `what`."""
     return [
         {what: name, "episodes": result.episodes, **scores(result), "mean_length": result.mean_length}
         for name, result in results
@@ -284,20 +286,20 @@ def evaluation_rows(what: str, results: Iterable[tuple[str | None, EvaluationRes
 
 
 def case_rows(results: Sequence[EvaluationResult]) -> list[Row]:
-    """A row for each evaluation of one policy: in the scenario, in its cases, in the stages of its
+    """Return a row for each evaluation of one policy: in the scenario, in its cases, in the stages of its
     curriculum."""
     itself = "(the scenario itself)" if any(map(case_label, results)) else ""
     return evaluation_rows("case", ((case_label(result) or itself, result) for result in results))
 
 
 def case_label(result: EvaluationResult | EvaluationRecord) -> str | None:
-    """The case or stage that an evaluation is in."""
+    """Return the case or stage that an evaluation is in."""
     return f"stage {result.stage}" if result.stage else result.case
 
 
 def drawn_text(result: EvaluationResult) -> str:
-    """The drawn values that have an effect, with the episodes by the parts of their ranges; parameters of the
-    scenario first."""
+    """Return the drawn values that have an effect, with the episodes by the parts of their ranges; parameters
+    of the scenario first."""
     effects = result.by_drawn_value
     if effects.starts < 2:
         return "by drawn value\n  a single episode shows no effect; evaluate more of them with --episodes N"
@@ -322,7 +324,7 @@ def drawn_text(result: EvaluationResult) -> str:
 
 
 def group_text(group: GroupResult) -> str:
-    """A row for each seed, and the statistics over the seeds."""
+    """Return a row for each seed, and the statistics over the seeds."""
     first, count, has_success = group.evaluations[0], len(group.evaluations), group.success_defined
     solved = [solved_by(result) for result in group.evaluations]
     over_starts = {
@@ -365,15 +367,15 @@ def group_text(group: GroupResult) -> str:
 
 
 def solved_by(result: EvaluationResult) -> bool | None:
-    """Whether a run is solved: by its verdict, or where the evaluation is no usual one of the run, by the
-    evaluation."""
+    """Return whether a run is solved: by its verdict, or by the evaluation if it is no usual one of the
+    run."""
     if result.circumstances:
         return result.solved
     return run_verdict(result.run, RunRecord.read(result.run)).solved
 
 
 def group_json(group: GroupResult) -> dict[str, Any]:
-    """A group as a dictionary: its statistics over seeds, and the evaluation of each run."""
+    """Return a group as a dictionary: its statistics over seeds, and the evaluation of each run."""
     names = [
         "name",
         "waiting",
@@ -391,8 +393,8 @@ def group_json(group: GroupResult) -> dict[str, Any]:
 
 
 def robustness_text(robustness: Robustness) -> str:
-    """A row for each level of each condition, and for each side of a condition the level up to which the
-    policy holds."""
+    """Return a row for each level of each condition, and for each side of a condition the level up to which
+    the policy works."""
     nominal = robustness.nominal
     title = (
         f"robustness of {robustness.run} in {robustness.scenario}: {nominal.episodes} held-out episodes of each"
@@ -433,7 +435,8 @@ def _is_rate(robustness: Robustness) -> bool:
 
 
 def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
-    """Conditions without effect, too few episodes, and a score that is missed without any change."""
+    """Yield notes on conditions without effect, too few episodes, and a score that is missed without any
+    change."""
     nominal = robustness.nominal
     same = [
         each.name for each in robustness.conditions if each.levels and not _changes_episodes(each, nominal)
@@ -458,7 +461,7 @@ def _level_row(condition: str, level: str, result: EvaluationResult, *, holds: b
 
 
 def _changes_episodes(condition: Condition, nominal: EvaluationResult) -> bool:
-    """Whether a level of a condition changes the return or the length of an episode."""
+    """Return whether a level of a condition changes the return or the length of an episode."""
     return any(_episodes(level.evaluation) != _episodes(nominal) for level in condition.levels)
 
 
@@ -467,7 +470,7 @@ def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
 
 
 def robustness_json(found: Robustness) -> dict[str, Any]:
-    """The same as a dictionary, with every evaluation."""
+    """Return the robustness as a dictionary, with every evaluation."""
     conditions = [
         vars(condition) | {"sides": list(map(_side_json, condition.sides))} for condition in found.conditions
     ]
@@ -487,7 +490,7 @@ def _side_json(side: Side) -> dict[str, Any]:
 
 
 def recorded_rows(ends: Iterable[tuple[int, WorldFrame]]) -> list[Row]:
-    """A row for each episode of a recording, by its number and its last frame."""
+    """Return a row for each episode of a recording, by its number and its last frame."""
     rows = [(number, frame, next(iter(frame.agents.values())).episode_return) for number, frame in ends]
     return [
         {
@@ -510,7 +513,8 @@ def recorded_table(rows: Sequence[Row]) -> str:
 
 
 def write_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
-    """Keep an evaluation in its run, or say why it is not kept; it is shown all the same."""
+    """Keep an evaluation in its run. If this fails, print the reason; the evaluation is shown in either
+    case."""
     try:
         run.write_evaluation(evaluation)
     except RunError as error:
@@ -518,7 +522,7 @@ def write_evaluation(run: Run, evaluation: dict[str, Any]) -> None:
 
 
 def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
-    """A line for each episode: policy, what it was evaluated in, seed of the reset, outcome, reward terms as
+    """Write a line for each episode: policy, circumstances, seed of the reset, outcome, reward terms as
     `reward.TERM`, drawn values as `drawn.PLACE`."""
     rows: list[dict[str, object]] = []
     for result in results:
@@ -544,8 +548,8 @@ def write_csv(path: Path, results: Iterable[EvaluationResult]) -> None:
 
 
 def evaluated_in(result: EvaluationResult) -> dict[str, str]:
-    """The world and the actions of an evaluation, as texts; a `scenario` of another file than that of the run
-    has its name."""
+    """Return the world and the actions of an evaluation, as texts; a `scenario` of another file than that of
+    the run has its name."""
     return {
         "engine": result.engine or "",
         "scenario": result.elsewhere or result.scenario,

@@ -1,4 +1,4 @@
-"""`deepbots train --retry`: what each attempt changed and came to."""
+"""`deepbots train --retry`: the changes and the result of each attempt."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 
 def train(compiled: Compiled, retries: int, *, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Train a scenario with retries, and show what the attempts came to; `options` are those of
+    """Train a scenario with retries, and show the results of the attempts; `options` are those of
     `train_with_retries`."""
-    from deepbots_cli.insight.retry import train_with_retries  # which imports numpy
+    from deepbots_cli.insight.retry import train_with_retries  # this imports numpy
 
     _show(partial(train_with_retries, compiled, retries, **options), quiet=quiet, as_json=as_json)
 
@@ -40,7 +40,7 @@ def resume(
     as_json: bool,
     permissions: Permissions,
 ) -> None:
-    """Continue a group, and show what its attempts came to."""
+    """Continue a group, and show the results of its attempts."""
     from deepbots_cli.insight.retry import resume_retries
 
     begin = partial(
@@ -50,7 +50,7 @@ def resume(
 
 
 def _show(begin: Callable[..., RetriedTraining], *, quiet: bool, as_json: bool) -> None:
-    """Train the attempts of a group, and show what each changed and came to."""
+    """Train the attempts of a group, and show the changes and the result of each."""
     begun: list[Path] = []
 
     def announce(run: Path, attempt: RetryAttempt) -> None:
@@ -127,7 +127,7 @@ def _values(attempt: RetryAttempt) -> str:
 
 
 def cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
-    """The first cause, and what to do."""
+    """Return the first cause, and its advice."""
     if not causes:
         return []
     first, others = causes[0], len(causes) - 1

@@ -37,8 +37,8 @@ class OpenedSource(WrittenScenario):
 def open_source(
     source: str, overrides: Sequence[str], permissions: Permissions, engine: str | None = None
 ) -> OpenedSource:
-    """The scenario of a file or of a shipped name, checked for the engine if one is given, or that of a run,
-    a model of a run, or a group.
+    """Open the scenario of a file or of a shipped name, checked for the engine if one is given, or that of a
+    run, a model of a run, or a group.
 
     Raises:
         UsageError: There is no such file or run.
@@ -69,7 +69,7 @@ def open_source(
 
 
 def is_robot(reference: str) -> bool:
-    """Whether this is a robot file, or the name of a shipped robot and of no scenario."""
+    """Return whether this is a robot file, or the name of a shipped robot and of no scenario."""
     if reference.startswith("package://") or reference.lower().endswith((".urdf", ".xacro")):
         return True
     return (
@@ -80,12 +80,12 @@ def is_robot(reference: str) -> bool:
 
 
 def open_robot(reference: str, allowed: Sequence[str | Path] = ()) -> tuple[RobotFile, list[Finding]]:
-    """A robot file, and the warnings about it. Its meshes lie in its folder, the current one, an `allowed`
-    one, or below them.
+    """Open a robot file, with the warnings about it. Its meshes are in its folder, the current one, an
+    `allowed` one, or below them.
 
     Raises:
         UsageError: There is no such file.
-        ScenarioError: It cannot be read as a robot.
+        ScenarioError: The file cannot be read as a robot.
     """
     robot = (
         meshes.locate_mesh(reference, Path.cwd())

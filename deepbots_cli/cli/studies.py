@@ -1,4 +1,4 @@
-"""The display of a study while it runs, its table, and what to do next."""
+"""The display of a study while it runs, its table, and the next commands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from deepbots_cli.learning.study import Study, StudyReporter, StudyTrial, TrialP
 from deepbots_cli.learning.trials import run_study
 
 _MAX_SHOWN = 10
-"""Trials in the table; --json has all."""
+"""The number of trials in the table; --json has all."""
 
 
 def continue_study(
@@ -79,7 +79,7 @@ class StudyDisplay(StudyReporter):
             self._display.show_line(terminal.printable("  ".join(filter(None, [self._work(), self._best]))))
 
     def _work(self) -> str:
-        """How far the trials at work are."""
+        """Return the progress of the trials at work."""
         if len(self._at_work) > 1:
             return "at work: " + ", ".join(
                 f"trial {number} ({each.fraction:.0%})" for number, each in self._at_work.items()
@@ -138,7 +138,7 @@ def _row(study: Study, trial: StudyTrial) -> Row:
 
 
 def show_study(study: Study, *, done: bool, as_json: bool) -> None:
-    """The best trials, and what to do next."""
+    """Show the best trials, and the next commands."""
     trials = study.trials()
     ranked, path = study.ranked(trials), quote(str(study.path))
     counts = {
@@ -173,9 +173,8 @@ def show_study(study: Study, *, done: bool, as_json: bool) -> None:
     elif best is not None:
         if over_first is not None and over_first.is_clear:
             further.insert(1, f"deepbots apply {path}")
-        if (
-            len(ranked) == 1 or ranked[1].score != best.score
-        ):  # of equal scores, too few starts chose the best one
+        # The best of equal scores was chosen by too few starts.
+        if len(ranked) == 1 or ranked[1].score != best.score:
             settings = " ".join(f"--set {quote(text)}" for text in (*study.record.set, *best.assignments))
             further.append(
                 f"deepbots train {quote(study.record.source)} {settings} --seeds {unused_seeds(study)}"
@@ -186,8 +185,8 @@ def show_study(study: Study, *, done: bool, as_json: bool) -> None:
 
 
 def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
-    """The best trial, those with its score, and whether it is clearly better than the values of the scenario
-    itself."""
+    """Return the best trial, those with its score, and whether it is clearly better than the values of the
+    scenario itself."""
     best, over_first = ranked[0], study.over_first(ranked)
     text = f"best: trial {best.number}, score {best.score:.4g}"
     if equals := sum(trial.score == best.score for trial in ranked) - 1:

@@ -17,13 +17,13 @@ from deepbots_cli.expressions.text import value_text
 Row = Mapping[str, object]
 
 _READABLE = 12
-"""The width that a column of text keeps at least: in a narrower one words fall apart."""
+"""The smallest width of a column of text; below it, most words are broken."""
 _NUMBERS = (int, float, type(None))
 _EMPTY_VALUES: tuple[object, ...] = (None, "", [], ())
 
 
 def table(rows: Sequence[Row], indent: str = "  ") -> str:
-    """Rows under the names of their keys; columns of numbers are aligned to the right.
+    """Format rows under the names of their keys. Columns of numbers are aligned to the right.
 
     The keys of the first row are the columns. A column that is empty in every row is left out. On a terminal
     that is too narrow, long cells continue on further lines.
@@ -49,7 +49,7 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
 
 
 def row_as_lines(row: Row, indent: str = "  ") -> str:
-    """One row as lines of name and value; empty values are left out."""
+    """Format one row as lines of name and value; empty values are left out."""
     shown = {name: cell_text(value) for name, value in row.items() if value not in _EMPTY_VALUES}
     grid = Table.grid(padding=(0, 2))
     grid.add_column(no_wrap=True)
@@ -61,8 +61,8 @@ def row_as_lines(row: Row, indent: str = "  ") -> str:
 
 
 def _lines(grid: Table, least: int, needed: int, indent: str) -> str:
-    """A grid as text, no wider than the terminal that standard output is, unless that leaves less than the
-    `least` width."""
+    """Format a grid as text, no wider than the terminal, if standard output is one, unless that leaves less
+    than the `least` width."""
     room = terminal.width() - len(indent) if sys.stdout.isatty() else needed
     out = StringIO()
     console = Console(
@@ -76,5 +76,5 @@ def _lines(grid: Table, least: int, needed: int, indent: str) -> str:
 
 
 def cell_text(value: object) -> str:
-    """A value as the text of a cell."""
+    """Return a value as the text of a cell."""
     return terminal.printable(value_text(value))

@@ -26,24 +26,24 @@ if TYPE_CHECKING:
 
 
 def print_result(text: str = "") -> None:
-    """A result, on stdout."""
+    """Print a result on stdout."""
     print(printable(text))
 
 
 def note(text: str) -> None:
-    """A remark, on stderr."""
+    """Print a remark on stderr."""
     print(printable(text), file=sys.stderr)
 
 
 def print_error(text: str) -> None:
-    """An error, on stderr."""
+    """Print an error on stderr."""
     mark = "\x1b[1;31merror\x1b[0m" if uses_color(sys.stderr) else "error"
     print(f"{mark}: {printable(text)}", file=sys.stderr)
 
 
 @contextmanager
 def transient_line(text: str) -> Iterator[Callable[[str], None]]:
-    """A line on stderr, on a terminal only, which disappears at the end of the block.
+    """Context with a line on stderr, on a terminal only, which disappears at the end of the block.
 
     Yields a function that rewrites the line.
     """
@@ -58,9 +58,10 @@ def transient_line(text: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that shows how many of how many are done, again from 1 on for the next row of them.
+    """Context with a function that shows the numbers of completed and of all items, again from 1 for the next row of
+    them.
 
-    Unless `always`, there is at most one line in 30 s where standard error is no terminal.
+    Unless `always`, there is at most one line in 30 s if standard error is no terminal.
     """
     bar: ProgressBar | None = None
     shown = time.perf_counter()
@@ -84,24 +85,24 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
 
 
 def show_findings(findings: Sequence[Finding]) -> None:
-    """Findings in full on stderr, with their number."""
+    """Print findings in full on stderr, with their number."""
     print(render(findings, "full", uses_color(sys.stderr), width()), end="", file=sys.stderr)
     note(summary(findings))
 
 
 def note_warnings(warnings: Sequence[Finding], scenario: str) -> None:
-    """A note that there are warnings, and how to see them."""
+    """Print a note that there are warnings, and how to see them."""
     if warnings:
         note(f"{summary(warnings)}; see: deepbots lint {quote(scenario)}")
 
 
 def show_json(data: object) -> None:
-    """Data as JSON on stdout."""
+    """Print data as JSON on stdout."""
     print(json_text(data), end="")
 
 
 def show(data: object, *lines: str, as_json: bool, next_commands: Sequence[str] = ()) -> None:
-    """A result on stdout, as JSON or as lines; after the lines the commands to go on with, on stderr."""
+    """Print a result on stdout, as JSON or as lines; after the lines, print the next commands on stderr."""
     if as_json:
         show_json(data)
         return
@@ -112,30 +113,31 @@ def show(data: object, *lines: str, as_json: bool, next_commands: Sequence[str] 
 
 
 def json_text(data: object) -> str:
-    """Data as JSON with a final line feed; infinite numbers are null, since JSON has none."""
+    """Return data as JSON with a final line feed. Infinite numbers are null, since JSON has none."""
     return json.dumps(json_compatible(data), indent=2, allow_nan=False) + "\n"
 
 
 def uses_color(stream: TextIO) -> bool:
-    """Whether to write color to `stream`: a terminal, unless NO_COLOR is set."""
+    """Return whether to write color to `stream`: a terminal, unless NO_COLOR is set."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def width() -> int:
-    """Columns of the terminal, at most 140."""
+    """Return the number of columns of the terminal, at most 140."""
     return min(get_terminal_size((100, 24)).columns, 140)
 
 
 def printable(text: str) -> str:
-    """`text`, which may quote a file, with control and invisible characters escaped, and commands to logs
-    made inert."""
+    """Return `text`, which may quote a file, with control and invisible characters escaped, and commands to
+    logs made inert."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() or c == "\n" else f"\\u{{{ord(c):x}}}" for c in text)
     return escape_log_commands(text)
 
 
 def json_compatible(data: object) -> object:
-    """`data` as lists, dictionaries, text and finite numbers; records as dictionaries of their fields."""
+    """Return `data` as lists, dictionaries, text and finite numbers; records as dictionaries of their
+    fields."""
     match data:
         case float() if not math.isfinite(data):
             return None
@@ -156,13 +158,13 @@ def json_compatible(data: object) -> object:
 # Progress on standard error: a bar on a terminal, a line for every tenth of the way elsewhere
 
 _MIN_TIMED_S = 0.5
-"""Seconds before a speed is shown."""
+"""The time before a speed is shown, in s."""
 _LINE_INTERVAL_S = 30.0
-"""Seconds between two lines of a work that need not be followed."""
+"""The time between two lines of a work that need not be followed, in s."""
 
 
 class ProgressBar:
-    """How much of a task is done, how fast, and how long the rest will take; `unit` is what is counted, in
+    """The progress of a task, its speed, and the remaining time; `unit` is the name of the counted items, in
     the plural.
 
     On a terminal, the bar disappears at the end. Elsewhere there is a line for every tenth.

@@ -19,7 +19,7 @@ from deepbots_cli.program import Program
 def note_faster_engine(
     program: Program, timesteps: int | None = None, *, permissions: Permissions = Permissions()
 ) -> None:
-    """Say in a line if another engine than the default one is faster, and makes a training at least 30 s of
+    """Print a line if another engine than the default one is faster, and makes a training at least 30 s of
     CPU time shorter.
     """
     faster = engine_worth_naming(program, timesteps, permissions=permissions)
@@ -28,7 +28,8 @@ def note_faster_engine(
 
 
 def speed_table(name: str, measured: list[list[Speed]]) -> str:
-    """The table of the rounds of each engine, what its columns are, and a word on a busy machine."""
+    """Return the table of the rounds of each engine, the meaning of its columns, and a remark on a busy
+    machine."""
     speeds, rounds = [*map(medians, measured)], len(measured[0])
     shown = [
         {

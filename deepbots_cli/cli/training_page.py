@@ -1,4 +1,4 @@
-"""The page in the browser of `train --view`: a process of its own beside the training."""
+"""The page in the browser of `train --view`, in a separate process beside the training."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.processes import python_command, python_environment
 
 _FRAME_RATE = 10
-"""Pictures per second: a browser that draws in software shares the cores with the training."""
+"""The pictures per second, few because a browser that draws in software shares the cores with the
+training."""
 
 
 @contextmanager
 def training_page(*, wanted: bool, permissions: Permissions) -> Iterator[Callable[[Path], None]]:
-    """Yield a function that shows a run in the browser, where this is wanted; the page ends with the block.
+    """Context with a function that shows a run in the browser, if `wanted`. The page ends with the block.
 
-    It is a process of its own, so that the training does not wait for it, and has a low priority once it
+    The page has its own process, so that the training does not wait for it, and has a low priority once it
     serves its address: on a busy machine, a page that began with a low priority served none for 40 s.
     """
     if wanted and find_spec("viser") is None:
@@ -45,19 +46,18 @@ def training_page(*, wanted: bool, permissions: Permissions) -> Iterator[Callabl
         yield show
     finally:
         for process, waiting in started:
-            process.kill()  # which, unlike SIGTERM, it does not report
+            process.kill()  # the page reports SIGTERM, but not this
             process.wait()
             waiting.join()  # its standard output has ended
 
 
 def _await_page(page: subprocess.Popen[str]) -> None:
-    """Show the address of a page once it serves it, and lower its priority."""
+    """Show the address of a page once it is served, and lower the priority of its process."""
     assert page.stdout is not None
     print(page.stdout.readline(), end="", file=sys.stderr, flush=True)
     if sys.platform != "win32":
-        threads = Path(
-            f"/proc/{page.pid}/task"
-        )  # in Linux, the priority of a process is that of its first thread
-        with suppress(OSError):  # it has ended
+        # In Linux, the priority of a process is that of its first thread, so each thread is set.
+        threads = Path(f"/proc/{page.pid}/task")
+        with suppress(OSError):  # the process has ended
             for thread in [int(each.name) for each in threads.iterdir()] if threads.is_dir() else [page.pid]:
                 os.setpriority(os.PRIO_PROCESS, thread, 15)

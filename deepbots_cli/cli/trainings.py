@@ -46,7 +46,7 @@ def _show_training(text: str, data: object, stopped: bool, *, as_json: bool) -> 
 
 @contextmanager
 def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
-    """The evaluation after a training; an interruption ends the command."""
+    """Context of the evaluation after a training. An interruption ends the command."""
     if not quiet:
         terminal.note(
             "evaluating on held-out episodes without exploration, so returns differ from those of the"
@@ -131,7 +131,7 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         as_json=as_json,
     )
     trained = Run.open(result.run)
-    is_confirmed = result.confirmed_seed is not None  # by episodes that are the evaluation
+    is_confirmed = result.confirmed_seed is not None  # the episodes of the confirmation are the evaluation
     with (
         _evaluating(result.run, quiet=quiet or is_confirmed),
         terminal.progress(always=False) as show_episode,
@@ -175,7 +175,7 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         if unsolved and not causes
         else []
     )
-    is_explained = bool(causes) and causes[0].cause == "fell_apart"  # whose text is this sentence
+    is_explained = bool(causes) and causes[0].cause == "fell_apart"  # the text of this cause is the sentence
     fallen = [] if fall is None or is_explained else [f"\nnote: {fall.text}"]
     terminal.show(
         data, text, *fallen, *retries.cause_lines(causes), *no_cause, as_json=as_json, next_commands=further
@@ -183,11 +183,11 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
 
 
 def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
-    """Why a training did not solve its task or fell apart, the most likely cause first."""
+    """Return why a training did not solve its task or fell apart, the most likely cause first."""
     with terminal.transient_line("" if quiet else "looking for the cause ..."):
         from deepbots_cli.insight.diagnosis import causes_after
 
         try:
             return causes_after(run, permissions)
-        except DeepbotsError:  # it has no finished episode, for example
+        except DeepbotsError:  # for example, it has no finished episode
             return []

@@ -1,10 +1,10 @@
-"""Why a training fell apart: the fall of its evaluations, and the settings that explain it.
+"""The causes of a training that fell apart: the fall of its evaluations, and the settings that explain it.
 
 A setting is suspected by how far it is from its usual value, on a scale of its own where 1 means "often
-breaks a training that has learned", and by what the scalars of the run say: an update that changes the policy
-a lot has a large KL divergence, a weight of the entropy that is too large lets the entropy rise again, a
-critic that overestimates predicts more than follows. `tests/insight/collapses.py` measures how often the
-planted setting is named.
+breaks a training that has learned", and by the scalars of the run: an update that changes the policy a lot
+has a large KL divergence, a weight of the entropy that is too large lets the entropy rise again, a critic
+that overestimates predicts more than the return that follows. `tests/insight/collapses.py` measures how often
+the planted setting is named.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from deepbots_cli.program.task import Schedule
 from deepbots_cli.scenario.training import ALGORITHMS
 
 SUSPECTED = 0.5
-"""The weight from which on a setting is named; that of a shipped scenario stays below."""
+"""The weight from which a setting is named; settings of shipped scenarios stay below."""
 _SHOWN = 2
 _LARGE_UPDATE = 0.03
-"""KL divergence of an update that changes the policy a lot; in a usual one it is 0.003 to 0.02, as
-`_of_scale` says."""
+"""The KL divergence of an update that changes the policy a lot. In a usual update it is 0.003 to 0.02; see
+`_of_scale`."""
 _OVERESTIMATES = 1.3
-"""The predicted value over the return that followed."""
+"""The ratio of the predicted value to the return that followed."""
 _USUAL_RETURN, _LARGE_RETURN = 300.0, 10.0
-"""Returns to which a critic is used, and how many times larger ones break it."""
+"""The returns for which a critic is suited, and the factor of returns that break it."""
 
 
 class Suspect(NamedTuple):
@@ -51,11 +51,12 @@ class Suspect(NamedTuple):
 
 
 class _Scale(NamedTuple):
-    """How the distance of a setting from its usual value is measured.
+    """The scale of a setting: its usual value, and the distance from it that often breaks a training.
 
     Attributes:
         usual: Its usual value; None for its default.
-        times: How many times larger (smaller, if below 1) a value often breaks a training.
+        times: The factor on the usual value that often breaks a training; below 1 for values that are too
+            small.
         acts_by_updates: Whether it breaks it by updates that change the policy a lot.
     """
 
@@ -129,8 +130,8 @@ def fell_apart(t: TrainingEvidence) -> Numbers | None:
 
 
 def _return_meanwhile(t: TrainingEvidence, fall: Decline) -> tuple[float, float] | None:
-    """The mean return of the evaluations at the best model and of the last ones; None for a fall of the
-    return."""
+    """Return the mean return of the evaluations at the best model and of the last ones; None for a fall of
+    the return."""
     if fall.measure != "success_rate":
         return None
     own = [(each["steps"], fmean(each["returns"])) for each in t.evaluations if "steps" in each]
@@ -140,7 +141,7 @@ def _return_meanwhile(t: TrainingEvidence, fall: Decline) -> tuple[float, float]
 
 
 def _paying_term(t: TrainingEvidence) -> str:
-    """The reward term that rose most, in words; empty where none rose."""
+    """Return the reward term that rose most, in words; empty where none rose."""
     rise = rising_term(t)
     return (
         ""
@@ -150,8 +151,8 @@ def _paying_term(t: TrainingEvidence) -> str:
 
 
 def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:
-    """The settings that explain a fall, the most likely first; only those whose value is not the advised
-    one."""
+    """Return the settings that explain a fall, the most likely first, and only those whose value is not the
+    advised one."""
     training = t.program.agent.training
     if training is None:
         return []
@@ -180,7 +181,7 @@ def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:
 
 
 def _of_scale(t: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> Suspect | None:
-    """A number that is too large or too small."""
+    """Detect a number that is too large or too small."""
     value, default = _value_at(t, name, fall.since_steps), usual_settings(t).get(name)
     usual = scale.usual
     if usual is None:
@@ -213,7 +214,7 @@ def _of_scale(t: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> S
 
 
 def _advised(t: TrainingEvidence, name: str, usual: float, default: Any) -> str:
-    """The value to write."""
+    """Return the value to write."""
     if name == "batch_size" and (rows := _rows(t)):
         return f"{next((size for size in (256, 128, 64, 32) if rows % size == 0 and size < rows), rows)}"
     if name == "ent_coef" and isinstance(default, str):
@@ -225,7 +226,7 @@ def _advised(t: TrainingEvidence, name: str, usual: float, default: Any) -> str:
 
 
 def _overestimates(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """A critic that predicts more than follows: a single one is replaced by two, of two the rate is
+    """Detect a critic that overestimates. A single critic is replaced by two; for two, the rate is
     lowered."""
     predicted, followed = (_since(t, f"critic/{name}", fall.best_steps) for name in ("value", "followed"))
     if not len(predicted):
@@ -256,7 +257,7 @@ def _overestimates(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 
 def _reward_scale(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Returns that are too large for a critic."""
+    """Detect returns that are too large for a critic."""
     training = t.program.agent.training
     if training is None or training.normalize == "reward" or not t.evaluations:
         return None
@@ -275,7 +276,8 @@ def _reward_scale(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 
 def _discount(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """A discount factor of 1, with which errors of the critic do not fade, or one that hides what follows."""
+    """Detect a discount factor of 1, with which errors of the critic do not fade, or one that hides later
+    rewards."""
     gamma = t.number_setting("gamma")
     length = t.program.truncation.max_episode_steps(t.program.period)
     if gamma is None:
@@ -299,7 +301,8 @@ def _discount(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 
 def _trace(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """`gae_lambda` of 1 gives noisy advantages, and a small one those of a critic that knows little."""
+    """Detect a `gae_lambda` of 1, which gives noisy advantages, or a small one, whose advantages depend on an
+    inaccurate critic."""
     trace = t.number_setting("gae_lambda")
     if trace is None or _base(t) == "A2C" or 0.6 <= trace < 0.995:
         return None
@@ -309,7 +312,7 @@ def _trace(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 
 def _small_rollouts(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Updates from too few steps."""
+    """Detect updates from too few steps."""
     rows, steps = _rows(t), t.number_setting("n_steps")
     if not rows or not steps or "n_epochs" not in t.settings:
         return None
@@ -319,7 +322,7 @@ def _small_rollouts(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 
 def _updates_per_step(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Gradient steps of an off-policy algorithm for each new step."""
+    """Detect too many gradient steps of an off-policy algorithm for each new step."""
     training = t.program.agent.training
     updates = t.number_setting("gradient_steps")
     often = t.number_setting("train_freq")
@@ -339,7 +342,7 @@ def _updates_per_step(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 
 def _noise(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Action noise that hides what the policy does, or none."""
+    """Detect action noise that hides the actions of the policy, or no noise."""
     noise = t.settings.get("action_noise")
     sigma = getattr(noise, "sigma", None)
     if sigma is None:
@@ -363,7 +366,7 @@ def _noise(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 
 def _advantages(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """Advantages as large as the rewards."""
+    """Detect advantages as large as the rewards."""
     if "n_epochs" not in t.settings or t.settings.get("normalize_advantage") is not False:
         return None
     reason = "`normalize_advantage` is false, so that updates are as large as the rewards"
@@ -371,7 +374,7 @@ def _advantages(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 
 def _after_teacher(t: TrainingEvidence, fall: Decline) -> Suspect | None:
-    """A policy that was better while it imitated than what it learned by itself."""
+    """Detect a policy that was better while it imitated than after it learned by itself."""
     weights = _part(t, "teacher/weight", 0.0, math.inf)
     if not len(weights):
         return None
@@ -390,7 +393,7 @@ def _after_teacher(t: TrainingEvidence, fall: Decline) -> Suspect | None:
 
 
 def _fallback(t: TrainingEvidence) -> str:
-    """The advice where no setting is unusual."""
+    """Return the advice if no setting is unusual."""
     settings = _fallback_settings(t)
     change = " and ".join(f"`{path}: {value}`" for path, value in settings.items())
     return (
@@ -432,7 +435,7 @@ def _at(value: Schedule, t: TrainingEvidence, steps: float) -> float:
 
 
 def _value_at(t: TrainingEvidence, name: str, steps: float) -> float | None:
-    """A hyperparameter after so many steps; None where it is no number."""
+    """Return a hyperparameter after so many steps; None where it is no number."""
     value = t.settings.get(name)
     return _at(value, t, steps) if isinstance(value, Schedule) else t.number_setting(name)
 
@@ -442,7 +445,7 @@ def _before_and_after(fall: Decline) -> tuple[tuple[float, float], tuple[float, 
 
 
 def _part(t: TrainingEvidence, tag: str, first: float, last: float) -> Any:
-    """The finite values of a scalar between two numbers of steps."""
+    """Return the finite values of a scalar between two numbers of steps."""
     if tag not in t.scalars:
         return np.zeros(0)
     steps, values = t.scalars[tag]

@@ -22,7 +22,7 @@ from deepbots_cli.program.values import Expression
 from deepbots_cli.runtime import Supervisor
 
 StepValues = Mapping[str, Sequence[float]]
-"""What the supervisor kept in a step: the components of each value, by its name."""
+"""The kept values of a step in the supervisor: the components of each value, by its name."""
 
 _SIGNAL_PREFIX = "insight_"
 _GOAL_SIGNAL = f"{_SIGNAL_PREFIX}goal"
@@ -40,7 +40,7 @@ _FUNCTIONS = dict(
 
 @dataclass(frozen=True)
 class Comparison:
-    """`value operator bound`: both sides by the names of kept values, and as the scenario writes them.
+    """A comparison `value operator bound`. Both sides are names of kept values, and texts of the scenario.
 
     Several components hold together if any of them holds, or all. `unit` is the SI unit of both sides. A
     truth value without a bound, such as a contact, has no `bound` and is compared with 1. `lasting` is the
@@ -59,7 +59,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class CompoundCondition:
-    """Conditions of which all must hold (`and`), or one (`or`)."""
+    """Conditions of which all must be true (`and`), or one (`or`)."""
 
     operator: Literal["and", "or"]
     parts: tuple[Condition, ...]
@@ -83,7 +83,7 @@ class MeasuredComparison:
     margin: float | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """In SI units."""
+        """Return the comparison in SI units."""
         condition = self.condition
         data: dict[str, Any] = {"condition": condition.text, "holds": self.holds, "value": self.value}
         if condition.bound is not None:
@@ -110,7 +110,7 @@ class InstrumentedProgram:
     observed_signals: Mapping[str, str]
 
     def read(self, agent: Supervisor) -> StepValues:
-        """What this step left in a supervisor of the program."""
+        """Read the values that this step left in a supervisor of the program."""
         signals = {name: getattr(agent, generated.last(name)) for name in self.program.stored_signals}
         goal = self.program.agent.goal
         values = {
@@ -129,8 +129,8 @@ class InstrumentedProgram:
 
 
 def instrument_program(program: Program, *, include_observation: bool = False) -> InstrumentedProgram:
-    """The program with kept values for each comparison of its endings, and for the observation too with
-    `include_observation`."""
+    """Return the program with kept values for each comparison of its endings, and for the observation too
+    with `include_observation`."""
     builder = _ConditionBuilder(program)
     conditions = {ending.name: builder.ending_condition(ending) for ending in program.endings}
     if program.agent.goal is not None:
@@ -148,7 +148,7 @@ def instrument_program(program: Program, *, include_observation: bool = False) -
 
 
 class _UnmeasuredError(Exception):
-    """A condition whose value an episode cannot keep: a random draw, or the goal as the policy sees it."""
+    """A condition whose value an episode cannot keep: a random draw, or the goal as observed."""
 
 
 class _ConditionBuilder:
@@ -180,7 +180,7 @@ class _ConditionBuilder:
     def _condition(
         self, node: Typed, expression: Expression, *, negated: bool, joined: Literal["any", "all"] = "any"
     ) -> Condition:
-        """The condition of a truth value in the text of `expression`, with `not` pushed down to the
+        """Return the condition of a truth value in the text of `expression`, with `not` pushed down to the
         comparisons."""
         match node:
             case Operation(operator="not", args=(inner,)):
@@ -221,7 +221,7 @@ class _ConditionBuilder:
         )
 
     def _lasting(self, node: Typed, expression: Expression) -> Condition | None:
-        """The condition in `duration(...)`, also behind the name of a signal."""
+        """Return the condition in `duration(...)`, also behind the name of a signal."""
         match node:
             case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
                 return self._lasting(self._named[symbol.name].typed, self._named[symbol.name])
@@ -231,7 +231,7 @@ class _ConditionBuilder:
         return None
 
     def probe(self, node: Typed, expression: Expression) -> str:
-        """The name of a signal that has the value of a part of an expression."""
+        """Return the name of a signal that has the value of a part of an expression."""
         probe = Expression(
             "",
             expression.span,
@@ -254,7 +254,7 @@ class _ConditionBuilder:
 
 
 def _distance(goal: Goal, agent: Supervisor) -> float:
-    """How far what is achieved is from what is desired, both as the policy sees them."""
+    """Return the distance of the achieved goal from the desired one, both as observed."""
     size = len(goal.low)
     seen = agent.goal.tolist()
     halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
@@ -276,7 +276,8 @@ def comparisons_in(condition: Condition) -> list[Comparison]:
 
 
 def measure(condition: Comparison, values: StepValues) -> MeasuredComparison:
-    """A comparison in one step. Of several components, the one that decides counts."""
+    """Measure a comparison in one step. For a vector, this is the component that makes the comparison true or
+    false."""
     sides, bounds = values[condition.value], (1.0,) if condition.bound is None else values[condition.bound]
     pairs = [
         (sides[index % len(sides)], bounds[index % len(bounds)])
@@ -299,8 +300,8 @@ def holds(condition: Condition, values: StepValues) -> bool:
 
 
 def missing_comparisons(condition: Condition, values: StepValues) -> list[Comparison]:
-    """The comparisons that keep a condition from holding; of parts joined by `or`, those of the part that
-    lacks the fewest."""
+    """Return the comparisons that keep a condition from being true. For parts joined by `or`, these are those
+    of the part that lacks the fewest."""
     if not isinstance(condition, CompoundCondition):
         return [] if measure(condition, values).holds else [condition]
     parts = [missing_comparisons(part, values) for part in condition.parts]
@@ -310,8 +311,8 @@ def missing_comparisons(condition: Condition, values: StepValues) -> list[Compar
 def deciding_comparison(
     condition: Condition, before: StepValues | None, now: StepValues
 ) -> MeasuredComparison:
-    """The comparison that made a condition hold: one that holds now and did not in the step before, one with
-    a bound first."""
+    """Return the comparison that made a condition true. It is true now and was false in the step before; one
+    with a bound comes first."""
     if not isinstance(condition, CompoundCondition):
         return measure(condition, now)
     parts = [part for part in condition.parts if holds(part, now)] or list(condition.parts)

@@ -1,8 +1,8 @@
 """The table of reasons why a policy does not learn, each with its evidence and advice.
 
 A row finds its evidence in the logs or in the short episodes, or does not apply. `likelihood` orders the
-rows: what was seen to make learning impossible comes before what often does, and both before what may only be
-a symptom. A training that solves its task has none, unless it fell apart afterwards.
+rows: observed causes that make learning impossible come before those that often do, and both come before
+possible symptoms. A training that solves its task has none, unless it fell apart afterwards.
 """
 
 from __future__ import annotations
@@ -94,14 +94,14 @@ _UNLEARNABLE = {
     "DB807": "The success is out of reach",
     "DB810": "`solved` asks for what no policy can miss or reach",
 }
-"""What findings of lint mean for a training that cannot learn its task."""
+"""The meaning of findings of lint for a training that cannot learn its task."""
 
 _EXPLOITS = {"DB708", "DB716", "DB717"}
 """Findings of payments that a policy can collect without success."""
 
 
 def _success_earns_more(t: TrainingEvidence) -> bool:
-    """Whether the successes at the end of the training have the higher mean return."""
+    """Return whether the successes at the end of the training have the higher mean return."""
     late = t.episodes_between(0.75, 1.0)
     is_success = late.successes > 0
     successes, others = late.returns[is_success], late.returns[~is_success]
@@ -113,24 +113,25 @@ _REFUTED: Mapping[str, Callable[[TrainingEvidence], bool]] = {
     "DB711": lambda t: len(t.episodes) > 1 and float(np.ptp(t.episodes.returns)) > 0.0,
     "DB807": lambda t: bool(t.episodes.successes.any()),
 }
-"""Whether the episodes of a training show the opposite of what a finding of lint means."""
+"""The tests of whether the episodes of a training refute a finding of lint."""
 
 CERTAIN, _SYMPTOMS = 0.9, {"too_few_steps", "one_ending", "success_plateau", "missed_condition"}
-"""Beside a cause that is as likely as this, the length of the training, its most frequent ending, a flat
-success and the condition that is missed are no causes."""
+"""The likelihood of a certain cause, and the causes that are only symptoms beside one: the length of the
+training, its most frequent ending, a plateau of success and a missed condition."""
 _EXPLAINED = {
     "return_at_ceiling": {"exploration_collapsed", "learning_rate_too_low", "too_few_steps"},
     "reward_exploited": {"reward_apart_from_success", "exploration_collapsed", "success_needs_exploration"},
     "ending_early_pays": {"exploration_collapsed", "success_never_seen"},
     "missed_condition": {"success_plateau"},
 }
-"""What a cause explains, so that it is no cause beside it: a policy that repeats what pays most does not
-explore too little."""
+"""For each cause, the causes that it implies, which are then not listed: a policy that repeats the action
+that pays most is not reported as exploring too little."""
 _LARGE_RETURN = 1000.0
-"""Absolute mean returns from which on a critic of the usual learning rate falls behind: CartPole with 1000
+"""The absolute mean return from which a critic of the usual learning rate falls behind: CartPole with 1000
 for each step is not learned."""
 _HIDDEN = 6.0
-"""Steps in units of 1 / (1 - gamma) after which a reward has less than 0.3 % of its weight."""
+"""The number of steps, in units of 1 / (1 - gamma), after which a reward has less than 0.3 % of its
+weight."""
 _PROVISIONAL_CAUSES = {
     "kept_by_return",
     "success_never_seen",
@@ -138,13 +139,13 @@ _PROVISIONAL_CAUSES = {
     "one_ending",
     "exploration_too_large",
 }
-"""What may still change in a training or a stage that is young: a cause only once it is mature, or if it is
-certain."""
+"""Findings that a young training may still outgrow. They become causes when the training or the stage is
+mature, or when they are certain."""
 
 
 def diagnose(training: TrainingEvidence) -> list[Statement]:
-    """The causes that apply in the present stage, the most likely first; none for a training that has learned
-    its task.
+    """Return the causes that apply in the present stage, the most likely first; none for a training that has
+    learned its task.
 
     Raises:
         RunError: The training has finished no episode, and has not failed either.
@@ -161,7 +162,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     if not (len(training.episodes) or training.has_failed):
         return []
     causes = CAUSES
-    if learned:  # starts that fail are of interest where the scenario does not say how many may
+    if learned:  # failing starts are of interest if the scenario does not define how many may fail
         starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
         explored = (exploration_too_large,) if learned == "evaluated" else ()
         causes = (
@@ -187,12 +188,12 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
 
 
 QUICK_SECONDS = 10.0
-"""How long the short episodes after a training take at most."""
+"""The longest time of the short episodes after a training, in s."""
 
 
 def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[Statement]:
-    """The causes of a training that has ended unsolved or fallen apart, from its files and a few seconds of
-    short episodes.
+    """Return the causes of a training that has ended unsolved or fallen apart, from its files and a few
+    seconds of short episodes.
 
     Nothing is written. A training that fell apart after it had solved its task has the causes of its fall
     only.
@@ -229,11 +230,13 @@ _COMMANDS: Mapping[str, str] = {
     "teacher_fails": "try {scenario} --driver {script} --episodes 20",
     "term_dominates": "try {scenario}",
 }
-"""What shows more of a cause, where no value under `train` is advised; for all others a failed episode."""
+"""The commands that show more of a cause for which no value under `train` is advised. For all others, this is
+a failed episode."""
 
 
 def _next_command(t: TrainingEvidence, statement: Statement) -> str:
-    """What to run after a cause: the training with the advised values, or what shows the fault."""
+    """Return the next command after a cause: the training with the advised values, or a command that shows
+    the fault."""
     run, path = t.run, quote(str(t.run.path))
     if statement.settings.keys() == {TOTAL_TIMESTEPS}:
         return f"deepbots resume {path} --timesteps {statement.settings[TOTAL_TIMESTEPS]}"
@@ -261,18 +264,18 @@ def _next_command(t: TrainingEvidence, statement: Statement) -> str:
 
 
 def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None:
-    """Whether the policy has learned the task: in the episodes of the training, or only in evaluations, which
-    do not explore.
+    """Return where the policy has learned the task: in the episodes of the training, or only in evaluations,
+    which do not explore.
 
     The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an
-    evaluation after the training excludes it. In a scenario without `solved`, the task is learned from a
-    success rate of 80 % on.
+    evaluation after the training excludes it. In a scenario without `solved`, the task is learned at a
+    success rate of 80 %.
     """
     solved, succeeds = t.run.program.agent.solved, t.run.program.defines_success
     required = 0.8 if solved is None else solved.success_rate or 0.0
 
     def suffices(successes: Sequence[float]) -> bool:
-        """In a scenario without `solved`."""
+        """Return whether successes suffice in a scenario without `solved`."""
         return solved is None and succeeds and len(successes) >= MIN_EPISODES and fmean(successes) >= required
 
     final = SuccessRate([each.is_success for each in t.final_episodes])
@@ -287,7 +290,7 @@ def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None
 
 
 def _met_while_exploring(t: TrainingEvidence) -> bool:
-    """Whether episodes of the training, which explore, met `solved`."""
+    """Return whether episodes of the training, which explore, met `solved`."""
     solved, result = t.run.program.agent.solved, t.run.record.result
     if result is None or result.solved_at is None:
         return False
@@ -315,7 +318,7 @@ def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
 
 
 def _error(failure: Failure) -> str:
-    """The error of an episode, within a sentence."""
+    """Return the error of an episode, within a sentence."""
     return f"episode {failure.episode:,}, {failure.error}".rstrip(".")
 
 
@@ -360,7 +363,7 @@ def action_without_effect(t: TrainingEvidence) -> Numbers | None:
 
 
 def _difference(one: Trace, other: Trace, numbers: Sequence[int]) -> float:
-    """The largest difference of what the policy sees, and of what the endings compare."""
+    """Return the largest difference of the observations, and of the values that the endings compare."""
     if one.steps != other.steps:
         return 1.0
     seen = np.abs(one.observations[:, numbers] - other.observations[:, numbers]).max(initial=0.0)
@@ -467,14 +470,14 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
 
 
 def _names_rate(t: TrainingEvidence) -> bool:
-    """Whether the cause of a fall names the learning rate."""
+    """Return whether the cause of a fall names the learning rate."""
     return t.decline is not None and any(
         each.path == "train.learning_rate" for each in suspects(t, t.decline)
     )
 
 
 def _usual_rate(t: TrainingEvidence) -> float:
-    """The default learning rate, of deepbots or the library."""
+    """Return the default learning rate, of deepbots or the library."""
     training = t.program.agent.training
     defaults: Any = (
         None
@@ -482,7 +485,7 @@ def _usual_rate(t: TrainingEvidence) -> float:
         else default_values(training, t.run.record.total_timesteps, longest_episode(t.program))
     )
     rate = (defaults or {}).get("learning_rate")
-    return float(rate) if isinstance(rate, int | float) else 3e-4  # of the library
+    return float(rate) if isinstance(rate, int | float) else 3e-4  # the default of Stable-Baselines3
 
 
 @statement(
@@ -560,8 +563,8 @@ def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
         return None
     is_far = length * (1.0 - gamma) > 5 * _HIDDEN
     if not (seen or is_far) and (t.facts.terms_towards_success or not t.program.defines_success):
-        return None  # rewards on the way do
-    wanted = min(0.999, round(1.0 - 3.0 / length, 3))  # a weight of 5 %
+        return None  # the rewards on the way are enough
+    wanted = min(0.999, round(1.0 - 3.0 / length, 3))  # the last reward then has a weight of 5 %
     if wanted <= gamma:
         return None
     # A factor that is far too small; else rewards on the way may do.
@@ -680,7 +683,7 @@ def _settings(changes: Sequence[Change]) -> dict[str, str]:
 
 
 def _exploration_changes(t: TrainingEvidence, factor: float) -> list[Change]:
-    """How to change the options for exploration that the algorithm has."""
+    """Return changes of the options for exploration that the algorithm has."""
     changes, settings, verb = list[Change](), t.settings, "raise" if factor > 1 else "lower"
     weight, chance = t.number_setting("ent_coef"), t.number_setting("exploration_final_eps")
     noise = getattr(settings.get("action_noise"), "sigma", None)
@@ -746,7 +749,7 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
 
 
 def _random_entropy(t: TrainingEvidence) -> float | None:
-    """The entropy of a random policy; None where not all parts of the action are choices."""
+    """Return the entropy of a random policy; None where not all parts of the action are choices."""
     agent = t.program.agent
     return None if agent.ranges else float(np.log([len(part.options) for part in agent.choices]).sum())
 
@@ -846,4 +849,5 @@ CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     stopped_early,
     too_few_steps,
 )
-"""Why a training does not learn. Among causes that are as likely, the first one of this list comes first."""
+"""The causes of a training that does not learn. Among causes that are as likely, the first one of this list
+comes first."""

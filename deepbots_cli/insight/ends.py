@@ -1,5 +1,5 @@
-"""Causes in the end of a training: it was too short, stopped too early, or kept another model than the best
-one."""
+"""Causes at the end of a training: it was too short, it stopped too early, or it kept another model than the
+best one."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from deepbots_cli.learning.order import measure_of
 from deepbots_cli.learning.report import longer_goal
 
 TOTAL_TIMESTEPS = "train.total_timesteps"
-"""The setting whose new value continues a training, where the others begin another one."""
+"""The setting whose new value continues a training. A new value of another setting begins another
+training."""
 _CLEARLY_MORE = 0.2
-"""By how much the success rates of two evaluations differ, so that the better one is not so by chance alone:
-with 20 starts, which both have, the standard deviation of one rate is 0.11 at most."""
+"""A difference of two success rates that is unlikely to be chance: both evaluations have the same 20 starts,
+and the standard deviation of a rate over 20 starts is at most 0.11."""
 
 
 @statement(
@@ -156,8 +157,8 @@ def too_few_steps(t: TrainingEvidence) -> Numbers | None:
 
 
 def training_length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
-    """How long a training is, and how to train on: to the `planned` steps if they are more than 1.1 times as
-    many, else further."""
+    """Return the length of a training, and the way to continue it: to the `planned` steps if they are more
+    than 1.1 times as many, else further."""
     more = planned if planned > 1.1 * t.steps else max(t.planned, longer_goal(t.steps))
     command = f"deepbots resume {quote(str(t.run.path))} --timesteps {more:_}"
     advice = f"Continue the training with `{command}`."

@@ -1,4 +1,4 @@
-"""The table that explains an episode: why it ended, when and by how much, what it earned, and when it went
+"""The table that explains an episode: why it ended, when, with which margin and reward, and when it went
 wrong."""
 
 from __future__ import annotations
@@ -33,12 +33,13 @@ from deepbots_cli.insight.trace import Trace
 
 
 def explain(trace: Trace) -> list[Statement]:
-    """Every row of the table that applies."""
+    """Return every row of the table that applies."""
     return statements_about(ROWS, trace)
 
 
 def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str, Any]:
-    """The explanation as a dictionary, in SI units; `margin` is how far the value was beyond the bound."""
+    """Return the explanation as a dictionary, in SI units; `margin` is the distance of the value beyond the
+    bound."""
     evidence_by_cause = {each.cause: each.evidence for each in statements}
     limit, drop = evidence_by_cause.get("truncation_limit"), evidence_by_cause.get("critic")
     return {
@@ -58,7 +59,7 @@ def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str,
 
 
 def _shown(trace: Trace, leaf: Comparison, value: float, digits: int = 4) -> str:
-    """A value of a comparison in the unit in which the scenario writes its threshold."""
+    """Return a value of a comparison in the unit in which the scenario writes its threshold."""
     return quantity_text(value, trace.units.of(leaf.unit, *reversed(leaf.sides)), digits)
 
 
@@ -191,7 +192,7 @@ def nearest(trace: Trace) -> Numbers | None:
         return None
     missing = [missing_comparisons(condition, values) for values in trace.values]
     fewest = min(map(len, missing))
-    if not fewest:  # all of it held, in a step that a failure ended
+    if not fewest:  # all comparisons were true, in a step that a failure ended
         return None
     # What is missing last decides: at the start most successes lack time or distance, which the episode gains
     # later.
@@ -347,7 +348,7 @@ def action_limits(trace: Trace) -> Numbers | None:
 
 
 def _shares(by_name: Mapping[str, float]) -> Numbers | None:
-    """Shares by name, the largest first; the sentence shows those that are not 0 %."""
+    """Return shares by name, the largest first. The sentence shows those that are not 0 %."""
     shares = dict(sorted(by_name.items(), key=lambda entry: -entry[1]))
     parts = [f"{name} in {share:.0%}" for name, share in shares.items() if share >= 0.005]
     return (

@@ -40,18 +40,18 @@ if TYPE_CHECKING:
     from deepbots_cli.insight.report import ReportEpisode
 
 SUCCESS, FAILURE = "#009E73", "#D55E00"
-_MAX_STARTS, _MAX_WITHOUT_EFFECT = 6, 2  # drawn values in a figure
-_MAX_TICKS = 6  # of an axis whose numbers may be long
+_MAX_STARTS, _MAX_WITHOUT_EFFECT = 6, 2  # the largest number of drawn values in a figure
+_MAX_TICKS = 6  # for an axis whose numbers may be long
 _WIDTH, _WIDE_WIDTH = 5.0, 8.0  # inches
-_MIN_CLIMB = 0.25  # of its longer side; a trajectory that climbs more is also drawn from the side
-_MIN_WIDTH = 0.1  # of its longer side; of a trajectory that is narrower, the longer side is drawn over time
-_TIME = -1  # in the place of the number of an axis
+_MIN_CLIMB = 0.25  # share of the longer side; a trajectory that climbs more is also drawn from the side
+_MIN_WIDTH = 0.1  # share of the longer side; of a narrower trajectory, the longer side is drawn over time
+_TIME = -1  # stands for the time instead of the number of an axis
 
 
 def new_figure(
     theme: str, height: float, columns: int = 1, rows: int = 1, width: float = _WIDTH
 ) -> tuple[Figure, Any]:
-    """A figure with rows of panels for a light or a dark background; sizes in inches."""
+    """Create a figure with rows of panels for a light or a dark background; sizes in inches."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained", facecolor=THEMES[theme][0])
@@ -59,13 +59,13 @@ def new_figure(
 
 
 def _with_legend(figure: Figure, height: float) -> Figure:
-    """The figure with room for a legend of this height (inches)."""
+    """Return the figure with room for a legend of this height (inches)."""
     figure.set_figheight(figure.get_figheight() + height)
     return figure
 
 
 def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
-    """Returns of training episodes, the mean over seeds with a band from the lowest to the highest,
+    """Draw returns of training episodes, the mean over seeds with a band from the lowest to the highest,
     evaluations, and the teacher."""
     figure, ((panel,),) = new_figure(theme, 2.9)
     plot_band(
@@ -82,7 +82,7 @@ def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
 
 
 def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
-    """Success rates as the returns."""
+    """Draw success rates in the same way as the returns."""
     curves = [log.successes for log in logs if log.successes is not None]
     if not curves:
         return None
@@ -102,7 +102,7 @@ def _episodes_label(logs: Sequence[TrainingLog]) -> str:
 
 
 def lessons(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
-    """What a teacher does."""
+    """Draw the share of the teacher in the training."""
     if not any(log.lessons for log in logs):
         return None
     figure, ((panel,),) = new_figure(theme, 2.9)
@@ -111,16 +111,15 @@ def lessons(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
 
 
 def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
-    """The size of each reward term of an episode, as a share of all their sizes; means over seeds."""
+    """Draw the size of each reward term of an episode, as a share of all their sizes; means over seeds."""
     styles = term_styles(logs)
     terms = list(styles)
     curves = [curve for log in logs for curve in log.terms.values() if len(curve[0])]
     if len(terms) < 2 or not curves:
         return None
     at = np.linspace(min(steps[0] for steps, _ in curves), max(steps[-1] for steps, _ in curves), 200)
-    at = np.union1d(
-        at, np.concatenate([steps[np.isnan(values)] for steps, values in curves])
-    )  # where a stage begins
+    # The points where a stage begins are included.
+    at = np.union1d(at, np.concatenate([steps[np.isnan(values)] for steps, values in curves]))
     by_term = [[log.terms[term] for log in logs if term in log.terms] for term in terms]
     sizes = np.array(
         [
@@ -138,7 +137,7 @@ def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
 
 
 def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
-    """How training episodes end, as shares over time."""
+    """Draw the endings of training episodes, as shares over time."""
     if not any(log.endings for log in logs):
         return None
     figure, ((panel,),) = new_figure(theme, 2.9)
@@ -151,10 +150,10 @@ def endings(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
 def starts(
     episodes: Sequence[Episode], effects: DrawnEffects, theme: str, *, success_defined: bool
 ) -> Figure | None:
-    """Drawn values of evaluation episodes against the return; bars are means of parts of the range with their
-    intervals.
+    """Draw drawn values of evaluation episodes against the return. Bars are means of parts of the range with
+    their intervals.
 
-    Shown are the values that have an effect; without one, those that `effects` lists first.
+    The values that have an effect are shown; without one, those that `effects` lists first.
     """
     shown = effects.effective[:_MAX_STARTS] or list(effects.values.values())[:_MAX_WITHOUT_EFFECT]
     if not shown:
@@ -215,15 +214,15 @@ def trajectories(
     fixed: Sequence[Sequence[Triple]],
     theme: str,
 ) -> Figure:
-    """Trajectories of the parts that move, from above, and from the side where they climb; along a line, over
-    time.
+    """Draw trajectories of the parts that move, from above, and from the side where they climb; along a line,
+    over time.
 
     The first part is drawn as a line, others and moving targets in dots, a target that stands still as a
     star. `fixed` are the outlines of objects that stand still.
     """
     tracks = [each.positions[part] for each in shown for part in moving.parts if part in each.positions]
     spans = np.max([np.nanmax(track, axis=0) - np.nanmin(track, axis=0) for track in tracks], axis=0)
-    side = int(spans[1] > spans[0])  # the horizontal axis that is seen from the side
+    side = int(spans[1] > spans[0])  # the horizontal axis in the view from the side
     targets = [each.positions[part] for each in shown for part in moving.targets if part in each.positions]
     climbs = bool(spans[2] > _MIN_CLIMB * spans[side])
     if not climbs and spans[1 - side] < _MIN_WIDTH * spans[side]:
@@ -248,7 +247,8 @@ def trajectories(
 def _over_time(
     shown: Sequence[ReportEpisode], moving: Moving, axis: int, timestep: float, theme: str
 ) -> Figure:
-    """One coordinate of the parts that move, over time: from above, a motion along a line is a line."""
+    """Draw one coordinate of the parts that move over time, because from above a motion along a line is a
+    line."""
     figure, ((panel,),) = new_figure(theme, 3.0, width=_WIDE_WIDTH)
     _draw_episodes(panel, (_TIME, axis), shown, moving, timestep, theme)
     style_panel(panel, "", theme, legend=False, axes=("time, s", f"{'xyz'[axis]}, m"))
@@ -256,7 +256,7 @@ def _over_time(
 
 
 def _with_titles(figure: Figure, panel: Any, theme: str) -> Figure:
-    """The figure with the titles of its episodes below."""
+    """Return the figure with the titles of its episodes below."""
     ground, text, grid = THEMES[theme]
     handles, titles = panel.get_legend_handles_labels()
     box = figure.legend(
@@ -281,7 +281,7 @@ def _draw_episodes(
     timestep: float,
     theme: str,
 ) -> None:
-    """All episodes, those with a label above the others."""
+    """Draw all episodes, those with a label above the others."""
     labeled = [each for each in shown if each.label]
     for each in [*(each for each in shown if not each.label), *labeled]:
         _draw_episode(
@@ -338,12 +338,12 @@ def _draw_episode(
 
 
 def _base(part: LinkName) -> str:
-    """The name of a body without the number of a copy."""
+    """Return the name of a body without the number of a copy."""
     return part[0].partition("#")[0]
 
 
 def _draw_surroundings(panel: Any, world: WorldModel, fixed: Sequence[Sequence[Triple]], theme: str) -> None:
-    """The arena, painted lines and objects that stand still, from above."""
+    """Draw the arena, painted lines and objects that stand still, from above."""
     _, text, grid = THEMES[theme]
     if world.arena is not None:
         x, y = (side / 2 for side in world.arena.size)
@@ -358,9 +358,9 @@ def _draw_surroundings(panel: Any, world: WorldModel, fixed: Sequence[Sequence[T
 def _limits(
     points: Any, plane: tuple[int, int], world: WorldModel, fixed: Sequence[Sequence[Triple]]
 ) -> tuple[Any, Any]:
-    """What is seen: the surroundings of points (n, 3), with objects that reach into them.
+    """Return the limits of the panel: the surroundings of points (n, 3), with objects that reach into them.
 
-    It is the arena, from above, where the points take more than a third of it.
+    From above, they are those of the arena if the points span more than a third of it.
     """
     low, high = np.nanmin(points, axis=0)[list(plane)], np.nanmax(points, axis=0)[list(plane)]
     if plane == (0, 1) and world.arena is not None and ((high - low) > np.array(world.arena.size) / 3).any():
@@ -376,7 +376,7 @@ def _limits(
 
 
 def outline(shape: Any, pose: Frame) -> list[Triple]:
-    """The outline of an object from above: the hull of its box, and a circle for what is round."""
+    """Return the outline of an object from above: the hull of its box, and a circle for a round shape."""
     from scipy.spatial import ConvexHull
 
     low, high = bounds_of_shape(shape)

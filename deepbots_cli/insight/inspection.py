@@ -51,14 +51,14 @@ Row = Dictionary[str, object]
 Tables = Dictionary[str, Row | list[Row]]
 
 _DIGITS = 6
-"""Of a pose: um and udeg."""
+"""The number of digits of a pose, for um and udeg."""
 _FAULTS = ("noise", "bias", "drift", "range", "resolution", "period", "latency")
 
 
 def scenario_tables(
     scenario: Program, root: Node, run: Run | None = None, learner: Sequence[str] = ()
 ) -> Tables:
-    """The tables of a compiled scenario, and of the run that it comes from; empty ones are left out.
+    """Return the tables of a compiled scenario, and of the run that it comes from; empty ones are left out.
 
     `learner` are the reasons for a learner that deepbots chose.
     """
@@ -82,8 +82,8 @@ def scenario_tables(
 
 
 def in_written_units(tables: Tables, scenario: Program, root: Node) -> Tables:
-    """The tables in the words of the file: draws as it writes them, and ranges of observations and actions in
-    its units."""
+    """Return the tables in the words of the file: draws as it writes them, and ranges of observations and
+    actions in its units."""
     units = ShownUnits(root)
 
     def converted(row: Row) -> Row:
@@ -110,7 +110,8 @@ def in_written_units(tables: Tables, scenario: Program, root: Node) -> Tables:
 
 
 def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:
-    """The tables of a robot file: the whole, its links and joints, and the findings; all joints are at 0."""
+    """Return the tables of a robot file: the whole, its links and joints, and the findings; all joints are at
+    0."""
     model = file.model
     listed = json.loads(render(findings, "json"))
     above = {joint.child: joint.name for joint in model.joints}
@@ -153,7 +154,7 @@ def _counts(model: RobotModel) -> Row:
 
 
 def _drawn_mass(scenario: Program, robot: str) -> Row:
-    """A mark where `mass_kg` is the mean of masses that are drawn in every episode."""
+    """Return a mark where `mass_kg` is the mean of masses that are drawn in every episode."""
     is_drawn = any(entry.what == "mass" and entry.of[:1] == (robot,) for entry in scenario.reset.variations)
     return {"mass": "the mean; drawn in every episode"} if is_drawn else {}
 
@@ -188,7 +189,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def _joint(joint: Joint, *, whole: bool = False) -> Row:
-    """A joint and its limits; as a `whole` with its origin, damping and friction."""
+    """Return a joint and its limits; as a `whole` with its origin, damping and friction."""
     limit, unit = joint.limit, "m" if joint.type == "prismatic" else "rad"
     more: Row = {"damping": joint.damping or None, "friction": joint.friction or None, "follows": _law(joint)}
     return {
@@ -208,7 +209,7 @@ def _joint(joint: Joint, *, whole: bool = False) -> Row:
 
 
 def _law(joint: Joint) -> str:
-    """`-1 * left + 0.01` for a joint that follows another one."""
+    """Return the law of a joint that follows another one, such as `-1 * left + 0.01`."""
     if joint.mimic is None:
         return ""
     offset = (
@@ -223,7 +224,8 @@ def _law(joint: Joint) -> str:
 
 
 def _run(run: Run) -> Row:
-    """What a run is, and how far its training has come; steps count over all copies of the environment."""
+    """Return the row of a run, and the progress of its training. Steps count over all copies of the
+    environment."""
     record, result, best = run.record, run.record.result, run.model("best")
     verdict = {True: "yes", False: "no", None: "unknown"}[run_verdict(run.path, record).solved]
     fields = ("status", "source", "seed", "engine", "deepbots", "started", "updated", "total_timesteps")
@@ -287,7 +289,7 @@ def _space(scenario: Program) -> str:
 
 
 def _world(scenario: Program) -> Tables:
-    """What is drawn, and the robots and objects."""
+    """Return the tables of draws, robots and objects."""
     return {
         "drawn": [
             {
@@ -317,7 +319,7 @@ def _world(scenario: Program) -> Tables:
 
 
 def _commands(scenario: Program, root: Node) -> Tables:
-    """From the action of the agent to the actuators, and the messages in between."""
+    """Return the tables from the action of the agent to the actuators, with the messages in between."""
     return {
         "actuators": [
             row
@@ -333,7 +335,7 @@ def _commands(scenario: Program, root: Node) -> Tables:
 
 
 def _course(scenario: Program, root: Node) -> Tables:
-    """Reward, endings and starts of the episodes, and what changes between them."""
+    """Return the tables of reward, endings and starts of the episodes, and of the changes between them."""
     return {
         "reward": [
             {"term": term.name, "is": text_at(root, "reward", term.name)} for term in scenario.agent.reward
@@ -394,7 +396,7 @@ def _objects(scenario: Program) -> list[Row]:
 
 
 def _draws(entry: RandomizedParameter) -> str:
-    """The expressions that are drawn; one, where all components or parts have the same."""
+    """Return the expressions that are drawn; a single one if all components or parts have the same."""
     if entry.what == "color":
         return f"one of {(len(entry.scalars) - 1) // 3} colors"
     return ", ".join(dict.fromkeys(formula_text(value, digits=5) for value in entry.scalars))
@@ -439,7 +441,7 @@ def _sensors(scenario: Program, root: Node) -> list[Row]:
 
 
 def _driven_parts(robot: str, actuator: Actuator) -> list[Row]:
-    """One row for each part that an actuator drives; all have the same columns."""
+    """Return one row for each part that an actuator drives; all have the same columns."""
     parts: Iterable[tuple[str, float | None, float | None]]
     if isinstance(actuator, Thrust):
         kind = "thrust"
@@ -463,10 +465,10 @@ def _driven_parts(robot: str, actuator: Actuator) -> list[Row]:
 
 
 def end_links(scenario: Program) -> list[tuple[str, str]]:
-    """Robots and their links whose pose at the start is of interest: those that `cartesian` actuators or
-    position sensors name.
+    """Return robots and their links whose pose at the start is of interest: those that `cartesian` actuators
+    or position sensors name.
 
-    Of a robot without any, the last links that a joint carries which the reset sets.
+    For a robot without any, these are the last links below a joint that the reset sets.
     """
     links: list[tuple[str, str]] = []
     models = {body.name: body.model for body in scenario.world.robots}
@@ -495,7 +497,7 @@ def end_links(scenario: Program) -> list[tuple[str, str]]:
 
 
 def poses(environment: Supervisor, links: list[tuple[str, str]]) -> list[Row]:
-    """Where links are now, in the world frame; with copies of a robot, those of the first."""
+    """Return the present poses of links in the world frame; with copies of a robot, those of the first."""
     engine = next(iter(environment.agents.values())).engine
     rows: list[Row] = []
     for robot, link in links:
@@ -507,7 +509,7 @@ def poses(environment: Supervisor, links: list[tuple[str, str]]) -> list[Row]:
 
 
 def _rounded(value: float) -> float:
-    """Without negative zeros; half a turn is 180 deg, on whichever side it was."""
+    """Round without negative zeros. Half a turn is 180 deg, regardless of its sign."""
     rounded = round(value, _DIGITS) + 0.0
     return 180.0 if rounded == -180.0 else rounded
 
@@ -530,7 +532,8 @@ def _message(layout: MessageLayout, format: str) -> Row:
 
 
 def message_size(layout: MessageLayout, format: str) -> int | None:
-    """Bytes of a message: the stamp and the values; None where that depends on their figures."""
+    """Return the number of bytes of a message: the stamp and the values; None if it depends on the digits of
+    the values."""
     sizes = [_size(field) for field in layout.fields for _ in field.components or (None,)]
     if format == "struct":
         return 4 + sum(sizes)
@@ -544,7 +547,8 @@ def message_size(layout: MessageLayout, format: str) -> int | None:
 
 
 def _msgpack_head(size: int) -> int:
-    """Bytes before a truth value (1 byte, which is its own head), a number (8), or a picture."""
+    """Return the number of bytes before a truth value (1 byte, which is its own head), a number (8), or a
+    picture."""
     if size == 1:
         return 0
     if size == 8:
@@ -557,7 +561,7 @@ def _msgpack_head(size: int) -> int:
 
 
 def _size(field: MessageField) -> int:
-    """Bytes of one value."""
+    """Return the number of bytes of one value."""
     return {"bool": 1, "float64": 8}.get(field.dtype) or math.prod(field.shape)
 
 
@@ -573,7 +577,7 @@ def _field(layout: MessageLayout, field: MessageField) -> Row:
 
 
 def _route(root: Node, direction: str) -> list[Row]:
-    """What the scenario says about the way of messages, if anything."""
+    """Return the settings of the scenario about the way of messages, if any."""
     row: Row = {
         key: text_at(root, "messages", direction, key)
         for key in ("latency", "loss", "burst", "range", "order", "on_loss")
@@ -616,7 +620,7 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
 
 
 def _observation(scenario: Program) -> list[Row]:
-    """A row per number that the policy sees; with histories, how many steps before the last one it was so."""
+    """Return a row per observed number; with histories, with its age in steps before the last one."""
     seen = [(scenario.agent.numbers[index], ago) for index, ago in scenario.agent.seen]
     remembers = any(ago for _, ago in seen)
     rows: list[Row] = []
@@ -649,7 +653,7 @@ def _reset(scenario: Program, root: Node) -> list[Row]:
 
 
 def _training(scenario: Program, root: Node, run: Run | None, learner: Sequence[str]) -> Tables:
-    """The training, and its hyperparameters with the source of each value."""
+    """Return the training, and its hyperparameters with the source of each value."""
 
     def source(name: str) -> str:
         node = node_at(root, "train", *name.split("."))
@@ -700,8 +704,8 @@ Ages = dict[str, float]
 
 
 def timing(scenario: Program) -> list[Row]:
-    """For step n of the agent, from 0: the physics step from which its action acts, and after which each
-    observation is measured.
+    """Return, for step n of the agent, from 0, the physics step from which its action acts, and the one after
+    which each observation is measured.
 
     Physics steps count from 1 and start anew with each episode. An observation is as old as the oldest value
     that it is computed from: routes, `timing: delayed`, the latency of sensors and `previous` add to its age.
@@ -764,7 +768,7 @@ def _whole(ticks: float) -> int | None:
 
 
 def _sent(scenario: Program, robot: Robot) -> Ages:
-    """The ages of what a robot sends, when it arrives."""
+    """Return the ages of the values that a robot sends, when they arrive."""
     varied = {
         entry.of.sensor
         for entry in scenario.reset.variations
@@ -782,7 +786,7 @@ def _sent(scenario: Program, robot: Robot) -> Ages:
 
 
 def _slowest(scenario: Program, routes: Iterable[Route]) -> float:
-    """Ticks that the slowest route takes, 0 without one; infinite where that varies."""
+    """Return the ticks of the slowest route, 0 without one; infinite if that varies."""
     if scenario.format == "none":
         return 0
     late = 1 if scenario.timing == "delayed" else 0
@@ -796,7 +800,7 @@ def _slowest(scenario: Program, routes: Iterable[Route]) -> float:
 
 
 def _ticks(delay: float, scenario: Program) -> int:
-    """Ticks until what takes `delay` s is there."""
+    """Return the ticks until a value with this `delay` in s has arrived."""
     return math.ceil(delay / scenario.world.timestep - 1e-9)
 
 
@@ -805,7 +809,7 @@ def _oldest(values: Sequence[Scalar], ages: Ages) -> float:
 
 
 def _age(scalar: Scalar, ages: Ages) -> float:
-    """Ticks since the oldest of what the value is computed from was measured."""
+    """Return the ticks since the oldest input of a value was measured."""
     if isinstance(scalar, Name):
         return ages.get(scalar.name, 0.0)
     late = 1.0 if isinstance(scalar, State) and scalar.function == "previous" else 0.0
@@ -813,7 +817,7 @@ def _age(scalar: Scalar, ages: Ages) -> float:
 
 
 def _senders(values: Iterable[Scalar], senders: dict[str, frozenset[str]]) -> frozenset[str]:
-    """The robots whose messages the values are computed from."""
+    """Return the robots whose messages the values are computed from."""
     return frozenset().union(
         *(senders.get(leaf.name, frozenset()) for value in values for leaf in names_in(value))
     )

@@ -1,4 +1,4 @@
-"""What `deepbots lint` says of the scenario of a run, and which file to name in its command."""
+"""The findings of `deepbots lint` about the scenario of a run, and the file to name in its command."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
 _CODE = Permissions(code=True)
-"""A scenario that names Python functions is read; making a world asks whether they may run."""
+"""The permissions for reading a scenario that names Python functions. Making a world checks again whether
+these may run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +33,7 @@ class LintedScenario:
 
     Attributes:
         arguments: The arguments of `deepbots lint`, quoted for a shell.
-        findings: What lint finds.
+        findings: The findings of lint.
         text: The file that the arguments name.
         is_whole: Whether this file alone is the scenario, without other files and without `--set`.
         changed_source: The file that the training read, if it is another one now.
@@ -46,10 +47,10 @@ class LintedScenario:
 
 
 def linted_scenario(run: Run) -> LintedScenario:
-    """The scenario of a run and its findings.
+    """Return the scenario of a run and its findings.
 
     It is the file that the training read, while that gives the same scenario, else the copy in the run. Both
-    hold the comments that ignore findings, and show what is a part of an included robot only. `resolved.yaml`
+    have the comments that ignore findings, and show which part comes from an included robot. `resolved.yaml`
     takes their place if they give another scenario, as after a change in Python.
     """
     record, folder = run.record, run.path / INPUTS_FOLDER
@@ -81,7 +82,7 @@ def _linted(compiled: Compiled, arguments: Sequence[str]) -> LintedScenario:
 
 
 def _compiled(run: Run, source: Source, overrides: Sequence[str]) -> Compiled | None:
-    """A scenario, if it is that of the run."""
+    """Compile a scenario, if it is that of the run."""
     try:
         compiled = api.compile(source, overrides=with_engine(overrides, run.record.engine))
     except DeepbotsError:
@@ -90,7 +91,7 @@ def _compiled(run: Run, source: Source, overrides: Sequence[str]) -> Compiled | 
 
 
 def _digest(path: Path) -> str | None:
-    """The digest of a file as a record keeps it; None where it is no file, or too large for a scenario."""
+    """Return the digest of a file as in a record; None if it is no file, or too large for a scenario."""
     try:
         return hashlib.sha256(read_at_most(path, MAX_BYTES + 1)).hexdigest() if path.is_file() else None
     except OSError:
@@ -98,7 +99,8 @@ def _digest(path: Path) -> str | None:
 
 
 def named_source(source: str) -> str:
-    """The scenario of a record as an argument of a command: the name of a shipped one, else its path."""
+    """Return the scenario of a record as an argument of a command: the name of a shipped one, else its
+    path."""
     path = Path(source)
     is_shipped = path.name == f"{path.stem}.yaml" and shipped.scenario_path(path.stem) == path
     return path.stem if is_shipped else source

@@ -1,4 +1,4 @@
-"""What the episodes without success have in common: the one condition of the success that they miss."""
+"""The condition of the success that episodes without success have in common because they miss it."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from deepbots_cli.insight.training import TrainingEvidence
 
 _MIN_EPISODES = 3
 _COMMON = 0.75
-"""The share of the episodes that miss a condition most, from which on it is what they have in common."""
+"""The share of the episodes that miss a condition most from which it is common to them."""
 _SELDOM, _OFTEN = 0.25, 0.1
-"""A condition keeps episodes from a success if it is true in less than `_SELDOM` times as many moments as
-each other one, and each other one is true in `_OFTEN` of all moments."""
+"""The limits of a condition that prevents a success: it is true in less than `_SELDOM` times as many moments
+as each other one, and each other one is true in `_OFTEN` of all moments."""
 _CLOCKS = re.compile(r"\s*(?:time|step)\s*")
 
 
@@ -36,12 +36,12 @@ class MissedCondition:
     Attributes:
         ending: The success.
         condition: The condition, one of several.
-        true: In how many moments it is true; `moments` is the number of all moments.
+        true: The number of moments in which it is true; `moments` is the number of all moments.
         nearest: The median, over the episodes, of the value that is nearest to the threshold, in SI units;
             None for a truth value.
         bound: The threshold, in SI units.
-        others: In how many moments each other condition is true, by its text.
-        episodes: How many of the episodes miss it most; `of` is the number of all episodes.
+        others: The number of moments in which each other condition is true, by its text.
+        episodes: The number of episodes that miss it most; `of` is the number of all episodes.
     """
 
     ending: str
@@ -56,7 +56,7 @@ class MissedCondition:
 
 
 def missed_success(trace: Trace) -> tuple[str, Condition | None]:
-    """The first success with a bound that an episode without a success missed, and its condition."""
+    """Return the first success with a bound that an episode without a success missed, and its condition."""
     if trace.outcome not in ("success", "error"):
         for name in (*trace.program.agent.success, "goal_reached"):
             condition = trace.instrumented.conditions.get(name)
@@ -66,7 +66,7 @@ def missed_success(trace: Trace) -> tuple[str, Condition | None]:
 
 
 def inner_comparisons(condition: Condition) -> list[Comparison]:
-    """The comparisons of a condition, also those that must hold for a time."""
+    """Return the comparisons of a condition, including those that must be true for a time."""
     outer = comparisons_in(condition)
     return [part for leaf in outer for part in (comparisons_in(leaf.lasting) if leaf.lasting else [leaf])]
 
@@ -74,7 +74,8 @@ def inner_comparisons(condition: Condition) -> list[Comparison]:
 def nearest_moment(
     trace: Trace, leaf: Comparison, moments: Sequence[int] = ()
 ) -> tuple[int, MeasuredComparison]:
-    """The first of the moments in which a comparison came nearest to its bound, or beyond it by most."""
+    """Return the first of the moments in which a comparison came nearest to its bound, or went farthest
+    beyond it."""
     past = {step: measure(leaf, trace.values[step]) for step in moments or range(len(trace.values))}
     step = max(
         past, key=lambda step: float(past[step].holds if (margin := past[step].margin) is None else margin)
@@ -83,7 +84,7 @@ def nearest_moment(
 
 
 def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
-    """The condition of the success that episodes without success miss, if it is one and the same."""
+    """Return the condition of the success that episodes without success miss, if it is one and the same."""
     misses = [(trace, *missed_success(trace)) for trace in traces]
     missed = [
         (trace, name, inner_comparisons(condition))
@@ -127,7 +128,7 @@ def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
 
 
 def _without_clocks(leaves: Sequence[Comparison]) -> list[Comparison]:
-    """The comparisons without those of the time, which are true at the end of each long episode."""
+    """Return the comparisons without those of the time, which are true at the end of each long episode."""
     return [leaf for leaf in leaves if not any(_CLOCKS.fullmatch(side) for side in leaf.sides)]
 
 

@@ -10,7 +10,7 @@ from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence
 from deepbots_cli.program.task import Observation
 
 SAME_TOLERANCE = 1e-6
-"""Numbers of the observation, from -1 to 1, that differ by less are equal."""
+"""The difference of numbers of the observation, from -1 to 1, below which they are equal."""
 
 
 @statement(
@@ -42,9 +42,11 @@ def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
 
 
 def _spans(t: TrainingEvidence) -> dict[str, tuple[float, float]]:
-    """Of each number of the observation: how far it moves in the short episodes, and its first value.
+    """Return, for each number of the observation, the range that it spans in the short episodes, and its
+    first value.
 
-    The previous action is left out, and so are parameters and what is made of them: no sensor measures them.
+    The previous action is left out, and so are parameters and values that depend on parameters alone: no
+    sensor measures them.
     """
     if t.probe_moments < 2 * MIN_EPISODES:
         return {}
@@ -58,7 +60,7 @@ def _spans(t: TrainingEvidence) -> dict[str, tuple[float, float]]:
 
 
 def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
-    """A number of the observation, from -1 to 1, as the value that it stands for."""
+    """Return a number of the observation, from -1 to 1, as the value that it represents."""
     number = next(each for each in t.program.agent.numbers if each.full_name == name)
     if number.is_truth:
         return "true" if value else "false"
@@ -108,8 +110,7 @@ def saturated_observation(t: TrainingEvidence) -> Numbers | None:
         for n, part in zip(e.numbers, beyond.get(e.name, ()), strict=False)
     }
     shares = {name: float((part != 0).mean()) for name, part in cut.items()}
-    # Clipping holds a value such as the reading of a sensor that sees nothing at an end, and loses nothing if
-    # it is always the same one.
+    # Clipping loses nothing if the value beyond the end is always the same, as for a sensor without a target.
     spreads = {name: max(_spread(part[part > 0]), _spread(part[part < 0])) for name, part in cut.items()}
     worst = sorted(
         (name for name, share in shares.items() if share >= 0.4 and spreads[name] >= 0.1),
@@ -132,8 +133,8 @@ def saturated_observation(t: TrainingEvidence) -> Numbers | None:
 
 
 def _beyond(t: TrainingEvidence, entry: Observation) -> list[Array]:
-    """By how much each number of an entry lies above its range, or below it (negative), in all moments, as a
-    share of the range."""
+    """Return how much each number of an entry lies above its range, or below it (negative), in all moments,
+    as a share of the range."""
     key = t.probes[0].instrumented.observed_signals.get(entry.name)
     if key is None or entry.value.typed.type.boolean:
         return []
@@ -145,5 +146,5 @@ def _beyond(t: TrainingEvidence, entry: Observation) -> list[Array]:
 
 
 def _spread(values: Array) -> float:
-    """The distance that holds 80 % of the values, from the lowest tenth to the highest."""
+    """Return the distance that contains 80 % of the values, from the lowest tenth to the highest."""
     return float(np.subtract(*np.quantile(values, (0.9, 0.1)))) if len(values) else 0.0

@@ -1,10 +1,10 @@
-"""Episodes on a robot at the other end of a link: the supervisor scores what is measured, and drivers act as
+"""Episodes on a robot at the other end of a link. The supervisor scores the measurements, and drivers act as
 in the simulation.
 
 The environment is that of the scenario, whose engine does not step: it sends the commands of a step, and
-waits for what the robot measures next. What sensors gave replaces the state of the simulated world wherever
+waits for the next measurements of the robot. Measurements replace the state of the simulated world wherever
 an expression reads it. Reward terms and endings that need other facts are left out. `deepbots_robot.server`
-keeps time, checks messages and limits commands, as for a bundle; the environment runs in a thread of its own,
+keeps time, checks messages and limits commands, as for a bundle; the environment runs in its own thread,
 since a step of it ends with the next message of the robot.
 """
 
@@ -64,11 +64,11 @@ from deepbots_robot.serving import (
 from deepbots_robot.topics import ACTION, action_field
 
 RESET_BY_ROBOT = "robot_reset"
-"""`ended_by` of an episode in which the robot began the next one."""
+"""The `ended_by` of an episode in which the robot began the next one."""
 SILENT = "robot_silent"
-"""`ended_by` of an episode in which the robot stopped to send values."""
+"""The `ended_by` of an episode in which the robot stopped to send values."""
 _OF_LINES = ("cross_track_error", "arc_length")
-"""Facts that follow from the position of a body."""
+"""The facts that follow from the position of a body."""
 _OVERLAID = (
     "position",
     "orientation",
@@ -92,7 +92,7 @@ Fact = tuple[str, tuple[str, ...], str | None]
 
 
 class Measurable:
-    """Which reward terms, endings and scripts of a program need only what is measured."""
+    """The reward terms, endings and scripts of a program that need only measured facts."""
 
     def __init__(self, program: Program, readings: Sequence[Reading]) -> None:
         self._deployment = Deployment(program)
@@ -100,7 +100,7 @@ class Measurable:
         self._facts = {fact for reading in readings for fact in self.facts_of(reading)}
 
     def facts_of(self, reading: Reading) -> Iterator[Fact]:
-        """The facts that a reading measures, in the order of its numbers."""
+        """Yield the facts that a reading measures, in the order of its numbers."""
         for tree in reading.trees:
             if isinstance(tree, EngineRead) and tree.function in _OVERLAID:
                 yield self.fact(tree)
@@ -109,7 +109,7 @@ class Measurable:
         return read.function, self._deployment.subjects(read), read.component
 
     def missing(self, trees: Sequence[Scalar]) -> list[str]:
-        """The names of the facts behind expressions that nothing measures, in order of first use."""
+        """Return the names of the facts behind expressions that nothing measures, in order of first use."""
         missing: dict[str, None] = {}
         for robot, node in self._deployment.definitions.nodes(trees):
             if isinstance(node, EngineRead) and robot is None and not self._is_measured(node):
@@ -129,10 +129,10 @@ class Measurable:
 
 
 def scored(program: Program, readings: Sequence[Reading]) -> tuple[Program, list[str]]:
-    """The program without the reward terms and endings that nothing measures, and a sentence for each of
-    them.
+    """Return the program without the reward terms and endings that nothing measures, and a sentence for each
+    of them.
 
-    Where no term is left, the first one is 0.
+    If no term is left, the first one is 0.
     """
     measurable = Measurable(program, readings)
     lacks = {
@@ -167,7 +167,7 @@ def _listed(names: Sequence[str], most: int = 3) -> str:
 
 
 class MeasuredWorld(EngineProxy):
-    """An engine whose step is one of the robot, and in which measured facts replace simulated ones."""
+    """An engine whose steps are those of the robot, and in which measured facts replace simulated ones."""
 
     def __init__(self, engine: Engine, program: Program, step: Callable[[], None]) -> None:
         super().__init__(engine)
@@ -177,11 +177,11 @@ class MeasuredWorld(EngineProxy):
         self._roots = {f"{body.name}.{body.model.root}": body.name for body in program.world.robots}
 
     def reset(self) -> None:
-        self._runs = False  # the robot takes no part in steps of the reset, in which a simulated one settles
+        self._runs = False  # the robot does not move in steps of the reset, in which a simulated one settles
         super().reset()
 
     def begin(self) -> None:
-        """The reset is done."""
+        """Begin an episode, after the reset is done."""
         self._runs, self._calls = True, 0
 
     def step(self, substeps: int) -> None:
@@ -256,14 +256,15 @@ class MeasuredWorld(EngineProxy):
 
 
 class _Stop(Exception):  # noqa: N818  not an error
-    """The link ends."""
+    """The end of the link."""
 
 
 class RobotEpisodes:
     """Episodes of an environment whose steps are those of a robot; the `Policy` of a `Server`.
 
-    Each `step` gives the environment what was measured, and returns the commands of its next step; None while
-    no episode runs. An episode begins with the first values, and a further one when the robot says so.
+    Each `step` passes the measurements to the environment, and returns the commands of its next step; None
+    while no episode runs. An episode begins with the first values, and a further one when the robot begins
+    it.
     """
 
     def __init__(
@@ -323,7 +324,7 @@ class RobotEpisodes:
         self._measured.put(None)
 
     def close(self, *, is_silent: bool = False) -> None:
-        """End a running episode, which counts if it ends because the robot `is_silent`."""
+        """End a running episode. It counts as an episode if it ends because the robot `is_silent`."""
         self._is_silent = is_silent
         self._measured.put(None if is_silent else _Stop())
         self._measured.put(_Stop())
@@ -373,7 +374,7 @@ class RobotEpisodes:
                 return
 
     def _noting(self, driver: Driver) -> Driver:
-        """The driver, whose action is sent beside the commands."""
+        """Return the driver, whose action is sent beside the commands."""
 
         def act(observation: Any) -> Any:
             self._action = driver.act(observation)
@@ -384,8 +385,8 @@ class RobotEpisodes:
         return noting
 
     def _first_values(self, *, waiting: bool) -> Mapping[str, Any]:
-        """The values at the start of an episode; `waiting` for the robot to begin it, with no commands until
-        then."""
+        """Return the values at the start of an episode. With `waiting`, the robot has to begin it, and gets
+        no commands until then."""
         while True:
             values = self._measured.get()
             if isinstance(values, _Stop):
@@ -398,8 +399,8 @@ class RobotEpisodes:
                 return dict(values)
 
     def _exchange(self) -> None:
-        """A step of the robot: send the commands, and wait for what it measures next. Nothing changes if it
-        begins anew."""
+        """Make a step of the robot: send the commands, and wait for its next measurements. Nothing changes if
+        it begins anew."""
         action = (
             {} if isinstance(self._action, dict) else {ACTION: np.asarray(self._action, float).reshape(-1)}
         )
@@ -424,7 +425,7 @@ class RobotEpisodes:
         return (value,) if value.dtype == np.uint8 else value.reshape(-1).tolist()
 
     def _goals(self) -> dict[str, Any]:
-        """The parameters that the robot was given, as options of a reset."""
+        """Return the parameters that the robot was given, as options of a reset."""
         goals = {}
         for reading in self._readings:
             if reading.info.source == "goal" and reading.info.name in self._values:
@@ -434,17 +435,17 @@ class RobotEpisodes:
 
 
 class _Silence:
-    """Called in every turn of a server: whether the robot is silent.
+    """Called in every turn of a server; returns whether the robot is silent.
 
     Raises:
-        UsageError: The other end does not fit.
+        UsageError: The fields of the other end do not fit.
     """
 
     def __init__(self, server: Server, seconds: float) -> None:
         self._server, self._seconds = server, seconds
         self._received, self._since = 0, time.monotonic()
         self.is_over = False
-        """Whether it was silent for too long."""
+        """Whether the robot was silent for too long."""
 
     def __call__(self) -> bool:
         misfit = next((remark.text for remark in self._server.link.remarks() if remark.is_misfit), "")
@@ -472,11 +473,11 @@ def try_robot(
     permissions: Permissions = Permissions(),
     note: Callable[[str], object] = lambda text: None,
 ) -> tuple[list[Episode], dict[str, Any]]:
-    """The episodes that ended, and the report of the server.
+    """Run episodes on a robot. Returns the episodes that ended, and the report of the server.
 
     Args:
-        make_driver: Returns who acts, for the environment.
-        seconds: How long the robot may be silent.
+        make_driver: Returns the driver for the environment.
+        seconds: The longest silence of the robot, in s.
 
     Raises:
         UsageError: The link cannot be opened, the robot is silent, or it does not fit the scenario.

@@ -67,7 +67,7 @@ OnEpisode = Callable[[int, int], object]
 
 @dataclass(frozen=True, eq=False)
 class ReportRun:
-    """A run of a report: its files, its log, and the evaluation that everyone quotes."""
+    """A run of a report: its files, its log, and the evaluation that is quoted everywhere."""
 
     run: Run
     log: TrainingLog
@@ -75,10 +75,10 @@ class ReportRun:
 
     @staticmethod
     def read(path: Path) -> ReportRun:
-        """A run with a finished episode and an evaluation.
+        """Read a run with a finished episode and an evaluation.
 
         Raises:
-            RunError: It is damaged, or lacks one of the two; says what to do.
+            RunError: It is damaged, or lacks one of the two; the message has the remedy.
         """
         run = Run.open(path)
         quoted = quoted_episodes(run)
@@ -92,7 +92,7 @@ class ReportRun:
 
     @property
     def verdict(self) -> RunVerdict:
-        """Whether the run is solved, with this evaluation."""
+        """The verdict on whether the run is solved, with this evaluation."""
         return RunVerdict(run_verdict(self.run.path, self.run.record).solved, self.evaluation)
 
     @property
@@ -104,13 +104,13 @@ class ReportRun:
 
 @dataclass(eq=False)
 class ReportEpisode:
-    """An episode of the evaluation of a run, which is repeated: `positions` is where all links were,
-    `end_poses` the poses of all links in its first and in its last frame."""
+    """An episode of the evaluation of a run, which is repeated. `positions` are the positions of all links,
+    and `end_poses` the poses of all links in its first and in its last frame."""
 
     run: ReportRun
     number: int
     label: str = ""
-    """`best`, `median` or `worst` by return; empty for the others."""
+    """The label `best`, `median` or `worst` by return; empty for the others."""
     positions: Positions = field(default_factory=dict)
     end_poses: Sequence[Mapping[LinkName, Frame]] = ()
 
@@ -120,7 +120,7 @@ class ReportEpisode:
 
     @property
     def is_success(self) -> bool:
-        """Also where the scenario defines no success."""
+        """Whether the episode is a success; true if the scenario defines no success."""
         return self.outcome.is_success or not self.run.evaluation.success_defined
 
     @property
@@ -134,16 +134,16 @@ class ReportEpisode:
 
 @dataclass
 class Report:
-    """What a report shows."""
+    """The content of a report."""
 
     path: Path
     runs: Sequence[ReportRun]
     notes: list[str] = field(default_factory=list)
     attempts: Sequence[tuple[str, str, str, str]] = ()
-    """Of a group of `train --retry`, whose best run is shown: name, what was changed, why, and the result of
-    each attempt."""
+    """The attempts of a group of `train --retry`, whose best run is shown: name, change, reason, and result
+    of each."""
     clips: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """Caption and MP4 as a data URI, by label."""
+    """The caption, and the MP4 as a data URI, by label."""
     episodes: Sequence[ReportEpisode] = ()
     """The episodes that ran again."""
     moving: Moving = Moving((), ())
@@ -151,15 +151,15 @@ class Report:
     outlines: Sequence[list[Triple]] = ()
     """The outlines of objects that stand still in all of them."""
     causes: Sequence[Statement] = ()
-    """Why the run `diagnosed` does not solve its task, the most likely first."""
+    """The causes why the run `diagnosed` does not solve its task, the most likely first."""
     diagnosed: str = ""
 
     @staticmethod
     def read(path: Path) -> Report:
-        """A run or a group from its files; seeds that cannot be read are noted.
+        """Read a run or a group from its files; seeds that cannot be read are noted.
 
         Raises:
-            RunError: It cannot be read, or holds no evaluation.
+            RunError: It cannot be read, or has no evaluation.
         """
         source = Source.open(path, Permissions(), SourceKind.RUN, SourceKind.GROUP)
         if source.kind is SourceKind.RUN:
@@ -187,8 +187,8 @@ class Report:
 
     @property
     def stages(self) -> list[tuple[str, ...]]:
-        """The stages of a curriculum: run, name, timesteps at their beginning, mean value at their end, and
-        their last evaluation."""
+        """The stages of a curriculum: run, name, timesteps at their beginning, mean value at their
+        end, and their last evaluation."""
         rows: list[tuple[str, ...]] = []
         for member in self.runs:
             log, result = member.log, member.run.record.result
@@ -234,7 +234,7 @@ class Report:
             for name in ("success_rate", "mean_return")
             if all(name in log.lessons for log in logs)
         }
-        if "mean_return" not in scores:  # of a training before deepbots logged it
+        if "mean_return" not in scores:  # the training is older than this scalar
             return text
         rate = f"success rate {scores['success_rate']:.1%}, " if "success_rate" in scores else ""
         stage = ", in the last stage that began" if any(log.stages for log in logs) else ""
@@ -243,7 +243,7 @@ class Report:
 
     @property
     def declines(self) -> list[str]:
-        """Which trainings fell apart, a sentence for each."""
+        """A sentence for each training that fell apart."""
         fallen = [
             (member.run.record.seed, member.log.decline)
             for member in self.runs
@@ -252,7 +252,7 @@ class Report:
         return [fall.text if len(self.runs) == 1 else f"seed {seed}: {fall.text}" for seed, fall in fallen]
 
     def choose_episodes(self, count: int = _MAX_TRACED_EPISODES) -> list[ReportEpisode]:
-        """Episodes at equal distances in the order of their returns, of which the first, the middle and the
+        """Choose episodes at equal distances in the order of their returns. The first, the middle and the
         last have a label."""
         every = [
             ReportEpisode(member, number)
@@ -358,7 +358,7 @@ class Report:
         return self.runs[0].run.compiled.units
 
     def figures(self, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
-        """Name, caption and figure; None where there is nothing to draw."""
+        """Yield name, caption and figure; the figure is None if there is nothing to draw."""
         logs = [member.log for member in self.runs]
         outcomes = [e for member in self.runs for e in member.evaluation.outcomes]
         defined = self.runs[0].evaluation.success_defined
@@ -423,7 +423,7 @@ class Report:
         return f"{len(self.episodes)} evaluation episodes: {names[0]}{others}. Ring: start, {marks}{stars}."
 
     def write_figures(self, folder: Path) -> list[Path]:
-        """Every figure as PNG.
+        """Write every figure as PNG.
 
         Raises:
             UsageError: A file cannot be written.
@@ -435,7 +435,7 @@ class Report:
     # The page
 
     def html(self) -> str:
-        """The page."""
+        """Return the page."""
         dark = {name: figure for name, _, figure in self.figures("dark")}
         drawn = [
             {"name": name, "caption": caption, "light": svg_uri(figure), "dark": svg_uri(dark[name])}
@@ -475,8 +475,8 @@ class Listing:
 
 
 def _listings(run: Run, linted: LintedScenario) -> list[Listing]:
-    """The files that the findings name, the scenario first; `resolved.yaml` too where the scenario is more
-    than its file."""
+    """Return the files that the findings name, the scenario first; `resolved.yaml` too if the scenario is
+    more than its file."""
     spans = [finding.span for finding in linted.findings]
     texts = dict.fromkeys([*([linted.text] if linted.text else []), *(span.source for span in spans)])
     listings = [
@@ -498,13 +498,13 @@ def _place(run: Run, span: Span) -> str:
 
 
 def _name(run: Run, text: Text) -> str:
-    """The name of a file; that of a copy begins in the folder of the run."""
+    """Return the name of a file. The name of a copy begins in the folder of the run."""
     path = Path(text.name)
     return str(path.relative_to(run.path)) if path.is_relative_to(run.path) else text.name
 
 
 def _attempt(group: Group, number: int) -> tuple[str, str, str, str]:
-    """A row of the table of attempts."""
+    """Return a row of the table of attempts."""
     attempt, folder = group.record.attempts[number - 1], group.planned[number - 1]
     changed = ", ".join(f"{path}: {text}" for path, text in attempt.settings.items()) or "nothing"
     why = f"try-{attempt.base}: {attempt.text}" if attempt.base else ""
@@ -523,7 +523,7 @@ def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, fl
 
 
 def _standing(player: Player, shown: Sequence[ReportEpisode]) -> list[list[Triple]]:
-    """The outlines of objects that have one form, and one place in all these episodes."""
+    """Return the outlines of objects that have one form, and one place in all these episodes."""
     outlines = []
     for thing in player.env.world.objects:
         poses = {links.get((thing.name, thing.name)) for each in shown for links in each.end_poses}
@@ -534,7 +534,7 @@ def _standing(player: Player, shown: Sequence[ReportEpisode]) -> list[list[Tripl
 
 
 def write_figure_files(folder: Path, figures: Iterable[tuple[str, Figure]]) -> list[Path]:
-    """Figures by their names as PNG.
+    """Write figures by their names as PNG.
 
     Raises:
         UsageError: A file cannot be written.
@@ -549,7 +549,7 @@ def write_figure_files(folder: Path, figures: Iterable[tuple[str, Figure]]) -> l
 
 
 def svg_uri(figure: Any) -> str:
-    """A figure as SVG in a data URI."""
+    """Return a figure as SVG in a data URI."""
     import matplotlib
 
     stream = io.BytesIO()

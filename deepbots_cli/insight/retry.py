@@ -9,8 +9,9 @@ diagnosis advises.
 The next attempt begins with the values of the last one, or of the best one if the last one is clearly worse,
 and with the advice of its first cause that has a value which was not tried yet. All attempts have the seed of
 the first one, so that the values are their only difference, and all policies are evaluated on the same
-starts. An attempt that only trains longer is a copy of the run before, and continues it. What was decided is
-in `group.json` before it is trained, so a group whose process was killed continues with the same attempts.
+starts. An attempt that only trains longer is a copy of the run before, and continues it. An attempt is
+written to `group.json` before it is trained, so a group whose process was killed continues with the same
+attempts.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ _COPY = ".deepbots-copy"
 
 
 class Attempted(NamedTuple):
-    """The run of an attempt, and what it came to."""
+    """The run of an attempt, and its result."""
 
     path: Path
     attempt: RetryAttempt
@@ -53,11 +54,11 @@ class Attempted(NamedTuple):
 
 @dataclass(frozen=True)
 class RetriedTraining:
-    """What the attempts came to.
+    """The result of the attempts.
 
-    `best` is the number of the best one, from 1. `diagnosed` is the one that was diagnosed last, `causes` are
-    those of its causes whose values were not tried; none where the task is solved. `stopped_by` says why no
-    attempt follows.
+    `best` is the number of the best one, from 1. `diagnosed` is the one that was diagnosed last, and `causes`
+    are those of its causes whose values were not tried; empty if the task is solved. `stopped_by` is the
+    reason why no attempt follows.
     """
 
     group: Path
@@ -90,13 +91,13 @@ def train_with_retries(
         group: The folder to make; by default `runs/<scenario>-retry-<n>`.
         on_attempt: Is called before each attempt.
         on_episode: Is called after each episode of an evaluation, with its number and the number of all.
-        options: Those of `train`; the other arguments are as there, too.
+        options: The options of `train`, like the other arguments.
 
     Raises:
         UsageError: The folder exists, or the settings are invalid for training.
     """
     _check_number(retries)
-    from deepbots_cli.learning.training import checked_settings  # which imports torch
+    from deepbots_cli.learning.training import checked_settings
 
     checked_settings(compiled.program, [seed], **options)
     if compiled.program.agent.solved is None and not compiled.program.defines_success:
@@ -159,7 +160,7 @@ class _Retries:
             number = len(self.group.record.attempts)
             try:
                 result = self._train(number)
-            except DeepbotsError as error:  # such as a training that diverges with the advised values
+            except DeepbotsError as error:  # for example, a training that diverges with the advised values
                 if number == 1:
                     raise
                 reason = f"try-{number} failed: {error.full_message}"
@@ -210,26 +211,26 @@ class _Retries:
         return train_member(path, compiled, record.seeds[0], options, changes, **further)
 
     def _is_longer(self, attempt: RetryAttempt) -> bool:
-        """Whether an attempt only continues the one that it is based on."""
+        """Return whether an attempt only continues the one that it is based on."""
         base = self.group.record.attempts[attempt.base - 1].settings if attempt.base else attempt.settings
         return {name for name in attempt.settings if attempt.settings[name] != base.get(name)} == {
             TOTAL_TIMESTEPS
         }
 
     def _is_given_up(self, number: int, best: int) -> bool:
-        """Whether the values of an attempt are worse than those of the best one; a longer training may have
-        to be longer still."""
+        """Return whether the values of an attempt are worse than those of the best one. A longer training is
+        not given up, because it may have to be longer still."""
         worse = _is_worse(self.group.attempt_verdict(number), self.group.attempt_verdict(best))
         return worse and not self._is_longer(self.group.record.attempts[number - 1])
 
     def _causes(self, number: int) -> list[Statement]:
         try:
             return causes_after(self.group.planned[number - 1], self.permissions)
-        except DeepbotsError:  # it has no finished episode, for example
+        except DeepbotsError:  # for example, it has no finished episode
             return []
 
     def _command(self, number: int) -> list[str]:
-        """The command line of the group with the values of an attempt, for its record."""
+        """Return the command line of the group with the values of an attempt, for its record."""
         record, attempt = self.group.record, self.group.attempts[number - 1]
         others = [
             text for text in changed_settings(record.command) if text.partition("=")[0] not in attempt.values
@@ -238,7 +239,7 @@ class _Retries:
         return [*words, *(word for text in (*others, *attempt.assignments) for word in ("--set", text))]
 
     def _copy(self, source: Path, target: Path) -> None:
-        """A copy of a run, whole or not at all."""
+        """Copy a run, whole or not at all."""
         draft = target.with_name(f"{_COPY}-{target.name}")
         shutil.rmtree(draft, ignore_errors=True)
         try:
@@ -249,7 +250,7 @@ class _Retries:
             raise RunError(f"{target} cannot be written: {error.strerror or error}") from error
 
     def _evaluated(self, number: int) -> RunVerdict:
-        """The verdict about an attempt, which is evaluated unless it was."""
+        """Return the verdict about an attempt, after it is evaluated if it was not."""
         evaluate_once(self.group.planned[number - 1], self.permissions, self.on_episode)
         return self.group.attempt_verdict(number)
 
@@ -276,8 +277,8 @@ class _Retries:
 
 
 def _is_worse(verdict: RunVerdict, other: RunVerdict) -> bool:
-    """Whether an evaluation is clearly worse: the intervals of success rate, or else of mean return, have
-    nothing in common."""
+    """Return whether an evaluation is clearly worse: the intervals of success rate, or else of mean return,
+    do not overlap."""
     one, best = verdict.evaluation, other.evaluation
     if one is None or best is None:
         return one is None
@@ -289,7 +290,7 @@ def _is_worse(verdict: RunVerdict, other: RunVerdict) -> bool:
 
 
 def untried(causes: Sequence[Statement], attempts: Sequence[RetryAttempt], base: int) -> list[Statement]:
-    """The causes of an attempt without those whose values an attempt has had already."""
+    """Return the causes of an attempt without those whose values an attempt has had already."""
     tried = [dict(attempt.settings) for attempt in attempts]
     return [
         cause
@@ -301,11 +302,10 @@ def untried(causes: Sequence[Statement], attempts: Sequence[RetryAttempt], base:
 def next_attempt(
     causes: Sequence[Statement], attempts: Sequence[RetryAttempt], base: int
 ) -> RetryAttempt | None:
-    """The attempt that the causes of the attempt `base` advise, the most likely first; None if they advise no
-    other value.
+    """Return the attempt that the causes of attempt `base` advise, from the most likely cause on; None if
+    they advise no new values.
 
-    Behind a cause that is certain and asks for something else than values under `train`, other causes are no
-    reason to train again.
+    If a certain cause needs a change outside of `train`, less likely causes do not justify another training.
     """
     for cause in untried(causes, attempts, base):
         if cause.settings:

@@ -18,7 +18,7 @@ from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, return
 
 _LIMITS = ("max_steps", "max_time")
 _CLEARLY_MORE = 0.05
-"""A mean return that is more than another one by less than this share is the same."""
+"""The share of a mean return by which another one must exceed it to be more."""
 
 
 def _per_step(traces: Sequence[Trace]) -> float:
@@ -44,9 +44,8 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
         fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces)
         for traces in (t.random, t.policy or t.random)
     ]
-    if (
-        share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]
-    ):  # the policy earns the others all the same
+    # A policy that earns much more of the other terms is not dominated by this one.
+    if share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]:
         return None
     steps = sum(trace.steps for trace in t.random)
     return {
@@ -87,8 +86,9 @@ def reward_exploited(t: TrainingEvidence) -> Numbers | None:
     if term and t.facts.is_progress(term):
         once = f"Scale {named} down"
     aimed = SuccessRate(example.successes)
+    # The causes that name the actions of the policy come first.
     return {
-        "likelihood": 0.929,  # behind the causes that name what the policy does instead
+        "likelihood": 0.929,
         "what": outcome.name,
         "gained": fmean(outcome.returns),
         "by_example": fmean(example.returns),
@@ -104,7 +104,7 @@ def reward_exploited(t: TrainingEvidence) -> Numbers | None:
 
 
 class _Example(NamedTuple):
-    """Episodes that succeed, or mostly, with which the policy is compared: what to call them and one, and
+    """Episodes that succeed, or mostly, with which the policy is compared: their name, the name of one, and
     their mean reward terms."""
 
     name: str
@@ -116,8 +116,8 @@ class _Example(NamedTuple):
 
 
 def _examples(t: TrainingEvidence) -> list[_Example]:
-    """The script that succeeds most, and the successful episodes of the quoted evaluation if they are at
-    least half of it."""
+    """Return the script that succeeds most, and the successful episodes of the quoted evaluation if they are
+    at least half of it."""
     if not t.program.defines_success:
         return []
     names = [term.name for term in t.program.agent.reward]
@@ -148,7 +148,8 @@ def _examples(t: TrainingEvidence) -> list[_Example]:
 
 
 def _exploiting_outcome(t: TrainingEvidence, example: _Example) -> _Outcome | None:
-    """Episodes of the policy that return clearly more than the example and succeed clearly less often."""
+    """Return the episodes of the policy that return clearly more than the example and succeed clearly less
+    often."""
     aimed, expected = SuccessRate(example.successes), fmean(example.returns)
     for outcome in _policy_outcomes(t):
         policy, gained = SuccessRate(outcome.successes), fmean(outcome.returns)
@@ -159,7 +160,7 @@ def _exploiting_outcome(t: TrainingEvidence, example: _Example) -> _Outcome | No
 
 
 class _Outcome(NamedTuple):
-    """Returns and successes of the policy in some episodes, and what to call these."""
+    """Returns and successes of the policy in some episodes, and the name of these."""
 
     name: str
     returns: Sequence[float]
@@ -167,7 +168,8 @@ class _Outcome(NamedTuple):
 
 
 def _policy_outcomes(t: TrainingEvidence) -> list[_Outcome]:
-    """The policy at the end of the training: without exploration, with exploration, and the kept model."""
+    """Return the results of the policy at the end of the training: without exploration, with exploration, and
+    of the kept model."""
     begin = t.first_step + 0.75 * t.stage_steps
     late = [each for each in t.evaluations if "steps" in each and each["steps"] > begin]
     returns = [float(value) for each in late for value in each["returns"]]
@@ -191,8 +193,8 @@ def _error_of_mean(values: Sequence[float]) -> float:
 
 
 def _term_means(t: TrainingEvidence, share: float = 0.75) -> dict[str, float]:
-    """The mean of each reward term per episode, after a share of the present stage; without those that were
-    not logged."""
+    """Return the mean of each reward term per episode, after a share of the present stage; without those that
+    were not logged."""
     curves = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
     return {
         name: float(curve[int(share * len(curve)) :].mean()) for name, curve in curves.items() if len(curve)
@@ -245,8 +247,8 @@ def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
 
 
 def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
-    """That late episodes all end by one failure, in fewer steps than the first ones, and that this saves
-    costs."""
+    """Detect that a policy fails early to save costs: late episodes all end by one failure, after fewer steps
+    than the first episodes."""
     first = t.episodes[: max(MIN_EPISODES, min(100, len(t.episodes) // 10))]
     late = t.episodes_between(0.75, 1.0)[-100:]
     if len(t.episodes) < 10 * MIN_EPISODES:
@@ -272,7 +274,7 @@ def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
         if len(curve)
     }
     saved = {each: after - start for each, (start, after) in ends.items() if start < after <= 0}
-    if sum(saved.values()) < 0.5 * gain:  # what it does in these steps pays, such as coming nearer
+    if sum(saved.values()) < 0.5 * gain:  # its actions in these steps pay, such as coming nearer
         return None
     largest = sorted(saved, key=lambda each: -saved[each])
     costs = list_text(
@@ -289,8 +291,8 @@ def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
 
 
 def _going_on(t: TrainingEvidence) -> Numbers:
-    """What failing, lasting until the time limit and succeeding return, and how often an episode has to
-    succeed before going on pays."""
+    """Return the mean returns of failing, lasting until the time limit and succeeding, and the success rate
+    from which going on pays."""
     failed = t.episodes.returns[np.isin(t.episodes.endings, list(t.program.failures))]
     won = t.episodes.returns[t.episodes.successes > 0]
     lasted = t.episodes.returns[np.isin(t.episodes.endings, _LIMITS) & (t.episodes.successes == 0)]
@@ -321,7 +323,7 @@ def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
     if not t.idle or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
         return None
     still, policy = _per_step(t.idle), _per_step(t.policy or t.random)
-    outcomes = [trace.outcome for trace in t.idle]  # where standing still fails soon, it pays until then only
+    outcomes = [trace.outcome for trace in t.idle]  # if standing still fails soon, it pays until then only
     if (
         still <= 0
         or "success" in outcomes
@@ -412,8 +414,8 @@ def loitering(t: TrainingEvidence) -> Numbers | None:
 
 
 def _stays_near(trace: Trace) -> bool:
-    """Whether an episode came near to a success and stayed there: a comparison that was missing at its start
-    is not far from holding."""
+    """Return whether an episode came near to a success and stayed there: a comparison that was false at its
+    start is nearly true."""
     for name in trace.program.agent.success:
         condition = trace.instrumented.conditions.get(name)
         for outer in comparisons_in(condition) if condition is not None else ():
@@ -475,8 +477,8 @@ def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
 
 
 def rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
-    """The reward term that rises most in the present stage, with its mean per episode in the first and in the
-    last quarter."""
+    """Return the reward term that rises most in the present stage, with its mean per episode in the first and
+    in the last quarter."""
     ends = []
     for term in t.program.agent.reward:
         if len(curve := t.curve(f"reward/{term.name}")):
@@ -487,9 +489,9 @@ def rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
 
 
 _CEILING = 0.01
-"""Returns that differ by less than this share are the same one."""
+"""The share by which returns must differ to be different."""
 _FLAT_EVALUATIONS = 3
-"""Evaluations from which on their mean returns show whether the return still grows."""
+"""The number of evaluations from which their mean returns show whether the return still grows."""
 
 
 @statement(
@@ -556,7 +558,7 @@ def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
 
 
 def _is_flat(t: TrainingEvidence, mean: float) -> bool:
-    """Whether the evaluations of the second half of the stage all have this mean return, or else the
+    """Return whether the evaluations of the second half of the stage all have this mean return, or else the
     training's own episodes."""
     half = t.first_step + 0.5 * t.stage_steps
     done = [fmean(each["returns"]) for each in t.evaluations if "steps" in each and each["steps"] >= half]

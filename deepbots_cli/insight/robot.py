@@ -1,10 +1,10 @@
-"""The simulation as a robot: a world that sends what its sensors measure over a link, and whose motors obey
-the commands that come.
+"""The simulation as a robot: a world that sends the measurements of its sensors over a link, and whose motors
+follow the commands that arrive.
 
-The link takes the place of the scenario's channels, and commands reach the motors as on a robot: what robot
-controllers compute under `apply` does not run. What the policy reads of the world is sent too, as a tracker
-would. The reward and the endings are those of the scenario; terms that use the action see the one that the
-policy sends beside its commands, else the middle of its range.
+The link takes the place of the scenario's channels, and commands reach the motors as on a robot: the
+computations of robot controllers under `apply` do not run. The readings of the world that the policy uses are
+sent too, as by a tracker. The reward and the endings are those of the scenario; terms that use the action
+read the action that the policy sends beside its commands, else the middle of its range.
 """
 
 from __future__ import annotations
@@ -42,21 +42,23 @@ from deepbots_robot.serving import ServeError, Transport, field_of, mapped, outp
 from deepbots_robot.topics import ACTION
 
 AGAIN = 0.25
-"""Seconds without an answer after which a robot that waits sends its sensors again."""
+"""The time without an answer, in s, after which a robot that waits sends its sensors again."""
 SILENT_STEPS = 5
-"""Steps without a command after which the simulated robot prints a note."""
+"""The number of steps without a command after which the simulated robot prints a note."""
 _LAST = 1.0
-"""Seconds that a robot waits for an answer to the last values of an episode."""
+"""The time that a robot waits for an answer to the last values of an episode, in s."""
 MOST_REMARKS = 100
 PATIENCE = 60.0
-"""Seconds that a robot waits for the first command of an episode, and in lockstep for every command."""
+"""The time that a robot waits for the first command of an episode, and in lockstep for every command, in
+s."""
 
 
 # What a robot sends
 
 
 def robot_program(program: Program) -> Program:
-    """The scenario without what the link replaces: messages come at once, and none is lost.
+    """Return the scenario without the parts that the link replaces: messages arrive at once, and none is
+    lost.
 
     Raises:
         UsageError: The scenario has copies of a robot.
@@ -74,8 +76,8 @@ def robot_program(program: Program) -> Program:
 
 
 def sent_readings(program: Program) -> list[Reading]:
-    """What a robot sends: its sensors, and what a policy of the scenario reads of the world. `program` is one
-    of `robot_program`.
+    """Return the readings that a robot sends: its sensors, and the readings of the world that a policy of the
+    scenario uses. `program` is a result of `robot_program`.
 
     Raises:
         UsageError: A policy needs values between two actions.
@@ -103,7 +105,7 @@ def sent_readings(program: Program) -> list[Reading]:
 
 
 def _reading(program: Program, describe: Readings, robot: Robot | None, node: Scalar) -> Reading | None:
-    """The reading that a robot sends for a node of an expression, of its own or of the supervisor."""
+    """Return the reading that a robot sends for a node of an expression, of its own or of the supervisor."""
     parameters = describe.deployment.definitions.parameters
     match node:
         case EngineRead("age" | "message_received"):
@@ -122,7 +124,7 @@ def _reading(program: Program, describe: Readings, robot: Robot | None, node: Sc
 
 
 def _of_channel(program: Program, leaf: EngineRead) -> Scalar:
-    """The age of a sensor, as its robot sends it; what is sent is new in every step."""
+    """Return the age of a sensor, as its robot sends it. The values themselves are new in every step."""
     robot, _, sensor = leaf.subjects[0].partition(".")
     fields = {
         f"{each.name}.{name}": f"{each.name}.{field}" for each in program.robots for name, field in each.ages
@@ -155,7 +157,7 @@ class SimulatedRobot(Driver):
         patience: float = PATIENCE,
         note: Callable[[str], object] = lambda text: None,
     ) -> None:
-        """`environment` is made from `with_probes(robot_program(program), readings)`."""
+        """Create the robot. `environment` is made from `with_probes(robot_program(program), readings)`."""
         super().__init__(lambda _: self._action)
         self.link = link
         self.answers: list[float] = []
@@ -176,7 +178,7 @@ class SimulatedRobot(Driver):
             self._take_over(environment, robot)
 
     def _take_over(self, environment: Supervisor, robot: str) -> None:
-        """Let the motors of a robot follow the commands of the link instead of the messages of the
+        """Make the motors of a robot follow the commands of the link instead of the messages of the
         supervisor."""
         controller = environment.controllers[robot]
         drives = [
@@ -192,7 +194,7 @@ class SimulatedRobot(Driver):
         controller.use_message_data = obey  # type: ignore[attr-defined]
 
     def begin(self, start: Start) -> None:
-        """Forget the commands of the last episode: until the first new one the motors hold what they hold at
+        """Forget the commands of the last episode. Until the first new one, the motors keep their commands of
         a reset."""
         self._obeyed = {}
         self._action = self._still
@@ -206,9 +208,8 @@ class SimulatedRobot(Driver):
         self.link.send(values, stamp)
         self.steps += 1
         if self._lockstep or self._first:
-            self._wait_for_answer(
-                values, sent, stamp if self._lockstep else -np.inf
-            )  # in real time commands have the time of the policy
+            # In real time, commands have the time of the policy.
+            self._wait_for_answer(values, sent, stamp if self._lockstep else -np.inf)
         if self._first:
             self._due = time.monotonic() + self._period
         if not self._lockstep:
@@ -217,8 +218,8 @@ class SimulatedRobot(Driver):
         return super().act(observation)
 
     def finish(self) -> None:
-        """Send what the last step of an episode led to, if the other end scores it; it answers before the
-        next episode begins."""
+        """Send the result of the last step of an episode, if the other end scores it. The other end answers
+        before the next episode begins."""
         if any(other.scores for other in self.link.others()):
             self._obeyed = {}
             sent, stamp = time.monotonic(), time.time()
@@ -230,7 +231,7 @@ class SimulatedRobot(Driver):
                 self.link.wait(0.1)
 
     def _announce(self) -> None:
-        """Say that an episode begins, to a policy that is there."""
+        """Announce the beginning of an episode to a connected policy."""
         until = time.monotonic() + self._patience
         while not self.link.connected():
             self._look()
@@ -244,7 +245,7 @@ class SimulatedRobot(Driver):
         self.episodes += 1
 
     def _wait_for_answer(self, values: Mapping[str, Any], sent: float, since: float) -> None:
-        """Wait for commands that are not older than `since`; what was sent is sent again if none come."""
+        """Wait for commands that are not older than `since`. The values are sent again if none come."""
         again = sent + AGAIN
         while not self._received(sent, since):
             self._look()
@@ -260,10 +261,10 @@ class SimulatedRobot(Driver):
             self.link.wait(max(0.0, again - now))
 
     def _look(self) -> None:
-        """Say what does not fit at the other end, each sentence once.
+        """Report misfits at the other end, each sentence once.
 
         Raises:
-            UsageError: Nothing works with the other end.
+            UsageError: The other end cannot be used at all.
         """
         self._looked_at = time.monotonic()
         for remark in self.link.remarks():
@@ -274,8 +275,8 @@ class SimulatedRobot(Driver):
                 self._note(remark.text)
 
     def _follow(self, sent: float | None) -> None:
-        """Take commands until the step is due; the newest ones count. `sent` is None if what was sent is
-        answered already."""
+        """Take commands until the step is due; the newest ones are used. `sent` is None if the values that
+        were sent are already answered."""
         answered = sent is None
         while True:
             answered |= self._received(None if answered else sent, -np.inf)
@@ -295,7 +296,8 @@ class SimulatedRobot(Driver):
         self._due = max(self._due + self._period, time.monotonic())
 
     def _received(self, sent: float | None, since: float) -> bool:
-        """Obey what has come; whether there is now a command of each actuator that answers what was sent."""
+        """Follow the commands that have arrived. Returns whether there is now a command of each actuator that
+        answers the sent values."""
         for arrival in self.link.take():
             if arrival.kind == "fields" and (arrival.stamp is None or arrival.stamp >= since - 1e-6):
                 if ACTION in arrival.fields and self._space.shape is not None:
@@ -315,7 +317,7 @@ class SimulatedRobot(Driver):
 
 
 def _fitting(value: Any, space: Any, other: Any) -> Any:
-    """An action of the space from the numbers of a message; `other` if they are none."""
+    """Return an action of the space from the numbers of a message; `other` if they are none."""
     size = int(np.prod(space.shape))
     if value.size != size or not np.isfinite(value).all():
         return other
@@ -326,7 +328,8 @@ def _fitting(value: Any, space: Any, other: Any) -> Any:
 
 
 def _without_limits(entry: Output) -> Input:
-    """A command as an input of the robot, which takes any finite one and keeps it within its limits."""
+    """Return a command as an input of the robot, which takes any finite one and keeps it within its
+    limits."""
     free = np.full(entry.shape, np.inf)
     return Input(field_of(entry), "float64", -free, free, np.inf)
 
@@ -344,10 +347,10 @@ def serve_robot(
     permissions: Permissions = Permissions(),
     note: Callable[[str], object] = lambda text: None,
 ) -> Iterator[tuple[Episode, SimulatedRobot]]:
-    """Episode after episode, with the starts of an evaluation with this seed; without end if `episodes` is
-    None.
+    """Run episode after episode, with the starts of an evaluation with this seed; without end if `episodes`
+    is None.
 
-    `note` is called with what the user should know, such as a policy that has become silent.
+    `note` is called with messages for the user, such as one about a policy that has become silent.
 
     Raises:
         UsageError: The link cannot be opened, or no command comes.
@@ -395,8 +398,8 @@ def serve_robot(
 
 
 def report(episodes: Sequence[Episode], robot: SimulatedRobot, *, success_defined: bool) -> dict[str, Any]:
-    """What the episodes were like, and how fast commands came (s, from sending sensors to the last of their
-    commands)."""
+    """Return the results of the episodes, and the times of commands in s, from sending sensors to the last of
+    their commands."""
     answers = np.array(robot.answers or [np.nan])
     endings = Counter(episode.ended_by for episode in episodes)
     return {
@@ -416,7 +419,7 @@ def report(episodes: Sequence[Episode], robot: SimulatedRobot, *, success_define
 
 
 def report_lines(found: Mapping[str, Any]) -> list[str]:
-    """A report for people."""
+    """Return the lines of a report for people."""
     rate = "" if found["success_rate"] is None else f", success {found['success_rate']:.1%}"
     endings = ", ".join(f"{count} {name}" for name, count in found["endings"].items())
     times = ", ".join(f"{word} {found[key] * 1e3:.2f} ms" for word, key in _TIMES.items())

@@ -1,5 +1,5 @@
-"""The log of a robot: its episodes and what happened in them, and which of its values are distributed
-otherwise than in the simulation.
+"""The log of a robot: its episodes and their events, and the values whose distribution differs from that of
+the simulation.
 
 A robot does not start as a simulated episode does, so their values cannot be compared step by step. The
 policy plays episodes in the simulation, and the values of each field are compared as distributions.
@@ -21,25 +21,25 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.run import ModelName, Run
 
 MIN_STEPS, MAX_STEPS = 50, 3_000
-"""The smallest number of steps in a log, and how many of it and of the simulation are compared at most."""
+"""The smallest number of steps in a log, and the largest number of its steps and of the simulation that are
+compared."""
 DIFFERENT = 0.2
-"""The Kolmogorov-Smirnov distance from which on two distributions may be called different. Steps of an
-episode depend on each other, so a test of significance that takes them for independent would find a
-difference in every log. Parts of the simulation that are as long as the log say which distance chance
-explains."""
+"""The Kolmogorov-Smirnov distance from which two distributions may be called different. Steps of an episode
+depend on each other, so a test of significance that takes them for independent would find a difference in
+every log. Parts of the simulation that are as long as the log show which distance chance explains."""
 _BEYOND_CHANCE = 1.5
-"""How many times the largest of these distances a difference must reach."""
+"""The factor on the largest of these distances that a difference must reach."""
 _PARTS = 6
 _NOISE = 0.1
-"""Noise counts from this share of the standard deviation of the simulation on."""
+"""The share of the standard deviation of the simulation from which noise is reported."""
 _SHIFT = 0.5
-"""A bias counts from this share of the standard deviation of the simulation on."""
+"""The share of the standard deviation of the simulation from which a bias is reported."""
 
 Array = NDArray[np.float64]
 
 
 class LoggedEvent(NamedTuple):
-    """Something that happened `time` s after the beginning of its episode."""
+    """An event, `time` s after the beginning of its episode."""
 
     time: float
     kind: str
@@ -75,7 +75,7 @@ class LoggedEpisode:
 
 
 def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: None) -> list[LoggedEpisode]:
-    """The episodes of a log, in order. Commands before the first one are an episode of their own; other
+    """Return the episodes of a log, in order. Commands before the first one are their own episode; other
     events then belong to the first.
 
     Args:
@@ -129,7 +129,7 @@ def _begun(number: int, begun: float, events: list[tuple[float, str, str]]) -> L
 
 
 def explain_log(episode: LoggedEpisode) -> list[str]:
-    """What happened in an episode, one sentence each."""
+    """Return sentences about the events of an episode."""
     answer = (
         ""
         if episode.answer is None
@@ -159,7 +159,7 @@ class FieldComparison(NamedTuple):
         simulated: Mean and standard deviation in the simulation.
         distance: The Kolmogorov-Smirnov distance of the two distributions, 0 to 1.
         chance: The largest distance of a part of the simulation, as long as the log, from the whole.
-        since: From which time of the log on, in s, it stays outside of the middle 98 % of the simulation;
+        since: The time of the log, in s, from which it stays outside of the middle 98 % of the simulation;
             None if it does not.
         advice: The line of the scenario that makes the simulation draw the difference; empty if none is
             known.
@@ -181,7 +181,7 @@ class FieldComparison(NamedTuple):
 
 
 class _Field(NamedTuple):
-    """Where a number stands: in which input, at which place of it, and its name and unit."""
+    """The place of a number: its input, its index in it, and its name and unit."""
 
     source: str
     place: int
@@ -199,7 +199,7 @@ def compare_log(
         note: Called if the log is used in part; see `read_log`.
 
     Raises:
-        MissingExtraError: What exports a policy, or reads a log, is not installed.
+        MissingExtraError: The extra that exports a policy, or the one that reads a log, is not installed.
         UsageError: The file is no such log, is too short, or has other fields than the policy.
     """
     try:
@@ -286,7 +286,7 @@ def _compared(number: _Field, here: Array, there: Array, times: Array) -> FieldC
 
 
 def distance(one: Array, other: Array) -> float:
-    """The Kolmogorov-Smirnov distance of two samples: the largest difference of their distribution
+    """Return the Kolmogorov-Smirnov distance of two samples: the largest difference of their distribution
     functions."""
     places = np.sort(np.concatenate([one, other]))
     shares = (np.searchsorted(np.sort(values), places, side="right") / len(values) for values in (one, other))
@@ -294,7 +294,7 @@ def distance(one: Array, other: Array) -> float:
 
 
 def _advice(number: _Field, here: Array, there: Array) -> str:
-    """Noise or bias of the sensor that the simulation lacks."""
+    """Return the noise or bias of the sensor that the simulation lacks, as a line of the scenario."""
     spread = float(there.std())
     jitter = [_variance_of_noise(values) for values in (here, there)]
     noise = sqrt(max(0.0, jitter[0] - jitter[1]))
@@ -311,10 +311,10 @@ def _advice(number: _Field, here: Array, there: Array) -> str:
 
 
 def _variance_of_noise(values: Array) -> float:
-    """Of independent noise on a smooth motion, by second differences, which leave hardly anything of the
-    motion.
+    """Return the variance of independent noise on a smooth motion, by second differences, which leave hardly
+    anything of the motion.
 
-    Their variance is 6 times that of the noise. The median of squares, which single jumps do not change, is
-    0.4549 times the variance.
+    The variance of second differences is 6 times that of the noise. The median of squares, which single jumps
+    do not change, is 0.4549 times the variance.
     """
     return float(np.median(np.diff(values, n=2) ** 2)) / (6 * 0.4549)

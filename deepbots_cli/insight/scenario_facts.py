@@ -1,6 +1,6 @@
-"""What a scenario has already: advice never asks for it, and sentences use the units of its file.
+"""The facts of a scenario, so that advice does not repeat them and sentences use the units of its file.
 
-The causes of a training ask here before they advise a value of the observation, a term of the reward or a
+The causes of a training use them before they advise a value of the observation, a term of the reward or a
 script.
 """
 
@@ -21,7 +21,7 @@ from deepbots_cli.program.task import ObservedNumber
 
 
 class ScenarioFacts:
-    """What a scenario has.
+    """The facts of a scenario.
 
     Args:
         program: The scenario.
@@ -44,20 +44,20 @@ class ScenarioFacts:
 
     @property
     def history(self) -> int:
-        """The longest history of a value of the observation, in steps; 1 where the policy sees the newest
+        """The longest history of a value of the observation, in steps; 1 if the policy observes the newest
         values only."""
         return max((entry.history for entry in self.program.agent.observation), default=1)
 
     def is_measured(self, number: ObservedNumber) -> bool:
-        """Whether a number of the observation may differ in each step: no parameter, and no value made of
-        parameters."""
+        """Return whether a number of the observation may differ in each step: it is no parameter, and no
+        value that depends on parameters alone."""
         entry = next(entry for entry in self.program.agent.observation if entry.name == number.name)
         known_when = entry.value.typed.type.known
         return entry.value.foreign is not None or known_when is Known.STEP or entry.noise is not None
 
     def observes(self, name: str) -> bool:
-        """Whether the observation depends on a value, such as a drawn parameter; its effect in the world is
-        left out."""
+        """Return whether the observation depends on a value, such as a drawn parameter. The effect of the
+        value in the world is ignored."""
         trees = [tree for entry in self.program.agent.observation for tree in entry.value.scalars]
         return any(name in self._analysis.dependencies(tree) for tree in trees)
 
@@ -65,8 +65,8 @@ class ScenarioFacts:
 
     @cached_property
     def terms_towards_success(self) -> tuple[str, ...]:
-        """The terms that can pay in ordinary steps, and depend on what the success compares; progress
-        first."""
+        """The terms that can pay in ordinary steps, and depend on the values that the success compares;
+        progress first."""
         reward = self._analysis.reward
         running, (ordinary, _) = reward.ranges_while_running(), reward.split_by_end()
         aims = {part for tree in self._success_trees for part in self._readings(tree)}
@@ -80,8 +80,8 @@ class ScenarioFacts:
         )
 
     def terms_about(self, comparison: str) -> tuple[str, ...]:
-        """The terms of ordinary steps that depend on what a comparison of the success compares, by its
-        text."""
+        """Return the terms of ordinary steps that depend on the values of a comparison of the success, given
+        by its text."""
         aims = {
             part
             for ending in self.program.successes
@@ -95,12 +95,12 @@ class ScenarioFacts:
         return tuple(term.name for term, node in ordinary if aims.intersection(self._readings(node)))
 
     def is_progress(self, term: str) -> bool:
-        """Whether a term pays for a change, as with `delta`."""
+        """Return whether a term pays for a change, as with `delta`."""
         nodes = [node for each, node in self._analysis.reward.terms if each.name == term]
         return any(is_progress(self._analysis, node) for node in nodes)
 
     def price_of(self, failure: str) -> float | None:
-        """What terms that pay only at an end pay for a failure: negative for a cost, None where that is
+        """Return the reward of a failure by terms that pay only at an end: negative for a cost, None if it is
         unknown."""
         reward = self._analysis.reward
         ending = next((ending for ending in self.program.endings if ending.name == failure), None)
@@ -126,7 +126,7 @@ class ScenarioFacts:
         return [*trees, *(goal.achieved.scalars if goal is not None else ())]
 
     def _readings(self, tree: Scalar) -> Iterator[int]:
-        """The values of the world and of sensors that a value is computed from, as numbers of
+        """Yield the values of the world and of sensors that a value is computed from, as numbers of
         `Analysis.identity`."""
         for node in self._analysis.walk_definitions(tree):
             if isinstance(node, EngineRead) or (
@@ -137,5 +137,6 @@ class ScenarioFacts:
     # Units
 
     def range_text(self, number: ObservedNumber, value: float) -> str:
-        """A value of an observed number, given in SI units, in the unit of its range in the file."""
+        """Return the text of a value of an observed number, given in SI units, in the unit of its range in
+        the file."""
         return quantity_text(value, self.units.of_entry(number.full_name, number.unit))

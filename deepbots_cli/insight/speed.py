@@ -1,4 +1,5 @@
-"""How many steps per second engines and batches of worlds make, and where the time goes."""
+"""The speed of engines and of batches of worlds in steps per second, and the share of each part of the
+time."""
 
 from __future__ import annotations
 
@@ -24,20 +25,21 @@ if TYPE_CHECKING:
 
 BATCH = "batch"
 MIN_RATIO = 1.5
-"""How much faster another engine must be to be named."""
+"""The factor by which another engine must be faster to be named."""
 MIN_SECONDS_SAVED = 30.0
-"""CPU seconds that a training must save by another engine, so that `train` and `new` name it."""
+"""The CPU time in s that a training must save by another engine, so that `train` and `new` name it."""
 MEASURED_FROM_STEPS = 20_000
-"""Timesteps of a training from which on `train` and `new` measure engines."""
+"""The number of timesteps of a training from which `train` and `new` measure engines."""
 MIN_TIMED_STEPS = 5
 WINDOWS = 3
-"""How often each engine is measured before one is named."""
+"""The number of measurements of each engine before one is named."""
 LARGE_SPREAD = 0.3
-"""Measured of windows of one engine: at most 0.1 on an idle machine, 0.2 to 0.8 on a busy one."""
+"""The spread above which measurements are uncertain. It is at most 0.1 on an idle machine, and 0.2 to 0.8 on
+a busy one."""
 MIN_STEPS = 60
-"""Steps of each world of a batch, in which some episodes end."""
+"""The number of steps of each world of a batch, in which some episodes end."""
 _ACTIONS = 500
-"""Number of random actions, drawn before the measurement, that a longer one repeats."""
+"""The number of random actions that are drawn before the measurement. A longer measurement repeats them."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +123,14 @@ def measure(
 
 
 def spread(rounds: Sequence[Speed]) -> float:
-    """By how much the CPU time of a step was longer in the slowest round than in the fastest one."""
+    """Return how much longer the CPU time of a step was in the slowest round than in the fastest one, as a
+    share."""
     times = [speed.step_us for speed in rounds]
     return max(times) / min(times) - 1.0
 
 
 def medians(rounds: Sequence[Speed]) -> Speed:
-    """The medians of what several rounds measured in one engine."""
+    """Return the medians of the measurements of several rounds in one engine."""
     _, _, *columns = vars(rounds[0])
     values = (median(getattr(speed, name) for speed in rounds) for name in columns)
     return Speed(rounds[0].engine, rounds[0].worlds, *values)
@@ -144,19 +147,19 @@ class FasterEngine:
     used: str
     used_steps_per_second: float
     spread: float = 0.0
-    """That of `EngineSpeeds`."""
+    """The spread of `EngineSpeeds`."""
 
     @property
     def ratio(self) -> float:
         return self.steps_per_second / self.used_steps_per_second
 
     def seconds_saved(self, steps: int) -> float:
-        """CPU seconds that it needs less for `steps` steps."""
+        """Return the CPU time in s that this engine saves in `steps` steps."""
         return steps / self.used_steps_per_second - steps / self.steps_per_second
 
     @property
     def text(self) -> str:
-        """What to write, and what changes by it."""
+        """A sentence with the line to write, and its effect."""
         return (
             f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used}"
             f" ({self.steps_per_second:,.0f} against "
@@ -168,7 +171,7 @@ class FasterEngine:
 
 
 def busy_note(spread: float) -> str:
-    """A sentence about measurements of one engine that differ by `spread`."""
+    """Return a sentence about measurements of one engine that differ by `spread`."""
     return (
         f"Measurements of one engine differ by {spread:.0%}, as on a busy machine: repeat them when it is"
         " idle."
@@ -188,11 +191,11 @@ class EngineSpeeds:
 
     @property
     def spread(self) -> float:
-        """By how much the best window of an engine is faster than its slowest one; the largest of all."""
+        """The largest share by which the best window of an engine is faster than its slowest one."""
         return max(max(speeds) / min(speeds) - 1.0 for speeds in self.windows.values())
 
     def faster_than(self, used: str) -> FasterEngine | None:
-        """The fastest engine, if it is at least 1.5 times as fast as the engine `used`."""
+        """Return the fastest engine, if it is at least 1.5 times as fast as the engine `used`."""
         speeds = self.best
         name = max(speeds, key=lambda name: speeds[name])
         faster = FasterEngine(name, speeds[name], used, speeds[used], self.spread)
@@ -207,14 +210,15 @@ def engine_speeds(
     seed: int = 0,
     permissions: Permissions = Permissions(),
 ) -> EngineSpeeds:
-    """Measure the engine `used`, and our others that are installed and can hold the world.
+    """Measure the engine `used`, and our other installed engines that support the world.
 
     Each engine is measured in `WINDOWS` windows of `seconds` of CPU time, in turn: a program that disturbs
     one engine for a while disturbs the others, too. The worlds are built in addition.
     """
 
     def errors_of(name: str) -> AbstractContextManager[None]:
-        """Errors of another engine than the one in use do not matter, such as a world that it cannot hold."""
+        """Return a context that ignores errors of another engine than the one in use, such as a world that it
+        does not support."""
         return nullcontext() if name == used else suppress(DeepbotsError)
 
     with ExitStack() as stack:
@@ -238,8 +242,8 @@ def engine_worth_naming(
     *,
     permissions: Permissions = Permissions(),
 ) -> FasterEngine | None:
-    """Another engine than the default one, if it is faster and makes a training at least 30 s of CPU time
-    shorter.
+    """Return another engine than the default one, if it is faster and makes a training at least 30 s of CPU
+    time shorter.
 
     This measures for about 0.2 s of CPU time. Nothing is measured for a scenario that names its engine, and
     for a short training.
@@ -250,7 +254,7 @@ def engine_worth_naming(
     if planned < MEASURED_FROM_STEPS or program.engine is not None or installed < 2:
         return None
     used = chosen(None)
-    with suppress(DeepbotsError):  # which the command that makes the world reports
+    with suppress(DeepbotsError):  # the command that makes the world reports the error
         faster = engine_speeds(program, used, permissions=permissions).faster_than(used)
         if faster and faster.seconds_saved(planned) >= MIN_SECONDS_SAVED:
             return faster
@@ -269,7 +273,7 @@ def _timed(world: Supervisor, engine: str, steps: int, seed: int, *, seconds: fl
     world.physics = physics
 
     def begin() -> None:
-        """Physics steps that let a world settle belong to the reset."""
+        """Count physics steps that let a world settle as part of the reset."""
         before = physics.cpu, physics.clock
         world.reset()
         physics.cpu, physics.clock = before

@@ -19,13 +19,12 @@ from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 
-_MIN_QUARTER = (
-    30  # episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat
-)
-_BINS = 20  # parts of a stage in which a plateau is sought
-_RARE = 0.03  # a success rate that is as good as none
-_MAX_SORTED = 2_000  # episodes of a training that are sorted by what they draw
-_CHANCE = 1e-4  # of a value that has nothing to do with success to be named, over all values
+# With fewer episodes in a quarter of a stage, its success rate is too uncertain to be called flat.
+_MIN_QUARTER = 30
+_BINS = 20  # the number of parts of a stage in which a plateau is searched
+_RARE = 0.03  # the success rate up to which success is rare
+_MAX_SORTED = 2_000  # the largest number of episodes that are sorted by their drawn values
+_CHANCE = 1e-4  # the probability that a value without an effect is named, over all values
 
 # The present stage
 
@@ -59,7 +58,7 @@ def present_stage(t: TrainingEvidence) -> Numbers | None:
 
 
 def criterion(t: TrainingEvidence) -> Criterion | None:
-    """What ends the present stage; None in the last one."""
+    """Return the criterion that ends the present stage; None in the last one."""
     return t.stages[t.stage_index].until if t.stages and not t.is_last_stage else None
 
 
@@ -77,7 +76,7 @@ def criterion_text(until: Criterion) -> str:
 
 
 def criterion_value(t: TrainingEvidence) -> float | None:
-    """What the criterion of the present stage compares now."""
+    """Return the present value that the criterion of the present stage compares."""
     until = criterion(t)
     if until is None:
         return None
@@ -102,7 +101,7 @@ def _measured(episodes: Any, until: Criterion) -> Any:
 
 
 def _until(until: Criterion, value: float, *, in_evaluation: bool = False) -> str:
-    """The key with another threshold, as the scenario writes it."""
+    """Return the key with another threshold, in the syntax of the scenario."""
     threshold = f"{math.floor(100 * value + 1e-9)} %" if until.metric == "success_rate" else f"{value:.4g}"
     counted = (
         "in evaluation" if in_evaluation or until.episodes is None else f"over {until.episodes} episodes"
@@ -111,8 +110,8 @@ def _until(until: Criterion, value: float, *, in_evaluation: bool = False) -> st
 
 
 def stage_changes(t: TrainingEvidence) -> str:
-    """What the present stage sets otherwise than the one before: `near: 4 cm -> 1 mm`; "" where that is not
-    known."""
+    """Return the settings of the present stage that differ from the one before, such as `near: 4 cm -> 1 mm`;
+    "" if they are unknown."""
     try:
         root = Source.kept(t.run.path).document().root
     except DeepbotsError:
@@ -186,7 +185,7 @@ def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
     ):
         return None
     if until.metric == "success_rate" and late.high < until.threshold:
-        return None  # the stage asks for more
+        return None  # the criterion of the stage requires more
     final, value = SuccessRate([each.is_success for each in t.final_episodes]), criterion_value(t)
     task = (
         f", and in the scenario itself in {final}"
@@ -247,7 +246,7 @@ def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
     if last.mean() - third.mean() > max(1.5 * error, 0.2 * (until.threshold - last.mean())):
         return None
     if t.late_success.episodes >= MIN_EPISODES and t.late_success.rate >= 0.95:
-        return None  # it is learned: an easy stage that counts
+        return None  # the stage is easy, and it is learned
     before, late_text = (criterion_number(until, float(part.mean())) for part in (third, last))
     reached = float(np.mean(np.concatenate([third, last])))
     wanted = 0.9 * reached if until.metric == "success_rate" else reached - 0.1 * abs(reached)
@@ -280,8 +279,8 @@ def _rate(episodes: Any) -> float:
 
 
 def is_rare(t: TrainingEvidence) -> bool:
-    """Whether a success in the present stage is as good as never seen, in its late episodes and evaluations
-    too."""
+    """Return whether there was hardly any success in the present stage, including its late episodes and
+    evaluations."""
     of, last = SuccessRate(t.episodes.successes), t.episodes.successes[-100:]
     seldom = not of["successes"] or (
         len(last) and float(last.mean()) <= _RARE and (of.high <= _RARE or _stays_rare(t))
@@ -290,7 +289,7 @@ def is_rare(t: TrainingEvidence) -> bool:
 
 
 def _stays_rare(t: TrainingEvidence) -> bool:
-    """Whether the last half of a stage that is mature has hardly more successes than a random policy may
+    """Return whether the last half of a mature stage has hardly more successes than a random policy may
     have."""
     third, last = t.episodes_by_steps(0.5, 0.75), t.episodes_by_steps(0.75, 1.0)
     return (
@@ -299,11 +298,11 @@ def _stays_rare(t: TrainingEvidence) -> bool:
 
 
 def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
-    """The step since which the success rate of the present stage has been flat, and the lowest and highest
-    rate since then.
+    """Return the step since which the success rate of the present stage has been flat, and the lowest and
+    highest rate since then.
 
-    It is flat if it did not rise over the last half of the stage, also without exploration. None where
-    success is rare, or nearly certain.
+    It is flat if it did not rise over the last half of the stage, also without exploration. The result is
+    None if success is rare, or nearly certain.
     """
     if not t.program.defines_success or not t.is_mature or is_rare(t):
         return None
@@ -421,8 +420,8 @@ def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
 
 
 def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
-    """The episodes that are sorted by what they drew: those of the quoted evaluation, else late ones of the
-    present stage."""
+    """Return the episodes that are sorted by their drawn values: those of the quoted evaluation, else late
+    ones of the present stage."""
     if t.is_last_stage and len(t.final_episodes) >= 40:
         return "the evaluation", t.final_episodes
     late = t.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
@@ -440,9 +439,9 @@ def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
 
 
 def _chance(bins: Sequence[DrawnBin]) -> float:
-    """The probability that success differs as much between the parts where it does not depend on them
+    """Return the probability that success differs as much between the parts if it does not depend on them
     (chi-squared test)."""
-    from scipy.special import chdtrc  # here, since commands that only read runs work without scipy
+    from scipy.special import chdtrc  # commands that only read runs work without scipy
 
     counts = np.array([[each.successes, each.episodes - each.successes] for each in bins], float)
     expected = np.outer(counts.sum(axis=1), counts.sum(axis=0)) / counts.sum()
@@ -452,7 +451,8 @@ def _chance(bins: Sequence[DrawnBin]) -> float:
 
 
 def _is_apart(bins: Sequence[DrawnBin]) -> bool:
-    """Whether the worst part succeeds less than half as often as the best one, in view of their intervals."""
+    """Return whether the worst part succeeds less than half as often as the best one, considering their
+    intervals."""
     return min(each.success_interval[1] for each in bins) < 0.5 * max(
         each.success_interval[0] for each in bins
     )
@@ -469,8 +469,8 @@ def _bin_rate(part: DrawnBin) -> str:
 
 
 def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
-    """The success rates of late evaluations and of late episodes of the training, if exploration hides most
-    of the success."""
+    """Return the success rates of late evaluations and of late episodes of the training, if exploration hides
+    most of the success."""
     explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), t.late_success
     if min(without.episodes, explored.episodes) < MIN_EPISODES or without.rate < max(
         0.5, explored.rate + 0.3
@@ -480,8 +480,8 @@ def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None
 
 
 def needs_exploration(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
-    """The success rates of late episodes of the training and of late evaluations, if most of the success
-    needs exploration."""
+    """Return the success rates of late episodes of the training and of late evaluations, if most of the
+    success needs exploration."""
     explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), t.late_success
     if min(without.episodes, explored.episodes) < MIN_EPISODES or explored.rate < max(
         0.5, without.rate + 0.3

@@ -24,7 +24,7 @@ class StatementRule(Generic[T]):
     Attributes:
         name: The cause.
         text: The sentence, with a field in braces for each number.
-        advice: What to try, with the same fields; may be empty.
+        advice: The advice, with the same fields; may be empty.
         finder: Returns the numbers, or None where the row does not apply. The numbers may be more than the
             sentence shows; the entry `likelihood` (0 to 1) orders causes, and `settings` become those of the
             statement.
@@ -42,7 +42,7 @@ class StatementRule(Generic[T]):
 def statement(
     name: str, text: str, advice: str = ""
 ) -> Callable[[Callable[[T], Numbers | None]], StatementRule[T]]:
-    """A decorator that makes a row of the function that finds its numbers."""
+    """Return a decorator that makes a row of the function that finds its numbers."""
 
     def with_text(finder: Callable[[T], Numbers | None]) -> StatementRule[T]:
         return StatementRule(name, text, advice, finder)
@@ -52,10 +52,10 @@ def statement(
 
 @dataclass(frozen=True)
 class Statement:
-    """A sentence with the numbers that it rests on.
+    """A sentence with the numbers of its evidence.
 
-    `settings` is the part of the advice that is values of the scenario: the value as text, by the path of its
-    setting. `command` is what to run next.
+    `settings` are the advised values of the scenario: the value as text, by the path of its setting.
+    `command` is the next command to run.
     """
 
     cause: str
@@ -80,7 +80,7 @@ class Percentage(float):
 
 
 class SuccessRate(dict[str, Any]):
-    """How many of some episodes succeed, with Wilson's 95 % interval; shown as `52% (46% to 58%) of 240
+    """The success rate of some episodes, with Wilson's 95 % interval; shown as `52% (46% to 58%) of 240
     episodes`."""
 
     def __init__(self, successes: Sequence[float]) -> None:
@@ -129,7 +129,7 @@ class EvaluationRate(SuccessRate):
 
 
 def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Statement]:
-    """The statements of the rows that apply, in the order of the table."""
+    """Return the statements of the rows that apply, in the order of the table."""
     statements = []
     for rule in rules:
         evidence = rule.finder(subject)
@@ -160,15 +160,16 @@ def _number_text(value: Any) -> str:
 
 
 def quantity_text(value: float, unit: Unit, digits: int = 4) -> str:
-    """`15.3 deg`: a number, given in SI units, in a unit of `ShownUnits`."""
+    """Return a number, given in SI units, in a unit of `ShownUnits`, such as `15.3 deg`."""
     return f"{unit.from_si(value):.{digits}g}{'' if unit.text == ONE.text else f' {unit.text}'}"
 
 
 MAX_LISTED = 4
-"""Terms, options and numbers of the observation in one sentence."""
+"""The largest number of terms, options and numbers of the observation in one sentence."""
 
 
 def list_text(parts: Sequence[str], shown: int = MAX_LISTED) -> str:
-    """`a, b and c`, or `a, b and 7 more` of more than are shown."""
+    """Return parts as a list in words: `a, b and c`, or `a, b and 7 more` if there are more than are
+    shown."""
     parts = [*parts[:shown], *([f"{len(parts) - shown} more"] if len(parts) > shown else [])]
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

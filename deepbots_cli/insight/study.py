@@ -1,4 +1,4 @@
-"""A report about a study of `deepbots tune`: one HTML file with its history, which values matter, and
+"""A report about a study of `deepbots tune`: one HTML file with its history, the importance of values, and
 slices."""
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ MEANINGS = {
     " seeds.",
 }
 MIN_TRIALS = 8
-"""Complete trials from which on the importance of values says something."""
+"""The number of complete trials from which the importance of values is meaningful."""
 _WIDE_WIDTH, _MAX_NAME = 8.0, 32
 
 
 @dataclass(frozen=True, eq=False)
 class StudyReport:
-    """What the report of a study shows."""
+    """The content of the report of a study."""
 
     study: Study
     journal: Journal
@@ -53,10 +53,10 @@ class StudyReport:
 
     @staticmethod
     def read(path: Path) -> StudyReport:
-        """A study with a complete trial.
+        """Read a study with a complete trial.
 
         Raises:
-            RunError: It is damaged, or has none.
+            RunError: The study is damaged, or has no complete trial.
         """
         study = Study.open(path)
         journal = study.connect()
@@ -101,7 +101,7 @@ class StudyReport:
     # Figures
 
     def figures(self, theme: str) -> Iterator[tuple[str, str, str, Figure]]:
-        """Name, title, caption and figure."""
+        """Yield name, title, caption and figure."""
         yield (
             "history",
             "History",
@@ -195,7 +195,7 @@ class StudyReport:
         return figure
 
     def write_figures(self, folder: Path) -> list[Path]:
-        """Every figure as PNG.
+        """Write every figure as PNG.
 
         Raises:
             UsageError: A file cannot be written.
@@ -205,7 +205,7 @@ class StudyReport:
     # The page
 
     def html(self) -> str:
-        """The page."""
+        """Return the page."""
         record, dark = self.study.record, {name: figure for name, _, _, figure in self.figures("dark")}
         drawn = [
             {

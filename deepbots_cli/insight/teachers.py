@@ -1,5 +1,5 @@
-"""Causes in who teaches the policy: a script that could, a teacher that fails itself, or one that sees
-more."""
+"""Causes in the teacher of the policy: a script that could teach, a teacher that fails itself, or one that
+observes more."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from deepbots_cli.insight.statements import Numbers, SuccessRate, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence
 
 _GOOD_TEACHER = 0.8
-"""The success rate below which a teacher is named, where `solved` asks for none."""
+"""The success rate below which a teacher is named, if `solved` has none."""
 _AS_GOOD = 0.85
-"""A pupil succeeds as often as its teacher from this share of the teacher's success rate on."""
+"""The share of the teacher's success rate from which a pupil is as good as its teacher."""
 
 
 @statement(
@@ -41,7 +41,8 @@ def script_succeeds(t: TrainingEvidence) -> Numbers | None:
 
 
 def policy_rate(t: TrainingEvidence) -> SuccessRate:
-    """How often the policy succeeds: in the quoted evaluation, else in the last quarter of the training."""
+    """Return the success rate of the policy: in the quoted evaluation, else in the last quarter of the
+    training."""
     episodes = [each.is_success for each in t.final_episodes] if t.is_last_stage else []
     return SuccessRate(episodes or t.episodes_between(0.75, 1.0).successes)
 
@@ -52,8 +53,8 @@ def _has_teacher(t: TrainingEvidence) -> bool:
 
 
 def teacher_rate(t: TrainingEvidence) -> SuccessRate | None:
-    """How often the script that teaches succeeds: from the starts of the evaluations, as the training logged
-    it, else in short episodes."""
+    """Return the success rate of the script that teaches: from the starts of the evaluations, as the training
+    logged it, else in short episodes."""
     training, logged = t.program.agent.training, t.curve("teacher/success_rate")
     if training is None or training.teacher is None:
         return None

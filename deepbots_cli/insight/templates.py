@@ -9,12 +9,12 @@ _ENTITIES = {ord(sign): f"&#{ord(sign)};" for sign in "\\`*{}[]<>#!|~&"}
 
 
 def plain_markdown(text: str) -> str:
-    """A text from a file of somebody else as one line of Markdown without markup, links and HTML."""
+    """Return a text from an untrusted file as one line of Markdown without markup, links and HTML."""
     return " ".join(text.split()).translate(_ENTITIES)
 
 
 def render_template(template: str, *, html: bool = False, **values: Any) -> str:
-    """The text of a template of this package."""
+    """Return the text of a template of this package."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(

@@ -1,4 +1,4 @@
-"""An episode that runs again, with what each step saw, did, earned and measured.
+"""An episode that runs again, with the observation, action, reward and measurements of each step.
 
 Runs keep the seeds of their evaluations, recordings their actions, failures both: each of them gives the same
 episode once more.
@@ -45,13 +45,14 @@ Array = NDArray[np.float64]
 
 @dataclass(eq=False)
 class Trace:
-    """One episode of an agent. Of a team, it is the agent that ended the episode, or the first one.
+    """An episode of an agent. For a team, it is that of the agent that ended the episode, or of the first
+    one.
 
     Step k lies between moment k - 1 and moment k; moment 0 is the reset. `observations` (moments, numbers)
-    holds the newest value of each number as the policy sees it, `values` what the conditions of the endings
-    compare in each moment. `terms` (steps) are the reward terms, and `actions` the actions in the action
-    space. `critic` holds the critic's value of each moment but the last; None for a policy without a critic
-    or with a memory, and for recordings and failures.
+    has the newest value of each number as observed, and `values` the values that the conditions of the
+    endings compare in each moment. `terms` (steps) are the reward terms, and `actions` the actions in the
+    action space. `critic` holds the critic's value of each moment but the last; None for a policy without a
+    critic or with a memory, and for recordings and failures.
     """
 
     title: str
@@ -68,7 +69,7 @@ class Trace:
     critic: Array | None = None
     notes: Sequence[str] = ()
     units: ShownUnits = field(default_factory=ShownUnits)
-    """Those of the file of the scenario."""
+    """The units that the scenario file uses."""
 
     @property
     def program(self) -> Program:
@@ -83,17 +84,18 @@ class Trace:
         return float(sum(term.sum() for term in self.terms.values()))
 
     def time_at(self, step: int) -> float:
-        """The time of a moment, in s."""
+        """Return the time of a moment, in s."""
         return self.time if step == self.steps else step * self.program.period
 
     @cached_property
     def end(self) -> MeasuredComparison | None:
-        """The comparison that ended the episode; None where an episode limit did, or the ending has no
-        tree."""
+        """The comparison that ended the episode; None if an episode limit ended it, or the ending has
+        no tree."""
+        # At a limit, only a scenario with a goal has a success.
         at_limit = self.outcome == "success" and self.ended_by in (
             "max_steps",
             "max_time",
-        )  # of a scenario with a goal
+        )
         condition = self.instrumented.conditions.get("goal_reached" if at_limit else self.ended_by or "")
         if condition is None or self.outcome in ("time limit", "error", "not ended"):
             return None
@@ -102,7 +104,7 @@ class Trace:
         )
 
     def action_array(self, key: Literal["choices", "ranges"]) -> Array:
-        """The numbers of the options, or the numbers of ranges in [-1, 1], that the actions hold: (steps,
+        """Return the numbers of the options, or the numbers of ranges in [-1, 1], of the actions: (steps,
         numbers)."""
         rows = [action[key] if isinstance(action, dict) else action for action in self.actions]
         return np.array([np.asarray(row, float).reshape(-1) for row in rows]).reshape(
@@ -111,7 +113,7 @@ class Trace:
 
 
 class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
-    """A world that notes each step of an episode; a reset begins anew. The wrapper closes the world."""
+    """A world that records each step of an episode; a reset begins anew. The wrapper closes the world."""
 
     def __init__(
         self, world: Supervisor, instrumented: InstrumentedProgram, units: ShownUnits | None = None
@@ -143,7 +145,7 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
         self._values.append([self.instrumented.read(agent) for agent in self.world.agents.values()])
 
     def trace(self, title: str, *, error: str = "", notes: Sequence[str] = ()) -> Trace:
-        """The episode so far."""
+        """Return the episode so far."""
         world, program = self.world, self.instrumented.program
         names, team = list(world.agents), len(world.agents) > 1
         row = next(
@@ -200,10 +202,10 @@ def trace_episodes(
     deterministic: bool = True,
     permissions: Permissions = Permissions(),
 ) -> Iterator[Trace]:
-    """Episodes of the evaluation of a run with this root seed.
+    """Run the episodes of the evaluation of a run with this root seed again.
 
     Raises:
-        RunError: The run holds no model, or one that does not fit.
+        RunError: The run has no model, or one that does not fit.
     """
     from deepbots_cli.learning import evaluation
     from deepbots_cli.learning.sb3.algorithms import torch_settings
@@ -249,14 +251,15 @@ def _world(
 
 
 def trace_recorded(opened: ShowingState, episodes: Sequence[RecordedEpisode]) -> Iterator[Trace]:
-    """Episodes of a recording that is open, each run again with its actions.
+    """Run episodes of an open recording again, each with its actions.
 
     Raises:
         RecordingError: A step is damaged.
-        UsageError: An episode is another one when its actions run here.
+        UsageError: An episode differs when its actions run here.
     """
     recording: Recording = opened.recording
-    assert opened.program is not None  # a recording that does not compile is refused when it is opened
+    # A recording that does not compile is refused when it is opened.
+    assert opened.program is not None
     shown, units = opened.shown, opened.checked().units
     with closing(_world(instrument_program(opened.program), shown.engine, shown.permissions, units)) as world:
         for recorded in episodes:
@@ -266,7 +269,7 @@ def trace_recorded(opened: ShowingState, episodes: Sequence[RecordedEpisode]) ->
             for place in range(len(recorded.steps)):
                 try:
                     step = next(again, None)
-                except UsageError:  # the action is none of this scenario
+                except UsageError:  # the action does not fit this scenario
                     step = None
                 if step is None or observation_hash_at(recording, recorded, place) != observation_hash(
                     step.observation
@@ -281,7 +284,7 @@ def trace_recorded(opened: ShowingState, episodes: Sequence[RecordedEpisode]) ->
 
 
 def trace_failure(path: Path, *, permissions: Permissions = Permissions()) -> Trace:
-    """The episode of a file in the folder `failures` of a run.
+    """Run the episode of a file in the folder `failures` of a run again.
 
     Raises:
         RunError: The file is damaged, or does not lie in the folder of a run.

@@ -1,4 +1,4 @@
-"""What is known of a training: its logs, and a few short episodes of its policy and of random actions.
+"""The evidence about a training: its logs, and a few short episodes of its policy and of random actions.
 
 Logs are `monitor.csv`, the TensorBoard files and the evaluations during the training. Nothing is written.
 """
@@ -45,32 +45,33 @@ from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.plots import logs_of, scalars_of
 
 PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
-"""Short episodes of the policy, of random actions and without commands, and their steps at most; and the
-steps of a constant action."""
+"""The number of short episodes of the policy, of random actions and without commands, and their steps at
+most; and the steps of a constant action."""
 
 SCRIPT_EPISODES = 8
-"""Whole episodes of each script: from 8 successes of 8 follows a success rate of 68 % or more."""
+"""The number of whole episodes of each script: from 8 successes of 8 follows a success rate of 68 % or
+more."""
 
 FAILED_EPISODES = 6
-"""Episodes without success of the quoted evaluation that are repeated."""
+"""The number of episodes without success of the quoted evaluation that are repeated."""
 
 MIN_EPISODES = 8
-"""Episodes, below which the returns of a training tell nothing."""
+"""The number of episodes below which the returns of a training are not meaningful."""
 
 
 @dataclass(eq=False)
 class TrainingEvidence:
-    """A training as its files tell it, and short episodes.
+    """The evidence about a training: its files, and short episodes.
 
     `all_episodes` and `all_evaluations` are those of `logs_of`; the quoted evaluation since the training is
-    the last one, in stage "". `episodes` and `evaluations` are those of the stage in which the training
-    stands, and so is `program`: returns of another stage say nothing about it. `scalars` are curves of
-    TensorBoard by tag: steps and values. `failure` is the episode that ended the training. The short episodes
-    have the same starts, in the present stage: `policy` those of the last policy, `random` those of random
-    actions, `idle` those of an action that commands zeros, and `constant_actions` one for each constant
-    action, by the part of the action that alone differs. `scripts` are whole episodes of the script that
-    teaches the policy, or of each that could. `final_episodes` are those of the evaluation that `verdict`
-    quotes, and `failed` are the first ones of them without success, repeated.
+    the last one, in stage "". `episodes`, `evaluations` and `program` are those of the present stage, because
+    returns of other stages are not comparable. `scalars` are curves of TensorBoard by tag: steps and values.
+    `failure` is the episode that ended the training. The short episodes have the same starts, in the present
+    stage: `policy` those of the last policy, `random` those of random actions, `idle` those of an action that
+    commands zeros, and `constant_actions` one for each constant action, by the part of the action that alone
+    differs. `scripts` are whole episodes of the script that teaches the policy, or of each that could.
+    `final_episodes` are those of the evaluation that `verdict` quotes, and `failed` are the first ones of
+    them without success, repeated.
     """
 
     run: Run
@@ -122,7 +123,7 @@ class TrainingEvidence:
 
     @cached_property
     def facts(self) -> ScenarioFacts:
-        """What the scenario of the present stage has."""
+        """The facts of the scenario of the present stage."""
         return ScenarioFacts(self.program, self.run.compiled.units)
 
     @property
@@ -135,12 +136,13 @@ class TrainingEvidence:
 
     @cached_property
     def episodes(self) -> Any:
-        """Those of the present stage."""
+        """The episodes of the present stage."""
         return self.episodes_of(self.stage) if self.stages else self.all_episodes
 
     @cached_property
     def evaluations(self) -> Sequence[Mapping[str, Any]]:
-        """Those in the present stage; in the last stage also those in the scenario itself."""
+        """The evaluations of the present stage; in the last stage, including the evaluations in the scenario
+        itself."""
         names = {self.stage, ""} if self.is_last_stage else {self.stage}
         return [each for each in self.all_evaluations if each.get("stage", "") in names]
 
@@ -169,8 +171,8 @@ class TrainingEvidence:
 
     @property
     def is_mature(self) -> bool:
-        """Whether the present stage has had half of its share of the planned steps, so that what has not come
-        yet may never come."""
+        """Whether the present stage has had half of its share of the planned steps, so that a missing success
+        may never come."""
         return self.stage_steps >= 0.5 * self.planned / max(1, len(self.stages))
 
     # Episodes
@@ -186,16 +188,16 @@ class TrainingEvidence:
 
     @property
     def probe_moments(self) -> int:
-        """Of the short episodes."""
+        """The number of moments of the short episodes."""
         return sum(len(trace.values) for trace in self.probes)
 
     def episodes_between(self, first: float, last: float) -> Any:
-        """The episodes of the present stage from one share of them to another: `episodes_between(0.75, 1)` is
-        the last quarter."""
+        """Return the episodes of the present stage from one share of them to another: `episodes_between(0.75,
+        1)` is the last quarter."""
         return self.episodes[round(first * len(self.episodes)) : round(last * len(self.episodes))]
 
     def episodes_by_steps(self, first: float, last: float) -> Any:
-        """The episodes of the present stage that ended between two shares of its steps."""
+        """Return the episodes of the present stage that ended between two shares of its steps."""
         low, high = (self.first_step + share * self.stage_steps for share in (first, last))
         return self.episodes[(self.episodes.steps > low) & (self.episodes.steps <= high)]
 
@@ -203,7 +205,7 @@ class TrainingEvidence:
     def late_success(self) -> EvaluationRate:
         """The success in the evaluations of the last quarter of the present stage, at least in the last one.
 
-        It has no episodes where the scenario defines no success or nothing was evaluated.
+        It has no episodes if the scenario defines no success or nothing was evaluated.
         """
         if not self.program.defines_success:
             return EvaluationRate([])
@@ -220,14 +222,14 @@ class TrainingEvidence:
         }
 
     def number_setting(self, name: str) -> float | None:
-        """A hyperparameter as a number, the first one of a schedule; None where it is none."""
+        """Return a hyperparameter as a number, the first one of a schedule; None if it is none."""
         value = self.settings.get(name)
         value = value.start if isinstance(value, Schedule) else value
         return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
     @cached_property
     def decline(self) -> Decline | None:
-        """How far the evaluations fell in the present stage; None where they did not."""
+        """The decline of the evaluations in the present stage; None if there is none."""
         program = self.run.program
         return decline(
             self.all_evaluations, measure_of(program.agent.solved, defines_success=program.defines_success)
@@ -235,7 +237,7 @@ class TrainingEvidence:
 
     @property
     def steps(self) -> int:
-        """Of the whole training; the result of one that runs is as old as its last process."""
+        """The steps of the whole training. The result of a running training is as old as its last process."""
         result = self.run.record.result
         logged_steps = int(self.all_episodes.steps[-1]) if len(self.all_episodes) else 0
         return max(logged_steps, result.steps if result is not None else 0)
@@ -244,8 +246,8 @@ class TrainingEvidence:
 
     @property
     def solved(self) -> bool:
-        """Whether the policy solves the task, as `run_verdict` says; before its evaluation also by those
-        during the last stage."""
+        """Whether the policy solves the task by `run_verdict`; before its evaluation, also by the evaluations
+        of the last stage."""
         solved = self.run.program.agent.solved
         if solved is None or self.final_episodes or self.verdict.solved:
             return bool(self.verdict.solved)
@@ -257,8 +259,8 @@ class TrainingEvidence:
         return any(meets_solved(solved, *each) for each in means)
 
     def curve(self, tag: str) -> Array:
-        """The values of a curve in the present stage, of `train/...` in all stages; none where TensorBoard
-        has no such tag."""
+        """Return the values of a curve in the present stage, or of `train/...` in all stages; empty if
+        TensorBoard has no such tag."""
         if tag not in self.scalars:
             return np.zeros(0)
         steps, values = self.scalars[tag]
@@ -266,10 +268,10 @@ class TrainingEvidence:
 
 
 def returns_rise(t: TrainingEvidence) -> tuple[float, float, float, float] | None:
-    """Mean returns of the first half and of the last quarter of the present stage, their difference, and
-    twice its standard error.
+    """Return the mean returns of the first half and of the last quarter of the present stage, their
+    difference, and twice its standard error.
 
-    None where the return does not rise, or levels off.
+    The result is None if the return does not rise, or levels off.
     """
     early, late = t.episodes_between(0.0, 0.5).returns, t.episodes_between(0.75, 1.0).returns
     if len(t.episodes) < 2 * MIN_EPISODES:
@@ -285,7 +287,7 @@ def returns_rise(t: TrainingEvidence) -> tuple[float, float, float, float] | Non
 
 
 def usual_settings(t: TrainingEvidence) -> Mapping[str, Any]:
-    """The hyperparameters that the training would take if the scenario gave none, by name."""
+    """Return the hyperparameters that the training would take if the scenario gave none, by name."""
     program = t.run.program
     training = program.agent.training
     if training is None:
@@ -298,8 +300,8 @@ def usual_settings(t: TrainingEvidence) -> Mapping[str, Any]:
 
 
 def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
-    """The command that trains the scenario of a run anew, with its seed, options and `--set`, and further
-    assignments."""
+    """Return the command that trains the scenario of a run anew, with its seed, options and `--set`, and
+    further assignments."""
     record, settings = run.record, dict[str, str]()
     for text in (*changed_settings(record.command), *assignments):
         path, _, value = text.partition("=")
@@ -333,12 +335,16 @@ def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
 
 
 def latest_failure(run: Path) -> Path | None:
-    """The file of the last episode that raised an error."""
+    """Return the file of the last episode that raised an error."""
     return max((run / FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"), default=None)
 
 
 def read_training(run: Run) -> TrainingEvidence:
-    """The logs of a run, without short episodes. Raises: RunError: A log is damaged."""
+    """Read the logs of a run, without short episodes.
+
+    Raises:
+        RunError: A log is damaged.
+    """
     file = latest_failure(run.path)
     failure = read_failure(file)[0] if file is not None else None
     episodes, evaluations = logs_of(run.path)
@@ -361,7 +367,7 @@ def run_probes(
     on_episode: Callable[[int, int], object] | None = None,
     seconds: float = math.inf,
 ) -> None:
-    """Run the short episodes of a training, all from the same starts; after `seconds`, the rest is left
+    """Run the short episodes of a training, all from the same starts. After `seconds`, the rest is left
     out."""
     from deepbots_cli.learning.sb3.algorithms import torch_settings
 
@@ -376,9 +382,9 @@ class _Probes:
 
     Args:
         training: Takes their traces.
-        deadline: By the monotonic clock, in s; no episode goes on after it.
-        permissions: Those of the scenario.
-        on_episode: Called after each episode with their number so far and in total.
+        deadline: The end by the monotonic clock, in s; no episode continues after it.
+        permissions: The permissions of the scenario.
+        on_episode: Called after each episode with the number so far and in total.
     """
 
     def __init__(
@@ -403,7 +409,7 @@ class _Probes:
         self._total += SCRIPT_EPISODES * len(scripts)
         seeds = self._seeds(PROBE_EPISODES)
         random, played, still = list[Trace](), list[Trace](), list[Trace]()
-        for seed in seeds:  # of each kind one after the other, so that a few seconds show something of all
+        for seed in seeds:  # the kinds take turns, so that a few seconds show each of them
             random += self._episode(seed, random_driver(world))
             if policy is not None:
                 played += self._episode(seed, policy())
@@ -431,13 +437,13 @@ class _Probes:
         return [derive_seed(seed, "diagnosis", number) for number in range(count)]
 
     def _idle_action(self) -> Any:
-        """The action that commands zeros; None where a range has no zero."""
+        """Return the action that commands zeros; None where a range has no zero."""
         agent = self._training.program.agent
         has_zeros = all(part.low <= 0.0 <= part.high for part in agent.ranges)
         return idle_action(agent.action) if has_zeros else None
 
     def _policy_driver(self) -> Callable[[], Driver] | None:
-        """Makes a driver of the last policy; None before there is one."""
+        """Make a driver of the last policy; None before there is one."""
         from deepbots_cli.learning.evaluation import load_model
         from deepbots_cli.rollout.policies import PolicyDriver
 
@@ -446,7 +452,7 @@ class _Probes:
         return None if name is None else partial(PolicyDriver, load_model(run, name, self.world), self.world)
 
     def _episode(self, seed: int, driver: Driver, count: int = PROBE_STEPS) -> list[Trace]:
-        """The trace of an episode of at most `count` steps, in a list; an empty one after the deadline."""
+        """Return the trace of an episode of at most `count` steps, in a list; empty after the deadline."""
         if time.monotonic() > self.deadline:
             return []
         error = ""
@@ -463,7 +469,7 @@ class _Probes:
 
 
 def _repeat_failed(t: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
-    """The first episodes without success of the quoted evaluation, until the deadline."""
+    """Repeat the first episodes without success of the quoted evaluation, until the deadline."""
     kept = quoted_episodes(t.run) if t.final_episodes and t.run.program.defines_success else None
     if kept is None or t.run.program.agent.copies is not None or time.monotonic() > deadline:
         return []
@@ -476,14 +482,14 @@ def _repeat_failed(t: TrainingEvidence, deadline: float, permissions: Permission
             traces.append(trace)
             if time.monotonic() > deadline:
                 break
-    except DeepbotsError:  # its model is missing, for example
+    except DeepbotsError:  # for example, its model is missing
         pass
     return traces
 
 
 def _teachers(t: TrainingEvidence) -> list[str]:
-    """The script that teaches the policy, or else those that could; none where no success compares them with
-    it."""
+    """Return the script that teaches the policy, or else those that could teach it; empty if no success
+    allows a comparison."""
     agent = t.program.agent
     if not t.program.defines_success or agent.copies is not None or agent.training is None:
         return []
@@ -493,8 +499,8 @@ def _teachers(t: TrainingEvidence) -> list[str]:
 
 
 def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
-    """For each part of the action, constant actions in which it alone differs: the first options of a choice,
-    both ends of a range."""
+    """Return, for each part of the action, constant actions in which it alone differs: the first options of a
+    choice, both ends of a range."""
     agent = env.scenario.agent
     picks = {
         part.name: {option.name: n for n, option in enumerate(part.options[:4])} for part in agent.choices

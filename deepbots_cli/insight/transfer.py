@@ -1,5 +1,5 @@
-"""What differs between two worlds of a scenario, such as two engines, or a simulation and one with another
-mass: first, and why.
+"""The differences between two worlds of a scenario, such as two engines, or a simulation and one with another
+mass, and their causes.
 
 The policy plays some episodes in the world of its training, and the other world repeats their starts and
 actions. The difference of each number of the observation and of each reward term then comes from the world,
@@ -67,48 +67,50 @@ from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, PolicyDriver
 from deepbots_cli.rollout.source import Source
 
 EPISODES, MAX_STEPS = 6, 100
-"""How many episodes are compared, and how many steps of each: small differences grow, and in the end only
-show that they have grown."""
+"""The number of compared episodes, and the largest number of steps of each: small differences grow, and late
+steps only show that they have grown."""
 _THRESHOLD = 0.01
-"""A number differs if it is off by more than this share of the width that it spans in the first world."""
+"""The share of the width that a number spans in the first world by which it must be off to differ."""
 _MEASURED = "order, sign, unit, offset and age of numbers"
-"""What is tried without a simulation."""
+"""The changes that are tried without a simulation."""
 _LATEST = 8
 """The largest age of a number, in steps, that is tried."""
 _EXACT = 0.05
-"""A number is explained by its order, sign, unit or age if this share of the squared difference is left at
-most."""
+"""The largest remaining share of the squared difference of a number that its order, sign, unit or age
+explains."""
 _LEAST_EXPLAINED = 0.3
-"""Share of the squared differences that a cause must explain."""
+"""The smallest share of the squared differences that a cause must explain."""
 _GROWN, _FEW = 0.1, 5
-"""A difference has grown from this share of the width on; so many moments more are counted as early ones."""
+"""The share of the width from which a difference has grown, and the number of further moments that are
+counted as early ones."""
 _PROBED_EPISODES, _PROBED_STEPS, _LEAST_STEPS = 2, 50, 15
-"""Episodes in which most changes are simulated, those with the largest differences, and steps of each at most
-and at least."""
+"""The number of episodes in which most changes are simulated, those with the largest differences, and the
+largest and smallest number of steps of each."""
 _REFINED = 8
-"""Kinds of changes that are simulated with all amounts in these episodes, and with the best one in all
-episodes."""
+"""The number of kinds of changes that are simulated with all amounts in these episodes, and with the best one
+in all episodes."""
 _SEARCHED, _SEARCH_STEPS = 6, 7
-"""Kinds whose amount is searched between the amounts beside the best one, and simulations of such a
-search."""
+"""The number of kinds whose amount is searched between the amounts beside the best one, and the number of
+simulations of such a search."""
 _EXPLAINS_ALL = 0.9995
-"""From this share on, no better amount is searched."""
+"""The share from which no better amount is searched."""
 _SAME = 1e-3
-"""Two changes have the same effect if their squared difference is at most this share of that of the effect,
-and of the two worlds."""
+"""The share of the squared difference of an effect, and of the two worlds, below which two changes have the
+same effect."""
 _LONGEST = 0.35
-"""The longest time that is tried, in s, unless it has fewer than three timesteps; amounts are doubled from
-one timestep on."""
+"""The longest time that is tried, in s, unless it has fewer than three timesteps. Amounts are doubled,
+starting from one timestep."""
 MIN_EPISODES = FORWARD_BATCH_SIZE
-"""Episodes of an evaluation that a number of steps does not leave out: deepbots plays as many at a time."""
+"""The number of episodes of an evaluation that a number of steps does not leave out: deepbots plays as many
+at a time."""
 QUICK_EPISODES = 4
-"""Episodes that a quick comparison compares."""
+"""The number of episodes of a quick comparison."""
 _MAX_LINKS = 12
 """The largest number of links whose mass is changed."""
 _REWARD = "reward."
-"""How the name of a reward term begins."""
+"""The prefix of the name of a reward term."""
 _MAX_JOINED = 3
-"""Changes with the same effect that are named; more are counted."""
+"""The number of changes with the same effect that are named; more are counted."""
 _MAX_MOTORS = 12
 """The largest number of motors whose order is tried."""
 _UNITS = {
@@ -122,7 +124,7 @@ _UNITS = {
 
 Array = NDArray[np.float64]
 Act = Callable[[Any], Any]
-"""Changes an action."""
+"""A function that changes an action."""
 
 
 class Difference(NamedTuple):
@@ -149,8 +151,8 @@ class Difference(NamedTuple):
 
 
 class Cause(NamedTuple):
-    """A change of the first world that makes it more like the other one; `explained` is the share of the
-    squared differences that goes."""
+    """A change of the first world that makes it more like the other one. `explained` is the share of the
+    squared differences that it removes."""
 
     text: str
     explained: float
@@ -158,8 +160,8 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True)
 class WorldComparison:
-    """`differences` in the order in which they begin, `causes` from the one that explains most, and in words
-    the kinds of changes `tried`.
+    """The result of a comparison: `differences` in the order in which they begin, `causes` from the one that
+    explains most, and in words the kinds of changes `tried`.
 
     A cause explains numbers of the observation, so there is none if only reward terms differ.
     """
@@ -183,7 +185,7 @@ class World(NamedTuple):
 
 
 class _Recorded(NamedTuple):
-    """An episode: how it began, its actions, and its values, an array of the shape (moments, columns)."""
+    """An episode: its start, its actions, and its values, an array of the shape (moments, columns)."""
 
     start: Start
     actions: Sequence[Any]
@@ -237,9 +239,10 @@ def compare_worlds(
             else:
                 same.texts.extend(row.texts)
     causes = [Cause(_either(row.texts), comparison.explained(row.values)) for row in rows]
+    # Sorting is stable: causes of equal share stay in the order of the table.
     likely = sorted(
         (cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained
-    )  # stable
+    )
     families = {kind.family: kind.tried for kind in reversed(kinds)}
     return replace(result, causes=tuple(likely), tried=(_MEASURED, *reversed(families.values())))
 
@@ -259,7 +262,8 @@ class _Row(NamedTuple):
 def _simulated_causes(
     comparison: _Comparison, kinds: Sequence[_Kind], on_world: Callable[[int, int], object]
 ) -> list[_Row]:
-    """The changes that explain most of a few short episodes, and how much they explain of all."""
+    """Return the changes that explain most of a few short episodes, with the share that they explain of
+    all."""
     probe = comparison.part()
     scores: dict[tuple[_Kind, float], float] = {}
 
@@ -320,8 +324,8 @@ def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) 
     """Score amounts between the neighbors of an amount: on a logarithmic scale with two digits, and then one
     digit up and down.
 
-    A latency of a part of a timestep has the effect of a whole one, so of a time, the next number of
-    timesteps is scored, too.
+    A latency of a part of a timestep has the effect of a whole one, so for a time, the next number of
+    timesteps is scored too.
     """
     if len(kind.amounts) < 2 or score(kind, amount) >= _EXPLAINS_ALL:
         return
@@ -347,8 +351,8 @@ def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) 
 
 @dataclass
 class _Group:
-    """Kinds whose changes have the same effect, and how much this effect is like the difference, whatever its
-    amount."""
+    """Kinds whose changes have the same effect, and the likeness of this effect to the difference, regardless
+    of its amount."""
 
     kinds: list[_Kind]
     effects: list[list[Array]]
@@ -373,14 +377,14 @@ def _columns(watch: InstrumentedProgram) -> list[_Column]:
 
 
 def _kept(watch: InstrumentedProgram) -> dict[str, str]:
-    """The kept value of each entry of the observation; without the previous action, which says nothing about
-    a world."""
+    """Return the kept value of each entry of the observation, without the previous action, which does not
+    describe a world."""
     return {name: kept for name, kept in watch.observed_signals.items() if name != "previous_action"}
 
 
 class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
-    """A world that notes the actions of an episode, and its values: those of the observation in SI units, and
-    the reward terms."""
+    """A world that records the actions of an episode, and its values: those of the observation in SI units,
+    and the reward terms."""
 
     def __init__(self, world: World, permissions: Permissions) -> None:
         self._watch = instrument_program(world.program, include_observation=True)
@@ -395,7 +399,7 @@ class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
         self.actions, self._rows = [], []
         try:
             outcome = self.env.reset(seed=seed, options=options)
-        except EvaluationError:  # an ending is true already, such as by a wrong sensor
+        except EvaluationError:  # an ending is true at the reset, such as by a wrong sensor
             self._note()
             raise
         self._note()
@@ -420,7 +424,7 @@ class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
 
     @property
     def values(self) -> Array:
-        """Of shape (moments, columns)."""
+        """The values, of shape (moments, columns)."""
         return np.array(self._rows, float)
 
 
@@ -442,7 +446,7 @@ def _recorded(
 
 
 def _repeated(world: World, recorded: Sequence[_Recorded], permissions: Permissions) -> list[Array]:
-    """The values of each episode with its start and actions in a world."""
+    """Return the values of each episode with its start and actions in a world."""
     with closing(_Recorder(world, permissions)) as recorder:
         return _repeated_in(recorder, recorded)
 
@@ -450,7 +454,8 @@ def _repeated(world: World, recorded: Sequence[_Recorded], permissions: Permissi
 def _repeated_in(
     recorder: _Recorder, recorded: Sequence[_Recorded], act: Act = lambda action: action
 ) -> list[Array]:
-    """The same in a world that exists; `act` changes the actions."""
+    """Return the values of each episode with its start and actions in a world that exists; `act` changes the
+    actions."""
     values = []
     for episode in recorded:
         driver = sequence_driver([act(action) for action in episode.actions])
@@ -483,14 +488,14 @@ class _Comparison:
         self._early = [self._small_until(*pair) for pair in zip(self._here, self._there, strict=True)]
 
     def _small_until(self, mine: Array, other: Array) -> int:
-        """The moments before the differences have grown, and a few more."""
+        """Return the moments before the differences have grown, and a few more."""
         length = min(len(mine), len(other))
         large = (np.abs(mine[:length] - other[:length]) > _GROWN * self._width).any(axis=1)
         return min(length, (int(np.argmax(large)) if large.any() else length) + _FEW)
 
     def _errors(self, values: Sequence[Array], until: Sequence[int] | None = None) -> Array:
-        """The mean squared difference of each column from the other world, in squared widths; 1 at most,
-        since errors grow without end.
+        """Return the mean squared difference of each column from the other world, in squared widths; 1 at
+        most, since errors grow without end.
 
         `until` is the number of moments of each episode; by default all that both worlds have.
         """
@@ -505,8 +510,8 @@ class _Comparison:
         return np.asarray(np.mean(np.vstack(squares), axis=0), float)
 
     def explained(self, values: Sequence[Array]) -> float:
-        """The share of the squared differences of the observation that another world does not have; below 0
-        if it has larger ones.
+        """Return the share of the squared differences of the observation that another world does not have;
+        below 0 if it has larger ones.
 
         It is the mean of two shares: of all moments, and of those before the differences have grown. In
         these, the difference is nearly linear in the change, so a mass that is too small shows as well as the
@@ -519,8 +524,8 @@ class _Comparison:
         return float(np.mean(shares))
 
     def likeness(self, values: Sequence[Array]) -> float:
-        """How much of the difference the change would explain with another amount if its effect grew in
-        proportion: the squared cosine.
+        """Return the share of the difference that the change would explain with another amount if its effect
+        grew in proportion: the squared cosine.
 
         It is 0 if the effect has the other direction.
         """
@@ -532,8 +537,8 @@ class _Comparison:
         return along**2 / size if along > 0.0 else 0.0
 
     def all_same(self, effects: Sequence[Sequence[Array]], others: Sequence[Sequence[Array]]) -> bool:
-        """Whether worlds have the same values, apart from what is small beside their effects and beside the
-        difference."""
+        """Return whether worlds have the same values, apart from differences that are small beside their
+        effects and beside the difference."""
         if len(effects) != len(others):
             return False
         size = sum(
@@ -545,15 +550,15 @@ class _Comparison:
         return sum(float(np.square(off).sum()) for off in map(self._off, one, other))
 
     def _off(self, mine: Array, other: Array) -> Array:
-        """The difference of the numbers of an episode in widths, 1 at most, and 0 where one of both worlds
-        has ended."""
+        """Return the difference of the numbers of an episode in widths, 1 at most, and 0 where one of both
+        worlds has ended."""
         both = min(len(mine), len(other))
         off = np.clip((other[:both] - mine[:both]) / self._width, -1.0, 1.0)[:, self._numbers]
         return np.pad(off, ((0, max(len(mine), len(other)) - both), (0, 0)))
 
     def part(self) -> _Comparison:
-        """The comparison of a few episodes, those with the largest differences, until these have grown, and
-        of a few steps."""
+        """Return the comparison of a few episodes, those with the largest differences, until these have
+        grown, and of a few steps."""
         apart = [
             np.square((mine[:early] - other[:early]) / self._width)[:, self._numbers].mean()
             for mine, other, early in self._pairs()
@@ -568,11 +573,12 @@ class _Comparison:
         return _Comparison(self._columns, recorded, repeated, self._width)
 
     def _pairs(self) -> Iterator[tuple[Array, Array, int]]:
-        """The values of each episode in both worlds, and the moments before the differences have grown."""
+        """Yield the values of each episode in both worlds, and the moments before the differences have
+        grown."""
         yield from zip(self._here, self._there, self._early, strict=True)
 
     def simulated(self, kind: _Kind, amount: float) -> list[Array] | None:
-        """The values with a change; None if it is none of this scenario."""
+        """Return the values with a change; None if the change does not fit this scenario."""
         try:
             values = kind.simulate(amount, self._recorded)
         except DeepbotsError:
@@ -602,7 +608,7 @@ class _Comparison:
         return sorted(rows, key=lambda each: (each.step, -each.share))
 
     def measured_causes(self) -> Iterator[_Row]:
-        """Errors of measured numbers: all that are exact, together, since each explains only its own
+        """Yield errors of measured numbers: all that are exact, together, since each explains only its own
         number."""
         texts: list[str] = []
         late: dict[int, list[str]] = {}
@@ -626,8 +632,8 @@ class _Comparison:
             yield _Row(["; ".join(texts)], fixed)
 
     def _exact(self, place: int) -> tuple[str, int, list[Array]] | None:
-        """The change of a number after which hardly a difference is left: in words, its age in steps, and the
-        number."""
+        """Return the change of a number after which hardly a difference is left: in words, its age in steps,
+        and the number."""
         column, mine = self._columns[place], [values[:, place] for values in self._here]
         pairs = [
             (a[: min(len(a), len(b))], b[: min(len(a), len(b)), place])
@@ -702,11 +708,11 @@ class _Kind:
     """A kind of change of the first world.
 
     Attributes:
-        family: What is tried, in words without names.
+        family: The kind in words without names.
         name: Its name, which an amount follows.
         simulate: Simulates episodes with an amount of it.
         amounts: The amounts that are tried, sorted.
-        probes: Those that are simulated first.
+        probes: The amounts that are simulated first.
         form: The format of an amount; empty if the change has none.
     """
 
@@ -730,7 +736,7 @@ class _Kind:
 def _kinds(
     here: World, unchanged: _Recorder, document: Document, permissions: Permissions
 ) -> Iterator[_Kind]:
-    """What may be different in a world. `unchanged` is `here`, for other actions."""
+    """Yield the kinds of changes that are possible in a world. `unchanged` is `here`, for other actions."""
 
     def with_actions(act: Callable[[float], Act]) -> Callable[[float, Sequence[_Recorded]], list[Array]]:
         return lambda amount, recorded: _repeated_in(unchanged, recorded, act(amount))
@@ -771,13 +777,13 @@ def _kinds(
 
 
 def _times(timestep: float) -> tuple[float, ...]:
-    """Times in ms, from one timestep on; each is twice the previous one."""
+    """Return times in ms, from one timestep on; each is twice the previous one."""
     count = max(3, 1 + int(np.log2(_LONGEST / timestep)))
     return tuple(1000 * timestep * 2**power for power in range(count))
 
 
 def _frictions(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """Another friction of each object that can move."""
+    """Yield another friction of each object that can move."""
     for name in (
         body.name
         for body in program.world.objects
@@ -791,7 +797,7 @@ def _friction_of(root: MappingNode, name: str, factor: float) -> Change:
 
 
 def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """A larger latency of each sensor."""
+    """Yield a larger latency of each sensor."""
     for robot in program.robots:
         for sensor in entries_at(root, "robots", robot.name, "sensors"):
             path = ("robots", robot.name, "sensors", sensor, "latency")
@@ -800,7 +806,7 @@ def _latencies(root: MappingNode, program: Program) -> Iterator[Plan]:
 
 
 def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
-    """For each actuator and for all together: another gain of the command, a delay, and a larger time
+    """Yield, for each actuator and for all together, another gain of the command, a delay, and a larger time
     constant."""
     places = [
         (robot.name, name)
@@ -820,7 +826,7 @@ def _commands(root: MappingNode, program: Program) -> Iterator[Plan]:
 
 
 def _torque_limits(program: Program) -> Iterator[tuple[Plan, float]]:
-    """A lower limit of the torque or force of each motor, and its largest limit in N m or N."""
+    """Yield a lower limit of the torque or force of each motor, and its largest limit in N m or N."""
     models = {robot.name: robot.model for robot in program.world.robots}
     for robot in program.robots:
         for motor in robot.actuators:
@@ -842,12 +848,12 @@ def _later(root: MappingNode, paths: Sequence[tuple[str, ...]], delay: float) ->
 
 
 def _scaled_texts(root: MappingNode, paths: Sequence[tuple[str, ...]], factor: float) -> Change:
-    """Written values times a factor."""
+    """Return written values times a factor."""
     return _together({path: f"{factor:g} * ({written(root, *path)})" for path in paths})
 
 
 def _together(values: Mapping[tuple[str, ...], str]) -> Change:
-    """A change of the values at several paths."""
+    """Return a change of the values at several paths."""
     change: Change = {}
     for path, value in values.items():
         section = change
@@ -858,8 +864,8 @@ def _together(values: Mapping[tuple[str, ...], str]) -> Change:
 
 
 def _actions(program: Program) -> Iterator[tuple[str, str, Act]]:
-    """Ranges with another sign or order, or options of one choice: what is tried, the change in words, and
-    what changes an action."""
+    """Yield ranges with another sign or order, or options of one choice: the kind, the change in words, and a
+    function that changes an action."""
     names, choices = program.agent.range_names, program.agent.choices
     if len(choices) == 1 and not names:
         options = choices[0].options
@@ -881,7 +887,7 @@ def _actions(program: Program) -> Iterator[tuple[str, str, Act]]:
 
 
 def _action_gains(program: Program) -> Iterator[tuple[str, Callable[[float], Act]]]:
-    """Actions of ranges with another gain."""
+    """Yield actions of ranges with another gain."""
     if program.agent.choices:
         return
     # The value of an action is its middle plus a share of its half width, so a gain also moves the share
@@ -894,8 +900,8 @@ def _action_gains(program: Program) -> Iterator[tuple[str, Callable[[float], Act
 
 
 def _parts(program: Program) -> dict[str, NDArray[np.bool_]]:
-    """Each range, and each component of a vector unless there are many, by its name: which numbers of an
-    action it is."""
+    """Return, by name, each range, and each component of a vector unless there are many, as a mask over the
+    numbers of an action."""
     names = program.agent.range_names
     parts = {part.name: np.array([name in part.names for name in names]) for part in program.agent.ranges}
     components = {name: np.array([name == other for other in names]) for name in names}
@@ -953,12 +959,12 @@ class Transfer:
         between: The worlds with their scenarios and engines, in words.
         here: The evaluation in the world of the training.
         there: The evaluation in the other one, with the same starts.
-        comparison: What differs between the worlds.
+        comparison: The differences between the worlds.
         robustness: The policy under changed conditions; None if they were left out.
         gates: The requirements; empty if no success rate is required.
         works: Whether the policy works in each of the two worlds: it meets the requirements, or else `solved`
-            of the scenario. None where neither is given.
-        required: What working means, in words; empty where nothing is given.
+            of the scenario. None if neither is given. required: The meaning of working, in words; empty if
+            nothing is given.
     """
 
     run: Path
@@ -1041,7 +1047,7 @@ def transfer(
         on_world: Called with the number of worlds done, and of all.
 
     Raises:
-        RunError: The run holds no model, or does not fit the scenario.
+        RunError: The run has no model, or does not fit the scenario.
         UsageError: The scenario has copies of a robot.
     """
     base = Source.kept(run.path, permissions)
@@ -1107,7 +1113,7 @@ def _works(
     gates: Sequence[Gate],
     solved: Solved | None,
 ) -> tuple[tuple[bool | None, bool | None], str]:
-    """Whether the policy works in each of two worlds, and what that means."""
+    """Return whether the policy works in each of two worlds, and the meaning of working."""
     if gates:
         one, other = (all(gate.met for gate in gates if gate.subject == name) for name in names)
         return (one, other), "the given requirements"

@@ -1,53 +1,54 @@
 """Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
 
-training.py      train and resume: joins all of the below
-training_loop.py  a training from its last checkpoint to its end
-evaluation.py    evaluate: a policy on held-out starts, with intervals; `load_model`, the model of a run
-held_out.py      held-out episodes: the worlds that play them; those of a training
-verdict.py       which evaluation of a run counts, and whether the run is solved
-run.py           the run directory: what is kept, written atomically, read with suspicion; models of runs
-records.py       what `run.json` and the evaluations of a run say
-directories.py   directories of runs, groups and studies: their names and locks, files that are written whole
-learner.py       what learns: the interface of an algorithm, and a base for algorithms of other packages
-sb3/             the learner of the built-in algorithms
-checkpoints.py   the whole state of a training, from which it goes on to the bit
-checkpoint_files.py  the files of a checkpoint, and what they may hold
-active.py        the parts of a training that runs in this process
-callbacks.py     what happens during training beside learning, and when to stop
+training.py              train and resume: joins all of the below
+training_loop.py         a training from its last checkpoint to its end
+evaluation.py            evaluate: a policy on held-out starts, with intervals; loads the model of a run
+held_out.py              held-out episodes: the worlds that play them, and their starts in a training
+verdict.py               the evaluation of a run that is quoted, and whether the run is solved
+run.py                   the run directory, written atomically and checked when read; models of runs
+records.py               the content of `run.json` and of the evaluations of a run
+directories.py           directories of runs, groups and studies: names, locks, files that are written whole
+learner.py               the interface of an algorithm, and a base for algorithms of other packages
+sb3/                     the learner of the built-in algorithms
+checkpoints.py           the whole state of a training, from which it continues to the bit
+checkpoint_files.py      the files of a checkpoint, and their valid content
+active.py                the parts of a training that runs in this process
+callbacks.py             the callback of a training, and when to stop
 training_evaluations.py  the evaluations of a training, and the choice of its best model
-confirmations.py  the confirmations of a training
-scalars.py       the scalars that a training logs
-signals.py       Ctrl-C and SIGTERM
-order.py         which of two policies is better, and the best models of a training
-keeping.py       the best model of a run, chosen again on new starts or by hand
-decline.py       whether the last evaluations of a training are worse than earlier ones
-confirmation.py  when a training may stop because its task is solved: how a confirmation is judged
-environments.py  how worlds are made: one by one, or as a batch
-shards.py        the worlds of a training, and shards of them with a copy of the policy
-teacher.py       a script or a recording as teacher: when the policy imitates it, and how much
-demonstrations.py  the episodes of a recording, run again to teach
-scaling.py       the speed of a training with several numbers of shards
-curriculum.py    the stages of a training
-generations.py   windows over training episodes, equally many of each world
-scenario_tests.py  the tests of a scenario
-episodes.py      what episodes leave behind: log, statistics, solved, summaries with intervals
-draws.py         which drawn values have an effect on episodes
-campaign.py      several trainings in one folder: what groups and studies have in common
-group.py         groups: a folder with a run per seed, trained one after the other or on workers
-calls.py         calls of a function: what a call reports, and who follows it
-executor.py      where work runs: in this process, or on workers
-journal_file.py  the file in which Optuna keeps a study, which a crash does not damage
-study.py         studies: searches over values of a scenario, a group for each trial
-trials.py        which trial a process takes, how it is trained, scored and pruned
-listing.py       what is known of runs, groups and studies from their files, also while they train
-comparison.py    compare: groups of runs on the same starts; a group as one
-robustness.py    a policy under changed conditions
-statistics.py    intervals, gates that may stop early, comparisons of groups of runs
-report.py        progress of a training and of a group
-failures.py      what failed in an episode, kept to be reproduced
-policy.py        a trained policy as an object to call
+confirmations.py         the confirmations of a training
+confirmation.py          how a confirmation is judged, which may end the training
+scalars.py               the scalars that a training logs
+signals.py               Ctrl-C and SIGTERM
+order.py                 the order of policies, and the best models of a training
+keeping.py               the best model of a run, chosen again on new starts or by hand
+decline.py               whether the last evaluations of a training are worse than earlier ones
+environments.py          the creation of worlds: one by one, or as a batch
+shards.py                the worlds of a training, and shards of them with a copy of the policy
+teacher.py               a script or a recording as teacher: when the policy imitates it, and how much
+demonstrations.py        the episodes of a recording, run again to teach
+scaling.py               the speed of a training with several numbers of shards
+curriculum.py            the stages of a training
+generations.py           windows over training episodes, equally many of each world
+scenario_tests.py        the tests of a scenario
+episodes.py              results of episodes: log, statistics, solved, summaries with intervals
+draws.py                 the effect of drawn values on episodes
+campaign.py              several trainings in one folder: the base of groups and studies
+group.py                 groups: a folder with a run per seed, trained one after the other or on workers
+calls.py                 calls of a function, and their watchers
+executor.py              executors of work: in this process, or on workers
+journal_file.py          the file in which Optuna keeps a study, which a crash does not damage
+study.py                 studies: searches over values of a scenario, a group for each trial
+trials.py                how a process takes, trains, scores and prunes trials
+listing.py               the state of runs, groups and studies from their files, even while they train
+comparison.py            compare: groups of runs on the same starts; a group as one
+robustness.py            a policy under changed conditions
+statistics.py            intervals, gates that may stop early, comparisons of groups of runs
+report.py                the progress of a training and of a group
+failures.py              failures of an episode, kept to be reproduced
+policy.py                a trained policy as an object to call
 
-The names below are imported on first use: torch alone takes a second.
+The names below are imported on first use, because torch alone takes a second. For the same reason, commands
+and modules of other packages import the modules that need torch within functions.
 """
 
 from __future__ import annotations

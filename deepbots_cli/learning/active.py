@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.sb3.logs import TrainingLog
 
 OFF_POLICY_FACTOR = 5.0
-"""An off-policy algorithm may take so many times more steps for evaluations: its steps take 10 to 20 times as
-long as those of an evaluation."""
+"""The factor by which an off-policy algorithm may take more steps for evaluations. One of its steps takes 10
+to 20 times as long as a step of an evaluation."""
 
 
 @dataclass
@@ -48,7 +48,11 @@ class ActiveTraining:
         return OFF_POLICY_FACTOR if self.learner.is_off_policy else 1.0
 
     def check_finite(self) -> None:
-        """Raises: RunError: A tensor of the policy contains a number that is not finite."""
+        """Check that all tensors of the policy are finite.
+
+        Raises:
+            RunError: A tensor of the policy contains a number that is not finite.
+        """
         name = self.learner.not_finite()
         if name is not None:
             raise RunError(

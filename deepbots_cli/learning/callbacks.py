@@ -1,5 +1,4 @@
-"""What happens during a training, beside learning: evaluations, confirmations, scalars, progress, and when to
-stop.
+"""The callback of a training: evaluations, confirmations, scalars, progress, and when to stop.
 
 The callback counts steps, so that the best model does not depend on the speed of the machine.
 """
@@ -32,16 +31,16 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.sb3.logs import TrainingLog
 
 MAX_CHECK_INTERVAL = 2_000
-"""Steps after which the callback looks at evaluations, scalars and the progress display; in a short training
-it does so earlier."""
+"""Steps after which the callback checks for evaluations, scalars and the progress display. In a short
+training it checks earlier."""
 
 OnEvaluation = Callable[[Path], str | None]
-"""Called after each evaluation of a training with the run directory; returns the name of who stops the
-training, None to go on."""
+"""Called after each evaluation of a training with the run directory. Returns the name of who stops the
+training, or None to continue."""
 
 
 class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
-    """What a checkpoint keeps of the callback.
+    """The state of the callback in a checkpoint.
 
     Checkpoints of deepbots 0.1 have no `candidates`, and their confirmations were none.
     """
@@ -60,8 +59,8 @@ class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
 class TrainingCallback:
     """Called by the learner after every step of all rows.
 
-    Every `check_interval` steps it looks after evaluations, scalars and the progress display; whether to stop
-    it asks each time. A model with a number that is not finite is refused, so the last good one stays.
+    Every `check_interval` steps it checks for evaluations, scalars and the progress display; in every step it
+    checks whether to stop. A model with a number that is not finite is refused, so the last good one stays.
 
     Attributes:
         evaluation_seconds: Time of evaluations and confirmations in this process, without the choice of the
@@ -88,7 +87,7 @@ class TrainingCallback:
         self._stop_noted = False
 
     def attach(self, learner: Learner, log: TrainingLog) -> None:
-        """Whose training it follows, before it begins."""
+        """Set the learner and the log of the training, before it begins."""
         self.active.learner, self.active.log = learner, log
 
     @property
@@ -102,7 +101,7 @@ class TrainingCallback:
 
     @property
     def evaluation_steps(self) -> int:
-        """Steps of all held-out episodes during the training."""
+        """The number of steps of all held-out episodes during the training."""
         return self.active.evaluator.steps + self.confirmations.steps + self.evaluations.chosen_steps
 
     @property
@@ -112,12 +111,13 @@ class TrainingCallback:
 
     @property
     def is_taught(self) -> bool:
-        """Whether a teacher may drive, so that episodes say nothing about the policy."""
+        """Whether a teacher may drive. Such episodes do not measure the policy."""
         return self.teaching is not None and self.teaching.drives
 
     @property
     def _is_ending(self) -> bool:
-        """Whether the training ends before its last step, because the task is solved or somebody said so."""
+        """Whether the training ends before its last step, because the task is solved or the training was
+        stopped."""
         return self.is_solved or self.stopped_by is not None
 
     # Checkpoints
@@ -137,7 +137,7 @@ class TrainingCallback:
         )
 
     def restore(self, state: CallbackState) -> None:
-        if self._until_solved:  # a training that went on after its confirmation stops at the next one
+        if self._until_solved:  # a training that continued after its confirmation stops at the next one
             self.active.statistics.solved_at = None
         self._next_check = state.next_beat
         self.confirmations.count, self.confirmations.steps = state.confirmations, state.confirmation_steps
@@ -159,8 +159,8 @@ class TrainingCallback:
     # Teacher and curriculum
 
     def plan_lesson(self) -> Plan:
-        """What the teacher does next. Episodes that it drives say nothing about the policy, so they do not
-        solve the task."""
+        """Return the plan of the teacher for the next fragment. Episodes that the teacher drives do not
+        measure the policy, so they do not solve the task."""
         teaching, active = self.teaching, self.active
         assert teaching is not None
         self._take_agreement()
@@ -182,14 +182,14 @@ class TrainingCallback:
         return plan
 
     def _take_agreement(self) -> None:
-        """A checkpoint lies between the update that measures the agreement and the plan that follows from
-        it."""
+        """Take over the agreement that the last update measured. A checkpoint lies between this update and
+        the plan that follows from it."""
         learner = self.active.learner
         if self.teaching is not None and learner.agreement is not None:
             self.teaching.agreement, learner.agreement = learner.agreement, None
 
     def begin_stage(self) -> None:
-        """Returns of one stage say nothing in another: the best is sought anew."""
+        """Search the best model anew, because returns of different stages cannot be compared."""
         self.evaluations.shortlist.clear()
         self.evaluations.returns = None
         self.confirmations.met_in_a_row = 0
@@ -225,7 +225,8 @@ class TrainingCallback:
         )
 
     def _evaluation_seconds_left(self) -> float:
-        """The longest time of further evaluations, confirmations and the choice of the best model, in s."""
+        """Return the longest time of further evaluations, confirmations and the choice of the best model, in
+        s."""
         steps, total = self.evaluation_steps - self._steps_before, self.active.total
         if steps <= 0:
             return 0.0
@@ -241,7 +242,7 @@ class TrainingCallback:
     # Called by the learner
 
     def on_step(self) -> bool:
-        """Returns whether the training goes on."""
+        """Count a step of all rows, and return whether the training continues."""
         active = self.active
         if active.statistics.steps >= self._next_check:
             self._next_check = active.statistics.steps + self._check_interval
@@ -310,7 +311,7 @@ class TrainingCallback:
         self._check_patience()
 
     def _check_patience(self) -> None:
-        """Stop a training whose evaluations have not been better for as many steps as `patience` says."""
+        """Stop a training that has had no better evaluation for `patience` steps."""
         training, best = self.active.run.program.agent.training, self.best
         if training is None or training.patience is None or best is None or self.stopped_by is not None:
             return

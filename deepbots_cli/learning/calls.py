@@ -1,4 +1,4 @@
-"""Calls of a function by an executor: what a call reports, and who follows it."""
+"""Calls of a function by an executor: their reports, and the watchers that follow them."""
 
 from __future__ import annotations
 
@@ -32,20 +32,21 @@ class Watcher:
         """Called with the newest `report` of a call."""
 
     def on_note(self, item: int, text: str) -> None:
-        """Called with what the user should know of a call."""
+        """Called with a note of a call for the user."""
 
     def on_loss(self, item: int) -> None:
-        """Called when the worker of a call was lost, which another one repeats."""
+        """Called when the worker of a call was lost. Another worker repeats the call."""
 
     def on_done(self, item: int, outcome: object) -> None:
-        """Called after a call, not necessarily in the order of the items, with what `map` yields for it."""
+        """Called after a call with the value that `map` yields for it, not necessarily in the order of the
+        items."""
 
 
 UNWATCHED = Watcher()
 
 
 class Counter(Watcher):
-    """Calls a function with the number of items that are done and that of all items."""
+    """Calls a function with the number of completed items and the number of all items."""
 
     def __init__(self, show: Callable[[int, int], object] | None, total: int) -> None:
         self._show, self._done, self.total = show, 0, total

@@ -1,4 +1,4 @@
-"""Several trainings of one scenario in one folder. What differs between them is the plan:
+"""Several trainings of one scenario in one folder. The trainings differ by the plan:
 
     a group of seeds      seed-0/, seed-1/ ...    other random numbers                  `learning/group.py`
     a group of attempts   try-1/, try-2/ ...      the values that a diagnosis advises   `insight/retry.py`
@@ -46,8 +46,8 @@ _MAX_RECORD_BYTES = 1_000_000
 
 
 class CampaignRecord(BaseModel):
-    """What the records of all campaigns have: the seeds of the trainings, and the engine unless a scenario
-    names one."""
+    """The fields of the records of all campaigns: the seeds of the trainings, and the engine unless a
+    scenario names one."""
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
@@ -62,7 +62,7 @@ class CampaignRecord(BaseModel):
 
     @staticmethod
     def common(compiled: Compiled, engine: str | None = None) -> dict[str, Any]:
-        """The fields that follow from the scenario."""
+        """Return the fields that follow from the scenario."""
         return {
             "format": FORMAT,
             "deepbots": deepbots_cli.__version__,
@@ -109,7 +109,7 @@ class Campaign(ABC, Generic[R]):
 
     @classmethod
     def open(cls, path: str | Path | Source) -> Self:
-        """A campaign that exists.
+        """Open a campaign that exists.
 
         Raises:
             RunError: The folder is no such campaign, its record is damaged, or another version of deepbots
@@ -137,7 +137,8 @@ class Campaign(ABC, Generic[R]):
     @classmethod
     @contextmanager
     def created(cls, path: Path, record: R, compiled: Compiled) -> Iterator[Self]:
-        """A campaign in a new folder, which is removed if the block fails before a training has begun."""
+        """Context with a campaign in a new folder, which is removed if the block fails before a training has
+        begun."""
         campaign = cls(path, record)
         try:
             with run_lock(path):
@@ -145,20 +146,20 @@ class Campaign(ABC, Generic[R]):
                 campaign.write()
                 yield campaign
         except (DeepbotsError, KeyboardInterrupt):
-            if not campaign.runs:  # nothing can be trained with these settings, or written there
+            if not campaign.runs:  # the settings cannot be trained, or the folder cannot be written to
                 shutil.rmtree(path, ignore_errors=True)
             raise
 
     @property
     @abstractmethod
     def planned(self) -> Sequence[Path]:
-        """The folders of the members, also of those that have not begun."""
+        """The folders of all planned members, including those that have not begun."""
 
     @property
     @abstractmethod
     def best(self) -> Member | None:
-        """The member whose values are the best; None if all members have the values of the scenario, or none
-        is complete.
+        """The member with the best values. None if all members have the values of the scenario, or none is
+        complete.
 
         Raises:
             RunError: A record is damaged.
@@ -176,13 +177,13 @@ class Campaign(ABC, Generic[R]):
         write_text(self.path / self.record_name, self.record.model_dump_json(indent=2) + "\n")
 
     def changed(self, **values: Any) -> Self:
-        """The campaign with other values in its record, here and on disk."""
+        """Return the campaign with other values in its record, and write this record."""
         campaign = replace(self, record=self.record.model_copy(update=values))
         campaign.write()
         return campaign
 
     def compiled(self, overrides: Sequence[str] = (), permissions: Permissions = Permissions()) -> Compiled:
-        """The scenario from its copy, with assignments of `--set`."""
+        """Compile the scenario from its copy, with assignments of `--set`."""
         compiled = api.compile(Source.kept(self.path, kind=self.kind), overrides=overrides)
         return replace(compiled, source=Path(self.record.source), permissions=permissions)
 
@@ -209,7 +210,7 @@ def train_member(
             result.
         further: Arguments of `train` and `resume` alike.
     """
-    from deepbots_cli.learning.training import resume, train  # which imports torch
+    from deepbots_cli.learning.training import resume, train
 
     if is_repeated:
         has_ended(path)
@@ -233,7 +234,7 @@ def evaluate_once(
     Raises:
         RunError: The run has no model.
     """
-    from deepbots_cli.learning.evaluation import evaluate  # which imports torch
+    from deepbots_cli.learning.evaluation import evaluate
 
     run = Run.open(path)
     if quoted_evaluation(path, run.record) is None:

@@ -1,4 +1,4 @@
-"""The files of a checkpoint: what `state.json` and the arrays may hold, and how they are read.
+"""The files of a checkpoint: the valid content of `state.json` and of the arrays, and how they are read.
 
 A run may come from someone else, and libraries do not check the state that they are given. Therefore every
 number has bounds here, and an array must have the dtype and the shape of the one that it replaces, which are
@@ -55,8 +55,8 @@ class CheckpointPart(BaseModel, strict=True, extra="forbid", allow_inf_nan=False
 
 
 class NumpyScalar(CheckpointPart):
-    """A number with its type in numpy: the mean of float32 is not that of float64. JSON has no NaN, which is
-    None."""
+    """A number with its type in numpy, because the mean of float32 differs from that of float64. None stands
+    for NaN, which JSON does not have."""
 
     dtype: Literal[
         "bool",
@@ -88,8 +88,8 @@ class NumpyScalar(CheckpointPart):
 
 Number = int | float | NumpyScalar
 Pending = tuple[dict[Text, bool | Number | str | None], dict[Text, Count], dict[Text, list[Text]]]
-"""What was recorded for the log and is not yet written: values, their numbers, and where they are left
-out."""
+"""The entries of the log that are recorded but not yet written: their values, their counts, and the outputs
+that leave them out."""
 
 
 class _GeneratorWords(CheckpointPart):
@@ -107,8 +107,7 @@ class GeneratorState(CheckpointPart):
 
 
 class StreamsState(CheckpointPart):
-    """The random generators of a world (`Supervisor.random_state`), and those of each copy of a robot in
-    it."""
+    """The random generators of a world (`Supervisor.random_state`), and of each copy of a robot in it."""
 
     root: Annotated[int, Field(ge=0, lt=2**64)]
     generators: Annotated[dict[Text, GeneratorState], Field(max_length=10_000)]
@@ -170,7 +169,7 @@ S = TypeVar("S", bound=CheckpointState)
 
 
 def latest_checkpoint(run: Run) -> Path | None:
-    """The last checkpoint of a run, if there is one."""
+    """Return the last checkpoint of a run, if there is one."""
     folders = run.checkpoints.iterdir() if run.checkpoints.is_dir() else ()
     return max(
         (path for path in folders if len(path.name) == 12 and path.name.isdecimal() and path.name.isascii()),
@@ -179,7 +178,11 @@ def latest_checkpoint(run: Run) -> Path | None:
 
 
 def read_state(folder: Path, model: type[S]) -> S:
-    """Raises: RunError: The checkpoint is damaged."""
+    """Read the state of a checkpoint.
+
+    Raises:
+        RunError: The checkpoint is damaged.
+    """
     state = read_json(folder / "state.json", model, _MAX_STATE_BYTES)
     if state.steps != int(folder.name):
         raise RunError(
@@ -191,7 +194,7 @@ def read_state(folder: Path, model: type[S]) -> S:
 
 @contextmanager
 def damage_explained(run: Run, folder: Path | None) -> Iterator[None]:
-    """Within, whatever a damaged checkpoint leads to becomes one sentence, with what to do instead."""
+    """Context in which any error of a damaged checkpoint becomes one sentence, with what to do instead."""
     try:
         yield
     except (
@@ -229,8 +232,8 @@ _OVERHEAD_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """What an array must be. Where there are `max_rows`, it may have fewer rows, of any numeric type of up to
-    8 bytes."""
+    """The shape and type that an array of a checkpoint must have. With `max_rows` it may have fewer rows, of
+    any numeric type of up to 8 bytes."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
@@ -261,7 +264,7 @@ class ArraySpec:
 
 
 def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
-    """Write an uncompressed `.npz`, with a member `data` where there is such a text."""
+    """Write an uncompressed `.npz`, with a member `data` if there is such a text."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
         if data:
             archive.writestr("data", data)
@@ -273,11 +276,11 @@ def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
 
 
 def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str] = ()) -> dict[str, Array]:
-    """The arrays of an uncompressed `.npz`, which are those of `specs`; all numbers are finite. Members in
+    """Read the arrays of an uncompressed `.npz`. They match `specs`, and all numbers are finite. Members in
     `others` are not read.
 
     Raises:
-        RunError: The file is missing, damaged, or holds anything else.
+        RunError: The file is missing, damaged, or has other content.
     """
     if not path.is_file():
         raise RunError(f"{path} is missing")
@@ -298,7 +301,7 @@ def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str
         missing = [name for name, spec in specs.items() if name not in arrays and not spec.is_optional]
         if missing:
             raise ValueError(f"'{missing[0]}' is missing")
-    except Exception as error:  # numpy parses headers as Python, and raises a dozen kinds
+    except Exception as error:  # numpy parses headers as Python, and raises a dozen kinds of exceptions
         reason = str(error).splitlines()[0][:120] if str(error) else "cut short"
         raise RunError(f"{path} is damaged ({reason})") from error
     return arrays
@@ -325,8 +328,8 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, spec: ArraySp
 def check_torch_generator(state: Array) -> None:
     """Refuse a state that leads torch's generator beyond its own numbers.
 
-    torch itself compares `left`, how many of the 624 numbers it has not used, and `following`, the place of
-    the next one, with 624 each.
+    torch itself compares `left`, the count of unused numbers, and `following`, the index of the next one,
+    with 624 each.
     """
     left, following = struct.unpack_from("<i4xQ", state.tobytes(), 8)
     if left + following not in (1, _WORDS + 1):  # 1 after a seed

@@ -5,9 +5,9 @@
     checkpoints/replay/         the rows of a replay buffer, in segments that are written once
 
 A checkpoint is taken between an update and the next fragment, before anything of this fragment happens. The
-learner says what it consists of there; the running episodes are kept as starts and actions, and repeated.
-Random generators are restored last. What was logged after the checkpoint is cut off, and logged again.
-`checkpoint_files` says what the files may hold.
+learner defines its own part; the running episodes are kept as starts and actions, and repeated. Random
+generators are restored last. Log entries from after the checkpoint are cut off, and logged again.
+`checkpoint_files` defines the valid content of the files.
 """
 
 from __future__ import annotations
@@ -51,19 +51,19 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.sb3.logs import TrainingLog
 
 INTERVAL_S = 10.0
-"""Time between checkpoints: what a killed training loses, unless a large replay buffer makes them rare."""
+"""The time between checkpoints in s, and so the longest time that a killed training loses, unless a large
+replay buffer makes checkpoints rare."""
 MIN_INTERVAL_PER_COST = 40
-"""A checkpoint that takes a second is followed by 40 without one: at most 2.5 % of the time goes into
-checkpoints."""
+"""The factor between the time of a checkpoint and the time until the next one, so that at most 2.5 % of the
+time is spent on checkpoints."""
 
 
 class Checkpoints:
-    """Takes the checkpoints of a run, and goes back to the last of them. Reading it changes nothing in the
-    run.
+    """Takes the checkpoints of a run, and restores the last one. Reading it changes nothing in the run.
 
     Args:
         run: The run.
-        model: What the part of a checkpoint that is JSON holds (`Learner.State`).
+        model: The model of the JSON part of a checkpoint (`Learner.State`).
 
     Raises:
         RunError: The last checkpoint is damaged.
@@ -72,10 +72,10 @@ class Checkpoints:
     def __init__(self, run: Run, model: type[CheckpointState]) -> None:
         self.run = run
         self.on_restored: list[Callable[[], None]] = [self._cut_logs]
-        """Called once the state of the last checkpoint is in its place. Until then, no file of the run
-        changes."""
+        """Called once the state of the last checkpoint is restored. Until then, no file of the run changes.
+        """
         self.stages: list[int] = []
-        """The stage that each world is in, which the training keeps up to date."""
+        """The stage of each world, which the training keeps up to date."""
         self.inexact: list[str] = []
         self._last = -1
         self._previous = 0
@@ -87,7 +87,7 @@ class Checkpoints:
             self.stages, self.inexact = list(self.state.stages), list(self.state.inexact)
 
     def _cut_logs(self) -> None:
-        """Cut off what was logged after the checkpoint; before the logs are opened."""
+        """Cut off the entries that were logged after the checkpoint, before the logs are opened."""
         sizes = self.state.logs if self.state else {}
         for path in self._logs():
             size = sizes.get(path.relative_to(self.run.path).as_posix(), 0)
@@ -97,7 +97,7 @@ class Checkpoints:
                 os.truncate(path, size)
 
     def attach(self, callback: TrainingCallback, learner: Learner, log: TrainingLog) -> None:
-        """Whose state the checkpoints keep."""
+        """Set the parts of the training whose state the checkpoints keep."""
         if learner.setup.collector is None:
             raise RuntimeError("a learner without worlds has no checkpoints")
         self.callback = callback
@@ -118,7 +118,7 @@ class Checkpoints:
     # Taking one
 
     def before_rollout(self) -> bool:
-        """Take a checkpoint if it is time; whether the training goes on."""
+        """Take a checkpoint if it is due, and return whether the training continues."""
         stop = self.callback.active.interruption.requested
         self._save_numbered()
         if stop or self._last < 0 or time.monotonic() >= self._due:
@@ -126,7 +126,7 @@ class Checkpoints:
         return not stop
 
     def finish(self) -> None:
-        """Take the last checkpoint of a training that came to its end between two rollouts."""
+        """Take the last checkpoint of a training that ended between two rollouts."""
         self._save_numbered()
         self.save()
 
@@ -141,7 +141,7 @@ class Checkpoints:
         return self._last > 0
 
     def _save_numbered(self) -> None:
-        """Keep the model at equal distances of steps, as many as `--keep-checkpoints` asks for."""
+        """Keep the model at equal distances of steps, `--keep-checkpoints` models in all."""
         steps, count = self._learner.steps, self.run.record.keep_checkpoints
         total = self.callback.active.total
         if count and steps * count // total > self._previous * count // total:
@@ -149,8 +149,8 @@ class Checkpoints:
         self._previous = steps
 
     def save(self) -> None:
-        """Write the models of the moment and a checkpoint; until there are enough episodes to tell, the last
-        model is the best too.
+        """Write the present models and a checkpoint. Until there are enough episodes for an evaluation, the
+        last model is also the best.
 
         Raises:
             RunError: The model is not finite, or nothing can be written; the last checkpoint stays.
@@ -177,7 +177,7 @@ class Checkpoints:
                 os.replace(copy, self.run.model(name))
             whole = self.run.checkpoints / f"{steps:012d}"
             shutil.rmtree(whole, ignore_errors=True)
-            folder.rename(whole)  # from here on it counts
+            folder.rename(whole)  # from here on, this is the last checkpoint
             flush_to_disk(self.run.checkpoints)
         except (OSError, RunError) as error:
             shutil.rmtree(folder, ignore_errors=True)
@@ -236,7 +236,7 @@ class Checkpoints:
         )
 
     def _arithmetic(self) -> dict[str, str]:
-        """What the last bits of a training depend on."""
+        """Return the settings that affect the last bits of a training."""
         return {
             "torch": torch.__version__,
             "numpy": np.__version__,
@@ -248,8 +248,7 @@ class Checkpoints:
     # Going back to one
 
     def restore(self) -> None:
-        """Put the state of the checkpoint in the place of a fresh one; without a checkpoint, the training
-        begins.
+        """Restore the state of the checkpoint. Without a checkpoint, the training begins.
 
         Raises:
             RunError: The checkpoint is damaged, or of another network.
@@ -264,7 +263,8 @@ class Checkpoints:
             follow()
 
     def _specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
-        """What the arrays of the checkpoint must be, after those of a training that has just begun."""
+        """Return the specifications of the arrays of the checkpoint, derived from the arrays of a training
+        that has just begun."""
         worlds = len(self._collector.state().episodes)
         if len(state.starts) != worlds:
             raise ValueError(f"{len(state.starts)} worlds after {state.steps} steps")
@@ -318,8 +318,8 @@ class Checkpoints:
             self.inexact.append(reason)
 
     def _repeat_episodes(self, state: CheckpointState, arrays: Arrays) -> bool:
-        """Bring the worlds back to where they were; whether that gave the same observations. If not, new
-        episodes begin."""
+        """Repeat the running episodes of the worlds, and return whether the observations are the same. If
+        not, new episodes begin."""
         episodes = [
             EpisodeHistory(
                 start if isinstance(start, int) else start.model_dump(exclude_none=True),

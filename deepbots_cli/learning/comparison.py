@@ -39,7 +39,8 @@ from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 from deepbots_cli.scenario import Scenario
 
 MIN_SEEDS = 3
-"""With fewer runs in a group, the interval of a difference is so wide that it rarely excludes 0."""
+"""The number of runs in a group below which the interval of a difference is so wide that it rarely excludes
+0."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class GroupResult:
     Statistics are over the seeds, with one score per run: its mean return, or its success rate. Intervals are
     Student's at 95 %, cut at the bounds of the score, None for a single run. `waiting` are the seeds of the
     group that have no model yet. `solved_after` are the steps after which a confirmation showed that each run
-    solves its task, None where none did.
+    solves its task, None for a run without such a confirmation.
     """
 
     name: str
@@ -99,7 +100,7 @@ class GroupResult:
 
     @property
     def return_interval_over_starts(self) -> Interval | None:
-        """The interval of the mean return of these policies over other starts: all runs have the same starts,
+        """The interval of the mean return of these policies over other starts. All runs have the same starts,
         with one score each."""
         means = self._means_by_start(
             [[episode.total_return for episode in result.outcomes] for result in self.evaluations]
@@ -108,14 +109,14 @@ class GroupResult:
 
     @property
     def success_interval_over_starts(self) -> Interval | None:
-        """The same for the success rate."""
+        """The interval of the success rate over other starts, as for the mean return."""
         means = self._means_by_start(
             [[float(episode.is_success) for episode in result.outcomes] for result in self.evaluations]
         )
         return mean_interval(means, (0.0, 1.0))
 
     def _means_by_start(self, scores: Sequence[Sequence[float]]) -> list[float]:
-        """The mean over the runs for each start."""
+        """Return the mean over the runs for each start."""
         return [
             fmean(row)
             for row in zip(*(scores_of_run[: self.starts] for scores_of_run in scores), strict=True)
@@ -129,7 +130,7 @@ class GroupDifference:
     Attributes:
         first: Name of the first group.
         group: Name of the group.
-        measure: What the task asks for; `verdict` is about it.
+        measure: The measure of the task; `verdict` is about it.
         mean_return: The difference of the mean returns; None where the two groups are evaluated in different
             scenarios whose returns do not mean the same.
         success_rate: The difference of the success rates; None where a scenario defines no success, or where
@@ -139,7 +140,7 @@ class GroupDifference:
         solved_after: The difference of the steps until a training was solved; None unless every run of both
             groups was.
         own_scenarios: Whether each group is evaluated in its own scenario.
-        meanings: The differences of the two scenarios that say what can be compared.
+        meanings: The differences of the two scenarios, which determine the scores that can be compared.
     """
 
     first: str
@@ -154,7 +155,7 @@ class GroupDifference:
 
     @property
     def verdict(self) -> str:
-        """The result in a sentence: what the task asks for, and the steps until it was solved."""
+        """The result in a sentence: by the measure of the task, and by the steps until it was solved."""
         steps = self.solved_after
         if steps is None or steps.interval is None:
             return self._verdict_on_measure
@@ -169,7 +170,7 @@ class GroupDifference:
 
     @property
     def compared(self) -> Measure | None:
-        """The measure of the verdict: `measure`, or where it cannot be compared the other one; None if
+        """The measure of the verdict: `measure`, or the other one if `measure` cannot be compared; None if
         neither can."""
         other: Measure = "mean_return" if self.measure == "success_rate" else "success_rate"
         return next((name for name in (self.measure, other) if getattr(self, name) is not None), None)
@@ -218,7 +219,7 @@ class Comparison:
     comparison.
 
     `scenario` is the name of the scenario of all episodes, or None if a group is evaluated in its own.
-    `measure` is what the task asks for.
+    `measure` is the measure of the task.
     """
 
     scenario: str | None
@@ -231,7 +232,7 @@ class Comparison:
 
 
 OnRun = Callable[[int, int], object]
-"""Is called after each run with the number of evaluated runs and of all runs."""
+"""Called after each run with the number of evaluated runs and of all runs."""
 
 
 def compare(
@@ -328,7 +329,7 @@ def compare(
 
 
 class _World(NamedTuple):
-    """Whether a group is evaluated in its own scenario, and how this differs from the scenario of the first
+    """Whether a group is evaluated in its own scenario, and how this scenario differs from that of the first
     group."""
 
     own: bool
@@ -336,8 +337,8 @@ class _World(NamedTuple):
 
 
 def _world(judged: Compiled, run: Run, *, own: bool, named: bool) -> _World:
-    """Where to evaluate a group that has trained in the scenario of `run`; `named`: everything is evaluated
-    in `judged`."""
+    """Choose the scenario in which to evaluate a group that was trained in the scenario of `run`. If the
+    caller named one (`named`), it is `judged`."""
     meanings = Meanings()
     if judged.digest != run.digest:
         meanings = compared_meanings(_written(judged), _written(run.compiled))
@@ -350,8 +351,8 @@ def _written(compiled: Compiled) -> WrittenScenario:
 
 @dataclass(frozen=True)
 class EngineDifference:
-    """One policy in a further engine against the first, on the same starts; `case` is None for the scenario
-    itself."""
+    """The difference of one policy between another engine and the first one, on the same starts. `case` is
+    None for the scenario itself."""
 
     case: str | None
     first: str | None
@@ -376,8 +377,8 @@ def compare_engines(
 def _paired(
     one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult
 ) -> tuple[Difference, Difference | None]:
-    """Differences of return and success, by episodes or runs in the same order; no success where one of the
-    two defines none."""
+    """Compute the differences of return and success, by episodes or runs in the same order. The difference of
+    success is None if one side defines no success."""
     (before, succeeded), (after, succeeds) = _scores(one), _scores(other)
     has_success = one.success_defined and other.success_defined
     bounds = (one.evaluations[0] if isinstance(one, GroupResult) else one).possible_returns
@@ -386,7 +387,7 @@ def _paired(
 
 
 def _scores(result: EvaluationResult | GroupResult) -> tuple[list[float], list[float]]:
-    """The returns and successes of episodes, or of the runs of a group."""
+    """Return the returns and successes of episodes, or of the runs of a group."""
     if isinstance(result, GroupResult):
         return result.returns, result.success_rates
     return [episode.total_return for episode in result.outcomes], [
@@ -465,7 +466,7 @@ class _GroupMembers(NamedTuple):
 
 
 def _members(paths: Sequence[Path], model: ModelName) -> list[_GroupMembers]:
-    """The groups in the order of their first runs; each model once."""
+    """Return the groups in the order of their first runs; each model once."""
     groups_by_key: dict[object, _GroupMembers] = {}
     single: dict[object, list[ModelRef]] = {}
     for path in paths:
@@ -492,7 +493,7 @@ def _with_path(group: _GroupMembers) -> _GroupMembers:
 
 
 def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
-    """The models of this name of the runs of a group that have a model.
+    """Return the models of this name of the runs of a group that have a model.
 
     Raises:
         RunError: There is none, or the runs have different values.
@@ -512,8 +513,8 @@ def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
 
 
 def _solved_after(ref: ModelRef) -> int | None:
-    """The steps after which a confirmation showed that the run solves its task; None for another model than
-    the best."""
+    """Return the steps after which a confirmation showed that the run solves its task; None for another model
+    than the best."""
     return run_verdict(ref.run.path, ref.run.record).solved_after if ref.name == "best" else None
 
 
@@ -542,7 +543,7 @@ def _difference(first: GroupResult, group: GroupResult, measure: Measure, world:
 
 
 _MAX_LISTED = 5
-"""Differences of two scenarios that a note lists."""
+"""The number of differences of two scenarios that a note lists."""
 
 
 def _notes(
@@ -586,7 +587,7 @@ def _notes(
 def _timing_notes(
     members: Sequence[_GroupMembers], worlds: Sequence[_World], judged: Compiled, case: str | None
 ) -> list[str]:
-    """Where the timing of an evaluation differs from that of the training, once for each group."""
+    """Return the differences of timing between the evaluation and the training, once for each group."""
     notes: dict[str, None] = {}
     for group, world in zip(members, worlds, strict=True):
         for run in (ref.run for ref in group.models):
@@ -598,7 +599,7 @@ def _timing_notes(
 
 
 def _notes_on_scenarios(difference: GroupDifference, *, named: bool) -> list[str]:
-    """Where the two groups are evaluated, why, and what is therefore not compared."""
+    """Return notes on where the two groups are evaluated, why, and what is therefore not compared."""
     meanings, names = difference.meanings, f"{difference.first} and {difference.group}"
     notes = []
     if meanings.acting and named:
@@ -628,7 +629,7 @@ def _notes_on_scenarios(difference: GroupDifference, *, named: bool) -> list[str
 
 
 def _listed(changes: Sequence[Change]) -> str:
-    """Changes in the words of `deepbots diff`."""
+    """Return changes in the words of `deepbots diff`."""
     more = (
         f"; and {len(changes) - _MAX_LISTED} more, which `deepbots diff` lists"
         if len(changes) > _MAX_LISTED

@@ -1,9 +1,9 @@
-"""When a training may stop because its task is solved: the confirmation of a model on new starts.
+"""The confirmation of a model on new starts, which shows that the task is solved and the training may stop.
 
 An evaluation during a training is small and there are many of them, so one of them may meet `solved` by luck.
-A model whose evaluation meets `solved` is therefore confirmed on new starts, as many as `solved` asks for.
-The training stops only if the confirmation shows more than the required value. That episodes decide once, and
-only by all of them, makes the chance of a false stop easy to compute:
+A model whose evaluation meets `solved` is therefore confirmed on new starts, as many as `solved` requires.
+The training stops only if the confirmation shows more than the required value. A confirmation is judged once,
+by all of its episodes, so the chance of a false stop is easy to compute:
 
 - The k-th confirmation of a training may err with a probability of 5 % / (k (k + 1)). Over all confirmations,
   the sum is at most 5 % (Bonferroni's inequality; 1/2 + 1/6 + 1/12 + ... = 1), for any policies and any
@@ -36,9 +36,10 @@ FALSE_STOPS = 0.05
 """The largest probability that a training stops with a policy that is `MARGIN` or more below the required
 value."""
 MARGIN = 0.02
-"""Of a success rate, or of the range of returns."""
+"""The margin, as a share of the success rate or of the range of returns."""
 COST_SHARE = 0.1
-"""No further confirmation begins once those that failed took this share of the steps of the training."""
+"""The largest share of the steps of the training for failed confirmations. Once they took it, no further
+confirmation begins."""
 POWER = 0.5
 """The smallest probability that a confirmation passes at a success rate halfway from the required one to 100
 %. With 100 starts, the first confirmation of `>= 95 %` needs 99 successes and the second 100, so a policy of
@@ -55,14 +56,15 @@ _MAX_EPISODES = 10 * MAX_SOLVED_EPISODES
 
 
 def error_level(number: int) -> float:
-    """The probability with which the confirmation of this number, from 1, may pass a policy that is too
-    weak."""
+    """Return the probability with which the confirmation of this number, from 1, may pass a policy that is
+    too weak."""
     return FALSE_STOPS / (number * (number + 1))
 
 
 def probability_of_at_least(successes: int, episodes: int, rate: float) -> float:
-    """The probability of so many successes at a success rate of `rate`, by the binomial distribution."""
-    from scipy.special import bdtrc  # here, because commands that only read runs work without scipy
+    """Return the probability of at least so many successes at a success rate of `rate`, by the binomial
+    distribution."""
+    from scipy.special import bdtrc  # commands that only read runs work without scipy
 
     if successes <= 0:
         return 1.0
@@ -70,8 +72,8 @@ def probability_of_at_least(successes: int, episodes: int, rate: float) -> float
 
 
 def required_successes(episodes: int, rate: float, level: float) -> int:
-    """The smallest number of successes of which `episodes` episodes have so many with at most the probability
-    `level` at a success rate of `rate`; larger than `episodes` where even all of them are too few."""
+    """Return the smallest number of successes that `episodes` episodes reach with at most the probability
+    `level` at a success rate of `rate`. It is larger than `episodes` if even all of them are too few."""
     low, high = 0, episodes + 1
     while low < high:  # the probability falls with the number of successes
         middle = (low + high) // 2
@@ -86,13 +88,13 @@ class Confirmation:
 
     Attributes:
         solved: The criterion of the scenario.
-        number: That of the confirmation, from 1.
+        number: The number of the confirmation, from 1.
         returns: The lowest and the highest return of an episode: the possible ones, or else those seen so
             far.
         episodes: Number of new starts: as many as `solved` asks for, or the smallest multiple of it with
             which good policies pass: half of those that are halfway from the required rate to 100 %, and a
             mean return as it is expected.
-        successes: The successes that it needs; 0 where `solved` asks for no success rate.
+        successes: The number of required successes; 0 if `solved` has no success rate.
     """
 
     solved: Solved
@@ -105,11 +107,11 @@ class Confirmation:
     def plan(
         solved: Solved, number: int, returns: Interval, evaluated: Sequence[Episode] = ()
     ) -> Confirmation | None:
-        """The next confirmation; None if no number of episodes up to 100 000 is enough.
+        """Plan the next confirmation; None if no number of episodes up to 100 000 is enough.
 
         Args:
             solved: The criterion of the scenario.
-            number: That of the confirmation, from 1.
+            number: The number of the confirmation, from 1.
             returns: The lowest and the highest return of an episode.
             evaluated: The episodes that met `solved`. The plan is for a policy with their mean return less
                 its standard error, or with that of `EXPECTED` if it is higher. Without them, it is for the
@@ -132,7 +134,7 @@ class Confirmation:
 
     @staticmethod
     def by(solved: Solved, number: int, returns: Interval, episodes: int) -> Confirmation:
-        """A confirmation by this number of episodes, which may be too few to pass with."""
+        """Return a confirmation with this number of episodes, which may be too few to pass."""
         successes = 0
         if solved.success_rate is not None:
             shown = required_successes(episodes, max(0.0, solved.success_rate - MARGIN), error_level(number))
@@ -145,8 +147,8 @@ class Confirmation:
 
     @property
     def requirement(self) -> str:
-        """What passes, in words: `at least 95 of 100 successes`, `a mean return of at least 195, with a lower
-        bound of 191`."""
+        """The condition to pass in words, such as `at least 95 of 100 successes`, or `a mean return of at
+        least 195, with a lower bound of 191`."""
         parts = []
         if self.solved.success_rate is not None:
             parts.append(f"at least {self.successes:,} of {self.episodes:,} successes")
@@ -156,7 +158,7 @@ class Confirmation:
         return " and ".join(parts)
 
     def is_lost(self, done: Sequence[Episode]) -> bool:
-        """Whether the first episodes exclude that all of them pass, or make it very unlikely."""
+        """Return whether the first episodes rule out a confirmation that passes, or make it very unlikely."""
         left, successes = self.episodes - len(done), sum(episode.is_success for episode in done)
         if successes + left < self.successes:
             return True
@@ -174,7 +176,7 @@ class Confirmation:
         )
 
     def passes(self, done: Sequence[Episode]) -> bool:
-        """Whether all episodes of the confirmation show that the task is solved."""
+        """Return whether all episodes of the confirmation show that the task is solved."""
         returns = [episode.total_return for episode in done]
         successes = sum(episode.is_success for episode in done)
         if len(done) < self.episodes or successes < self.successes:
@@ -184,8 +186,8 @@ class Confirmation:
         )
 
     def _return_passes(self, returns: Sequence[float]) -> bool:
-        """Whether the lower bound of the mean return is at most `MARGIN` of the range below the required
-        one."""
+        """Return whether the lower bound of the mean return is at most `MARGIN` of the range below the
+        required one."""
         return (
             self.solved.mean_return is None
             or lower_bound(returns, self.returns[0], self.level) >= self._lowest_bound
@@ -193,15 +195,15 @@ class Confirmation:
 
     @property
     def _lowest_bound(self) -> float:
-        """What the lower bound of the mean return must reach."""
+        """The smallest lower bound of the mean return that passes."""
         low, high = self.returns
         return (self.solved.mean_return or 0.0) - MARGIN * (high - low)
 
 
 def _cautious_mean(done: Sequence[Episode]) -> float:
-    """The mean return less its standard error.
+    """Return the mean return less its standard error.
 
-    Planned for the mean itself, a policy of PitEscape had 0.912 in its evaluation and 0.908 in its
+    In a plan for the mean itself, a policy of PitEscape had 0.912 in its evaluation and 0.908 in its
     confirmation, which failed because 100 starts were too few.
     """
     returns = [episode.total_return for episode in done]
@@ -210,8 +212,8 @@ def _cautious_mean(done: Sequence[Episode]) -> float:
 
 
 def worst_returns(level: float) -> int:
-    """How many worst returns the lower bound at a confidence of `1 - level` includes: 2, 3, 4 for the first
-    confirmations.
+    """Return the number of worst returns that the lower bound at a confidence of `1 - level` includes: 2, 3,
+    4 for the first confirmations.
 
     A sample often lacks a rare failure, and its standard deviation is then too small. A. Agresti and B. Coull
     (Am. Stat. 52, 1998) add z^2 / 2 failures to a proportion, where z is the normal quantile. With a single

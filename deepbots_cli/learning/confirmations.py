@@ -1,5 +1,5 @@
-"""The confirmations of a training: new starts that show whether a model whose evaluation meets `solved` solves
-the task. `confirmation` says how one of them is judged."""
+"""The confirmations of a training: new starts that show whether a model whose evaluation meets `solved`
+solves the task. `confirmation` defines how one of them is judged."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from deepbots_cli.learning.statistics import Interval
 from deepbots_cli.rollout import Episode, Start
 
 CONFIRMATION_PART = 40
-"""Episodes of a confirmation until it is checked whether it can still pass; a multiple of the rows of a
-forward pass."""
+"""The number of episodes of a confirmation after which it is checked whether it can still pass; a multiple of
+the rows of a forward pass."""
 MET_IN_A_ROW, OFF_POLICY_MET_IN_A_ROW = 1, 2
 """Evaluations in a row that meet `solved` before a confirmation. The network of an off-policy algorithm
 changes in every step: of 8 trainings of FindBall with TD3, 2 had 20 of 20 successes after 2,528 steps, and 94
@@ -61,8 +61,8 @@ class Confirmations:
 
     @property
     def is_due(self) -> bool:
-        """Whether enough evaluations in a row meet `solved` in the last stage, and no confirmation has
-        passed."""
+        """Whether a confirmation is due: enough evaluations in a row meet `solved` in the last stage, and no
+        confirmation has passed."""
         required = OFF_POLICY_MET_IN_A_ROW if self._active.learner.is_off_policy else MET_IN_A_ROW
         return (
             self.met_in_a_row >= required
@@ -116,7 +116,7 @@ class Confirmations:
         return summary
 
     def _is_postponed(self) -> bool:
-        """Whether failed confirmations took their share of the steps; a note says so once."""
+        """Return whether failed confirmations took their share of the steps. If so, it is noted once."""
         number, share = self.count + 1, self.cost_share
         if number == 1 or self.steps <= share * self._active.statistics.steps:
             return False

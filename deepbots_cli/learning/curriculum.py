@@ -27,8 +27,8 @@ class CompletedStage:
 
 
 class CurriculumState(BaseModel, strict=True, allow_inf_nan=False):
-    """What a checkpoint keeps: the stages that are done, the first step of the present one, and its recent
-    values."""
+    """The state of the curriculum in a checkpoint: the completed stages, the first step of the present one,
+    and its recent values."""
 
     ends: Annotated[list[CompletedStage], Field(max_length=1_000)]
     first_step: NonNegativeInt
@@ -38,7 +38,7 @@ class CurriculumState(BaseModel, strict=True, allow_inf_nan=False):
 
 
 class Curriculum:
-    """Follows a training through the stages of its scenario; without stages, there is the scenario alone.
+    """Follows a training through the stages of its scenario. Without stages, the scenario is the only one.
 
     Worlds change over one by one, each when its episode ends: no episode is cut short, and an episode of an
     earlier stage does not count for a later one. A criterion over episodes counts whole generations of the
@@ -75,11 +75,11 @@ class Curriculum:
 
     @property
     def name(self) -> str | None:
-        """Of the present stage; None without stages."""
+        """The name of the present stage; None without stages."""
         return self.name_of(self.index)
 
     def name_of(self, index: int) -> str | None:
-        """The name of a stage; None without stages."""
+        """Return the name of a stage; None without stages."""
         return self.stages[index].name if self.stages else None
 
     @property
@@ -91,13 +91,13 @@ class Curriculum:
         return None if self.is_last else self.stages[self.index].until
 
     def scenario_of(self, index: int) -> Program:
-        """The scenario of a stage; the scenario itself where there are no stages."""
+        """Return the scenario of a stage; the scenario itself if there are no stages."""
         return self.stages[index].program if self.stages else self._program
 
     def value(self, steps: int) -> float | None:
-        """What the criterion compares with its threshold, after `steps` steps in all.
+        """Return the value that the criterion compares with its threshold, after `steps` steps in all.
 
-        None without a criterion, and before there are enough episodes of each world or an evaluation.
+        It is None without a criterion, and before there are enough episodes of each world or an evaluation.
         """
         until = self.criterion
         if until is None:
@@ -110,21 +110,21 @@ class Curriculum:
         return sum(values) / len(values)
 
     def add(self, episode: Episode, steps: int, episodes: int, world: int = 0) -> bool:
-        """Count an episode of a world in the present stage; whether the next one begins with it.
+        """Count an episode of a world in the present stage, and return whether the next stage begins with it.
 
         `steps` and `episodes` count from the very start.
         """
         return self._add(episode.total_return, float(episode.is_success), steps, episodes, world)
 
     def add_evaluation(self, mean_return: float, success_rate: float, steps: int, episodes: int) -> bool:
-        """Count an evaluation in the present stage; whether the next one begins after it. `steps` and
-        `episodes` are as for `add`."""
+        """Count an evaluation in the present stage, and return whether the next stage begins after it.
+        `steps` and `episodes` are as for `add`."""
         return self._add(mean_return, success_rate, steps, episodes, None)
 
     def _add(
         self, mean_return: float, success_rate: float, steps: int, episodes: int, world: int | None
     ) -> bool:
-        """Count an episode of a world, or an evaluation, which has none."""
+        """Count a value of a world, or of an evaluation, which has no world."""
         until = self.criterion
         if until is None or (until.episodes is None) != (world is None):
             return False
@@ -137,7 +137,7 @@ class Curriculum:
         return True
 
     def describe(self, steps: int) -> str:
-        """`few (2 of 3): success rate 0.45 of 0.7`, for a progress display."""
+        """Return the state for a progress display, such as `few (2 of 3): success rate 0.45 of 0.7`."""
         until, value = self.criterion, self.value(steps)
         place = f"{self.name} ({self.index + 1} of {len(self.stages)})"
         if until is None:
@@ -153,7 +153,7 @@ class Curriculum:
         return CurriculumState(ends=self.completed, first_step=self._first_step, recent=recent, worlds=worlds)
 
     def restore(self, state: CurriculumState) -> None:
-        """Take up what `state` gave.
+        """Restore a state that `state` returned.
 
         Raises:
             RunError: It does not fit the stages of the scenario.

@@ -1,5 +1,4 @@
-"""Whether a training fell apart: its last held-out evaluations are worse than earlier ones by more than
-chance.
+"""The decline of a training: its last held-out evaluations are worse than earlier ones by more than chance.
 
 The evaluations of a training have 20 fixed starts each, and the last one is at its end. Those of the last
 quarter of the present stage, and the last two alone, are compared with every earlier window of one or three
@@ -33,29 +32,29 @@ from deepbots_cli.learning.order import Measure
 from deepbots_cli.learning.records import RunRecord
 
 FALSE_ALARMS = 0.01
-"""The largest probability that a training whose policy stays the same is said to decline."""
+"""The largest probability of a reported decline in a training whose policy stays the same."""
 MIN_EFFECT = 0.1
 MIN_SHARE = 0.05
 MIN_EFFECT_OF_FEW, MIN_SHARE_OF_FEW = 0.25, 0.2
 LAST_SHARE = 0.25
-"""The part of the present stage whose evaluations are compared with earlier ones."""
+"""The share of the present stage whose evaluations are compared with earlier ones."""
 _WINDOWS = (1, 3)
 
 
 @dataclass(frozen=True)
 class Decline:
-    """By how much a training got worse, and since when.
+    """A decline of a training: its size, and its begin.
 
     Attributes:
-        measure: What the task asks for, of which the values are.
+        measure: The measure of the task, whose values are compared.
         best_value: The value of the best window, a mean over its episodes.
         best_steps: Steps of the training at the best evaluation in this window.
         last_value: The value of the last evaluations.
-        last: What the last evaluations are, in words.
+        last: The last evaluations, in words.
         last_steps: Steps at the first of them.
         since_steps: Steps at the first of the worse evaluations: the split into two means with the smallest
             squared error.
-        best_episodes: Episodes of `best_value`, as `last_episodes` of `last_value`.
+        best_episodes: Episodes of `best_value`; `last_episodes` are those of `last_value`.
     """
 
     measure: Measure
@@ -69,12 +68,12 @@ class Decline:
     last_steps: int
 
     def as_json(self) -> dict[str, Any]:
-        """The attributes, and the sentence."""
+        """Return the attributes, and the sentence."""
         return {**asdict(self), "text": self.text}
 
     @property
     def text(self) -> str:
-        """A sentence: what fell, from where to where, and when; without a full stop."""
+        """A sentence without a full stop: the measure that fell, its values before and after, and when."""
         name = "success rate" if self.measure == "success_rate" else "mean return"
         best, last = map(
             "{:.0%}".format if self.measure == "success_rate" else "{:.4g}".format,
@@ -88,7 +87,7 @@ class Decline:
 
 
 def decline_of(run: Path, record: RunRecord) -> Decline | None:
-    """The decline of a training from the files of its run, also while it trains; None where it has none.
+    """Return the decline of a training from the files of its run, even while it trains; None if it has none.
 
     Raises:
         RunError: Its evaluations cannot be read.
@@ -98,12 +97,13 @@ def decline_of(run: Path, record: RunRecord) -> Decline | None:
 
 
 def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decline | None:
-    """By how much a training got worse in its present stage; None where it did not, or by no more than
-    chance.
+    """Return the decline of a training in its present stage; None if its evaluations are not worse than
+    chance explains.
 
     Args:
-        evaluations: Those of `read_evaluations`, in order. Entries without `steps` are not of the training.
-        measure: What the task asks for.
+        evaluations: The evaluations of `read_evaluations`, in order. Entries without `steps` are not of the
+            training.
+        measure: The measure of the task.
     """
     own = [each for each in evaluations if "steps" in each]
     before = [number for number, each in enumerate(own) if each["stage"] != own[-1]["stage"]]
@@ -124,8 +124,8 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
 def _fall(
     own: Sequence[Mapping[str, Any]], split: int, last: str, measure: Measure, *, level: float
 ) -> Decline | None:
-    """By how much the evaluations from `split` on are worse than earlier ones, if a test at this level shows
-    it."""
+    """Return the decline of the evaluations from `split` on against earlier ones, if a test at this level
+    shows it."""
     is_rate = measure == "success_rate"
     scores = [list(map(float, each["successes" if is_rate else "returns"])) for each in own]
     late = _joined(scores[split:])
@@ -165,7 +165,7 @@ def _joined(scores: Sequence[Sequence[float]]) -> list[float]:
 
 
 def _of_starts(scores: Sequence[Sequence[float]]) -> list[float]:
-    """The mean score of each start over some evaluations."""
+    """Return the mean score of each start over some evaluations."""
     return [fmean(column) for column in zip(*scores, strict=False)]
 
 
@@ -174,7 +174,7 @@ def _range(scores: Sequence[Sequence[float]]) -> float:
 
 
 def _change(means: Sequence[float]) -> int:
-    """The place from 1 at which two means, before and from there on, leave the smallest squared error."""
+    """Return the place, from 1, at which a split into two means leaves the smallest squared error."""
 
     def error(place: int) -> float:
         parts = (means[:place], means[place:])
@@ -184,8 +184,8 @@ def _change(means: Sequence[float]) -> int:
 
 
 def paired(better: Sequence[float], worse: Sequence[float]) -> float:
-    """The one-sided p-value that the mean of `better` is not higher, for the same starts in both: Student's
-    test of the differences.
+    """Return the one-sided p-value of the hypothesis that the mean of `better` is not higher, for the same
+    starts in both, by Student's test of the differences.
 
     One more start has the largest of the differences, in the other direction: `better` is the best of many
     windows, in which rare failures are missing, so the variance is too small. Without it, up to 4 % of

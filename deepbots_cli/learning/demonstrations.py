@@ -1,8 +1,8 @@
 """Demonstrations: the episodes of a recording, which teach a policy.
 
 The episodes are run again in the scenario of the training, from their seeds with their actions. So
-observations and rewards are those of this scenario, also where the recording was made in an earlier state of
-the file.
+observations and rewards are those of this scenario, even if the recording was made in an earlier state of the
+file.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _MAX_STEPS = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
-    """All steps of the episodes, in arrays of shape (steps, ...).
+    """The steps of all episodes, in arrays of shape (steps, ...).
 
     Attributes:
-        observations: What the policy sees before each step; a dict of arrays where it sees images or a goal.
-        actions: In the action space.
-        rewards: Of shape (steps,).
-        following: What it sees after each step.
-        terminated: Of shape (steps,): whether an ending of the scenario came with the step, and no time
-            limit.
+        observations: The observations before each step; a dict of arrays for a policy with images or a goal.
+        actions: The actions, in the action space.
+        rewards: The rewards, of shape (steps,).
+        following: The observations after each step.
+        terminated: Whether an ending of the scenario, and not the time limit, came with the step; of shape
+            (steps,).
         episodes: Their results.
     """
 
@@ -53,7 +53,7 @@ class Demonstrations:
 
 
 def read_recording(path: str | Path, program: Program) -> Recording:
-    """The recording in a file, whose observation, action and messages are those of a scenario.
+    """Read a recording whose observation, action and messages are those of a scenario.
 
     Raises:
         UsageError: They differ, the file cannot be read or is too long, or several agents act in it.
@@ -71,7 +71,7 @@ def read_recording(path: str | Path, program: Program) -> Recording:
 
 
 def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demonstrations:
-    """The episodes of a recording, run in a scenario.
+    """Run the episodes of a recording in a scenario.
 
     Args:
         path: The recording.
@@ -79,7 +79,8 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
         build: Makes a world.
 
     Raises:
-        UsageError: As of `read_recording`; or `program` defines success, and no episode succeeds.
+        UsageError: The recording is refused by `read_recording`; or `program` defines success, and no episode
+            succeeds.
     """
     recording = read_recording(path, program)
     stage = recording.metadata.get("stage")

@@ -19,24 +19,23 @@ from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 M = TypeVar("M", bound=BaseModel)
 
 WORKERS_FOLDER = "workers"
-"""The output of workers, in the folder of a run, a group or a study."""
+"""The folder for the output of workers, in the folder of a run, a group or a study."""
 _END_TIMEOUT_S = 60.0
-"""How long to wait for the end of a training whose worker was lost: a process ends some time after its node
-was lost."""
+"""The time to wait for the end of a training whose worker was lost, in s. A process ends some time after its
+node was lost."""
 
 
 class RecordFormat(BaseModel, strict=True):
-    """The entry of a record that tells whether the rest can be read."""
+    """The format entry of a record, which determines whether this version can read the rest."""
 
     format: int = Field(ge=0, lt=2**31)
 
 
 def read_json(path: Path, model: type[M], limit: int) -> M:
-    """A file of at most `limit` bytes as a model.
+    """Read a file of at most `limit` bytes as a model.
 
     Raises:
-        RunError: It is missing, no regular file, unreadable, too large, or does not fit the model; in one
-            sentence.
+        RunError: The file is missing, not a regular file, unreadable, too large, or does not fit the model.
     """
     if not path.is_file():
         raise RunError(f"{path} is missing")
@@ -67,14 +66,14 @@ def write_text(path: Path, text: str) -> None:
 
 
 def numbered_files(folder: Path) -> list[tuple[int, Path]]:
-    """The files `0001.json`, `0002.json` ... of a folder, by number."""
+    """Return the files `0001.json`, `0002.json` ... of a folder, by number."""
     return sorted(
         (int(path.stem), path) for path in folder.glob("*.json") if re.fullmatch("[0-9]{4,9}", path.stem)
     )
 
 
 def write_numbered(folder: Path, text: str) -> Path:
-    """Write a text as the file with the next free number; the folder is made where it is missing.
+    """Write a text as the file with the next free number. The folder is created if it is missing.
 
     Raises:
         RunError: It cannot be written.
@@ -101,8 +100,8 @@ def write_numbered(folder: Path, text: str) -> Path:
 
 
 def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int | str) -> Path:
-    """Make the directory of a new run: `wanted`, or else the next free `parent/<scenario>-<seed>-<n>`;
-    `seeds` for a group.
+    """Create the directory of a new run: `wanted`, or else the next free `parent/<scenario>-<seed>-<n>`.
+    `seed` is `seeds` for a group.
 
     Raises:
         UsageError: `wanted` exists, or the directory cannot be made.
@@ -136,7 +135,7 @@ def _number(name: str, stem: str) -> int:
 
 
 def run_folders(runs: Sequence[str | Path]) -> list[Path]:
-    """The run directories, those of folders in the order of their names; each once."""
+    """Return the run directories, each once. Those in a folder come in the order of their names."""
     folders: dict[Path, None] = {}
     for path in map(Path, runs):
         is_outer = os.path.isdir(path) and folder_kind(path) is not SourceKind.RUN
@@ -147,15 +146,15 @@ def run_folders(runs: Sequence[str | Path]) -> list[Path]:
 
 @contextmanager
 def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator[None]:
-    """Within, nobody else trains in the run directory `folder`. The lock ends with the process, however that
-    ends.
+    """Context in which nobody else trains in the run directory `folder`. The lock ends with the process, even
+    if the process is killed.
 
-    `name` is that of another lock in the folder, `wait_s` how long to wait for it.
+    `name` is the name of another lock in the folder, and `wait_s` the time to wait for it in s.
 
     Raises:
         UsageError: Another training is at work there, or the directory cannot be written to.
     """
-    from filelock import FileLock, Timeout  # of the extra `train`
+    from filelock import FileLock, Timeout  # needs the extra `train`
 
     path = folder / name
     if path.is_symlink():
@@ -174,24 +173,24 @@ def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator
 
 
 def is_training(folder: Path) -> bool:
-    """Whether a training is at work in the directory of a run or a group right now."""
+    """Return whether a training is at work in the directory of a run or a group."""
     path = folder / ".lock"
     if path.is_symlink() or not path.is_file():
         return False
-    from filelock import FileLock, Timeout  # of the extra `train`
+    from filelock import FileLock, Timeout  # needs the extra `train`
 
     try:
         with FileLock(path, timeout=0):
             return False
     except Timeout:
         return True
-    except OSError:  # of somebody else, and not to be written
+    except OSError:  # the lock belongs to another user and cannot be written to
         return False
 
 
 def has_ended(folder: Path) -> bool:
-    """Whether no training is at work in the directory any more; waits a while for one whose worker was
-    lost."""
+    """Return whether no training is at work in the directory any more. Waits a while for a training whose
+    worker was lost."""
     deadline = time.monotonic() + _END_TIMEOUT_S
     while is_training(folder):
         if time.monotonic() > deadline:

@@ -29,10 +29,10 @@ Outcome = Literal["success", "return"]
 Floats = NDArray[np.float64]
 
 MAX_OPTIONS, BINS = 6, 4
-"""A value with at most 6 different outcomes has a part for each of them, any other value 4 parts with as many
-episodes each."""
+"""The number of parts of a drawn value: one for each of at most 6 different outcomes, otherwise 4 parts with
+equally many episodes."""
 POWER = 0.9
-"""The probability with which `DrawnEffects.detectable` is found."""
+"""The probability with which an effect of the size `DrawnEffects.detectable` is found."""
 _QUARTERS = 0.75 * math.sqrt(12)
 """The difference of a linear trend between the means of the lowest and the highest quarter of a uniform
 value, in standard deviations of the outcome, over the coefficient of correlation."""
@@ -56,7 +56,7 @@ class DrawLabel(NamedTuple):
     is_parameter: bool = False
 
     def range_text(self, part: DrawnBin) -> str:
-        """`6 .. 9 cm`: the range of a part in the unit of the scenario."""
+        """Return the range of a part in the unit of the scenario, such as `6 .. 9 cm`."""
         if isinstance(part.low, str) or isinstance(part.high, str):
             return str(part.low)
         ends = dict.fromkeys(f"{self.unit.from_si(end):.4g}" for end in (part.low, part.high))
@@ -65,8 +65,8 @@ class DrawLabel(NamedTuple):
 
 
 def draw_labels(program: Program, units: ShownUnits) -> dict[str, DrawLabel]:
-    """The label of each draw of a scenario, by its name without the copy of a robot; `units` are those of its
-    file."""
+    """Return the label of each draw of a scenario, by its name without the copy of a robot. `units` are the
+    units of its file."""
     return {
         entry.name: DrawLabel(entry.unit or units.of(entry.si), entry.is_parameter)
         for entry in program.draws.entries
@@ -93,7 +93,7 @@ class DrawnEffects:
     """The effects of all drawn values that vary.
 
     Attributes:
-        outcome: What is tested: success where some of the episodes succeed, else the return.
+        outcome: The tested outcome: success if some of the episodes succeed, else the return.
         starts: The number of different starts; episodes of several policies from one start count as one.
         detectable: The effect that is found with a probability of `POWER`: the difference of the outcome
             between the lowest and the highest quarter of a value. None where so few episodes show no possible
@@ -116,7 +116,8 @@ class DrawnEffects:
 
     @property
     def conclusion(self) -> str:
-        """How many values have an effect, and which effect would have been found."""
+        """A sentence with the number of values that have an effect, and the size of the effect that would
+        have been found."""
         count, total = len(self.effective), len(self.values)
         many = f"the {total} drawn values" if total > 1 else "the drawn value"
         if self.is_constant:
@@ -143,8 +144,8 @@ class DrawnEffects:
         )
 
     def as_json(self, *, success_defined: bool) -> dict[str, Any]:
-        """The fields, with the statistics of each part; those of success are None where no success is
-        defined."""
+        """Return the fields, with the statistics of each part. Statistics of success are None if no success
+        is defined."""
         hidden = () if success_defined else SUCCESS_STATISTICS
         values = {
             name: {
@@ -169,17 +170,17 @@ def by_drawn_value(
     labels: Mapping[str, DrawLabel] | None = None,
     bounds: Interval = UNBOUNDED,
 ) -> DrawnEffects:
-    """The effect of each value that the episodes draw, by its place in the scenario.
+    """Return the effect of each value that the episodes draw, by its place in the scenario.
 
-    Left out are values that do not vary, and values of single members of a group, which have no meaning of
-    their own.
+    Values that do not vary are left out, and so are values of single members of a group, which have no
+    meaning of their own.
 
     Args:
         done: The episodes.
         labels: The labels of the draws.
         bounds: The possible returns.
     """
-    from scipy.special import ndtri  # here: commands that only read runs work without scipy
+    from scipy.special import ndtri  # commands that only read runs work without scipy
 
     outcome: Outcome = "success" if len({episode.is_success for episode in done}) == 2 else "return"
     names = {name: None for episode in done for name in episode.drawn if not is_of_member(name)}
@@ -212,7 +213,7 @@ def by_drawn_value(
 
 
 def _is_ordered(drawn: Sequence[object]) -> bool:
-    """Whether all are words, or all are finite numbers."""
+    """Return whether all are words, or all are finite numbers."""
     is_number = [isinstance(value, int | float) and math.isfinite(value) for value in drawn]
     return all(is_number) or all(isinstance(value, str) for value in drawn)
 
@@ -236,7 +237,7 @@ def _parts(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnB
 
 
 def _by_start(done: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode], Floats]:
-    """An episode of each start, and the mean outcome of each start.
+    """Return one episode of each start, and the mean outcome of each start.
 
     Several policies that begin with the same start are no independent observations of its difficulty.
     """
@@ -253,7 +254,7 @@ def _by_start(done: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode],
 
 
 def _chance(drawn: Sequence[float | str], results: Floats) -> float:
-    """The two-sided probability of a trend at least as strong where the value has no effect.
+    """Return the two-sided probability of a trend at least as strong if the value has no effect.
 
     The outcome, or its rank where it has more than two values, is compared with the rank of the value: for
     success, this is the test of Wilcoxon, Mann and Whitney; for returns, it is Spearman's. Words have no
@@ -269,19 +270,19 @@ def _chance(drawn: Sequence[float | str], results: Floats) -> float:
 
 
 def _ranks(values: Floats) -> Floats:
-    """The rank of each value; equal values have their mean rank."""
+    """Return the rank of each value; equal values have their mean rank."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     means: Floats = np.cumsum(counts) - (counts - 1) / 2
     return means[inverse]
 
 
 def _association(first: Floats, second: Floats) -> float:
-    """The two-sided probability that the sum of products is at least as far from its mean under random
+    """Return the two-sided probability that the sum of products is at least as far from its mean under random
     pairing.
 
-    The distribution over all pairings has a known variance and skewness, and is taken as Pearson's of type
-    III; the normal distribution takes a rare value that meets two rare failures for certain evidence. Where
-    both have two values only, Fisher's test is exact.
+    The distribution over all pairings has a known variance and skewness, and is approximated by Pearson's
+    type III; the normal distribution would treat a rare value that meets two rare failures as certain
+    evidence. If both have only two values, Fisher's test is exact.
     """
     from scipy.special import gammainc, gammaincc, ndtr
 
@@ -302,8 +303,8 @@ def _association(first: Floats, second: Floats) -> float:
 
 
 def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
-    """Fisher's test: the probability of all tables that are no more probable than this one, given their
-    margins."""
+    """Compute Fisher's test: the probability of all tables that are no more probable than this one, given
+    their margins."""
     from scipy.special import gammaln
 
     count, ones, chosen = len(first), int(first.sum()), int(second.sum())
@@ -316,7 +317,7 @@ def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> f
 
 
 def _holm(chances: Mapping[str, float]) -> dict[str, float]:
-    """The probabilities after Holm's correction, by name, the smallest first."""
+    """Return the probabilities after Holm's correction, by name, the smallest first."""
     corrected: dict[str, float] = {}
     largest = 0.0
     for place, name in enumerate(sorted(chances, key=lambda name: chances[name])):
@@ -326,11 +327,10 @@ def _holm(chances: Mapping[str, float]) -> dict[str, float]:
 
 
 def _detectable(correlation: float, results: Floats, outcome: Outcome) -> float | None:
-    """The difference between the outer quarters of a value with this coefficient of correlation, if it is
-    possible."""
+    """Return the difference between the outer quarters of a value with this coefficient of correlation, if it
+    is possible."""
     difference = _QUARTERS * correlation * float(results.std())
     rate = float(results.mean())
-    largest = (
-        min(1.0, 4 * min(rate, 1 - rate)) if outcome == "success" else math.inf
-    )  # all failures in one quarter
+    # The largest effect has all failures in one quarter.
+    largest = min(1.0, 4 * min(rate, 1 - rate)) if outcome == "success" else math.inf
     return difference if correlation < 1 and 0 < difference <= largest else None

@@ -1,4 +1,4 @@
-"""How the worlds of a training and of an evaluation are made: one by one, or as a batch."""
+"""Creates the worlds of a training or an evaluation: one by one, or as a batch."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.program import Program
 
 MIN_WORLDS = 8
-"""Worlds, or copies of a robot in all worlds, from which on a batch is faster.
+"""The number of worlds, or of copies of a robot in all worlds, from which a batch is faster.
 
-What a batch does per step over arrays takes as long as 5 single worlds.
+The array operations of a batch take as long per step as 5 single worlds.
 """
 
 
@@ -26,12 +26,12 @@ class WorldFactory(Protocol):
 
 
 def supervisor_factory(engine: str, *, permissions: Permissions = Permissions()) -> WorldFactory:
-    """The generated supervisor on `engine`; terms in Python run with the permission `code`."""
+    """Build the generated supervisor on `engine`. Terms in Python run with the permission `code`."""
     return partial(api.build, engine=engine, permissions=permissions)
 
 
 def reasons_against_batch(program: Program, worlds: int, engine: str, build: WorldFactory) -> list[str]:
-    """Why a training steps its worlds one by one; nothing where they are a batch."""
+    """Return the reasons why a training steps its worlds one by one; empty if it steps them as a batch."""
     if engine not in engines.BATCHES:
         return [f"the engine '{engine}' has no batches"]
     if _rows(program, worlds) < MIN_WORLDS:
@@ -52,7 +52,8 @@ def _rows(program: Program, worlds: int) -> int:
 
 
 def stepping_text(program: Program, worlds: int, engine: str, build: WorldFactory) -> str:
-    """Whether a training steps its worlds as a batch, and why not; empty where no batch is to be expected."""
+    """Return a note on whether a training steps its worlds as a batch, and why not; empty if no batch is to
+    be expected."""
     if engine not in engines.BATCHES or _rows(program, worlds) < MIN_WORLDS:
         return ""
     reasons = reasons_against_batch(program, worlds, engine, build)

@@ -1,4 +1,4 @@
-"""What episodes leave behind: the log, moving means, when the task was first solved, and summaries with
+"""The results of episodes: their log, moving means, when the task was first solved, and summaries with
 intervals of 95 %."""
 
 from __future__ import annotations
@@ -28,13 +28,15 @@ from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 
 WINDOW_EPISODES = 100
-"""Episodes that a training figure is averaged over, unless the scenario's `solved` says otherwise."""
+"""The number of episodes in the moving means of a training, unless the scenario's `solved` sets another one.
+"""
 
 MAX_STEPS = 10**12
-"""A goal beyond any training; what is far larger could not be read back from the record of the run."""
+"""The largest number of steps, beyond any training. A far larger number could not be read back from the
+record of the run."""
 
 MAX_LOG_BYTES, MAX_LOG_EPISODES = 1 << 28, 1_000_000
-"""Of a log that is read whole.
+"""The largest log that is read whole, in bytes and in episodes.
 
 Measured with untrained policies over 20,000 steps: CartPole writes 32 lines of 103 bytes per 1,000 steps,
 FindBallRandom 12 of 350. The quadruped, which draws the most values, writes 1,000 bytes a line. A million
@@ -42,20 +44,20 @@ episodes are 31 million steps of such a CartPole, and 256 MiB are 260,000 episod
 """
 _MAX_LINE_BYTES, _MAX_EVALUATION_BYTES = 1 << 18, 1 << 22  # a field of a table has at most 131,072 letters
 _MAX_EVALUATED = 2_000_000
-"""Numbers of the evaluations during a training: two for each episode, which are 10,000 evaluations of 100
-episodes."""
+"""The largest count of numbers in the evaluations during a training: two for each episode, for 10,000
+evaluations of 100 episodes."""
 _EVALUATION_COST = 16
-"""An evaluation takes the memory of about so many numbers, besides its own."""
+"""The memory that an evaluation takes besides its numbers, in numbers."""
 _MAX_NAMES_LETTERS = 1_000_000
 _LEAST_COLUMNS = ("r", "l", "t")
 
 
 class EpisodeLog:
-    """`monitor.csv`: a line per episode, in the format of Gym's monitor, which the `load_results` of learning
-    libraries reads.
+    """The file `monitor.csv`: a line per episode, in the format of Gym's monitor, which the `load_results` of
+    learning libraries reads.
 
-    r, l, t (return, length, seconds since the start), then our columns; `drawn` holds the drawn values as
-    JSON. Appends to what is there.
+    The columns are r, l, t (return, length, seconds since the start), and then our own; `drawn` has the drawn
+    values as JSON. New lines are appended to an existing file.
     """
 
     COLUMNS = (
@@ -77,7 +79,7 @@ class EpisodeLog:
         self._started = time.time()
 
     def open(self) -> None:
-        """Before the first line is written.
+        """Open the file, before the first line is written.
 
         Raises:
             RunError: The file cannot be written.
@@ -122,11 +124,11 @@ class EpisodeLog:
 
 
 def read_log(path: Path) -> Iterator[dict[str, str]]:
-    """The lines of a `monitor.csv`, one at a time, without a last line that is half written and lines with
-    too few columns.
+    """Read the lines of a `monitor.csv`, one at a time. A last line that is half written and lines with too
+    few columns are left out.
 
     Raises:
-        RunError: It is no regular file, too large, or no log of episodes.
+        RunError: The file is not a regular file, is too large, or is no log of episodes.
     """
     with _opened_log(path) as stream:
         if stream is None:
@@ -140,10 +142,10 @@ def read_log(path: Path) -> Iterator[dict[str, str]]:
 
 
 def read_log_tail(path: Path, size: int) -> list[dict[str, str]]:
-    """The lines in the last `size` bytes of a `monitor.csv`, as `read_log` gives them.
+    """Read the lines in the last `size` bytes of a `monitor.csv`, as `read_log` does.
 
     Raises:
-        RunError: It is no regular file, or no log of episodes.
+        RunError: The file is not a regular file, or is no log of episodes.
     """
     with _opened_log(path) as stream:
         if stream is None:
@@ -159,7 +161,7 @@ def read_log_tail(path: Path, size: int) -> list[dict[str, str]]:
 
 @contextmanager
 def _opened_log(path: Path) -> Iterator[BinaryIO | None]:
-    """A regular file; None where there is none."""
+    """Open a regular file; None if there is none."""
     if path.is_symlink() or (path.exists() and not path.is_file()):  # opening a pipe waits for ever
         raise RunError(f"{path} is not a regular file")
     if not path.exists():
@@ -180,8 +182,11 @@ def _check_size(path: Path, stream: BinaryIO) -> None:
 
 
 def _whole_lines(path: Path, stream: BinaryIO, longest: int) -> Iterator[str]:
-    """The lines of a stream but a last one without an end. Raises: RunError: One has more than `longest`
-    bytes."""
+    """Yield the lines of a stream, without a last line that has no end.
+
+    Raises:
+        RunError: A line has more than `longest` bytes.
+    """
     while line := stream.readline(longest + 1):
         if line.endswith(b"\n"):
             yield line.decode(errors="replace")
@@ -190,7 +195,7 @@ def _whole_lines(path: Path, stream: BinaryIO, longest: int) -> Iterator[str]:
 
 
 def _read_header(path: Path, stream: BinaryIO) -> list[str]:
-    """The names of the columns; none of a log in which nothing stands yet."""
+    """Read the names of the columns; empty for an empty log."""
     header = [*islice(_whole_lines(path, stream, _MAX_LINE_BYTES), 2)]
     names = header[1].strip().split(",") if len(header) == 2 else []
     if names and not {*_LEAST_COLUMNS} <= {*names}:
@@ -200,12 +205,12 @@ def _read_header(path: Path, stream: BinaryIO) -> list[str]:
 
 
 def _table(names: Sequence[str], lines: Iterable[str]) -> Iterator[dict[str, str]]:
-    """The rows that have all columns."""
+    """Return the rows that have all columns."""
     return (dict(zip(names, row, strict=False)) for row in csv.reader(lines) if len(row) >= len(names) > 0)
 
 
 class KeptNames:
-    """The names of stages and endings in a log, each in memory once."""
+    """The names of stages and endings in a log. Each is in memory once."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -213,7 +218,11 @@ class KeptNames:
         self._letters = 0
 
     def keep(self, name: str) -> str:
-        """The name itself. Raises: RunError: All names together are too long."""
+        """Return the kept object of this name.
+
+        Raises:
+            RunError: All names together are too long.
+        """
         if name not in self._names:
             self._letters += len(name)
             if self._letters > _MAX_NAMES_LETTERS:
@@ -225,10 +234,10 @@ class KeptNames:
 
 
 def read_evaluations(run: Path) -> list[dict[str, Any]]:
-    """The evaluations during a training, in order; a last line that is half written is left out.
+    """Read the evaluations during a training, in order. A last line that is half written is left out.
 
-    They are dictionaries of `steps`, of the `stage` of the curriculum in which the policy acted ("" without
-    one), and of the `returns` and `successes` of their episodes, as numbers.
+    An evaluation is a dictionary of `steps`, of the `stage` of the curriculum in which the policy acted (""
+    without one), and of the `returns` and `successes` of their episodes, as numbers.
 
     Raises:
         RunError: The file is no regular file, too large, or damaged.
@@ -244,7 +253,8 @@ def read_evaluations(run: Path) -> list[dict[str, Any]]:
             for text in _whole_lines(path, stream, _MAX_EVALUATION_BYTES):
                 line = json.loads(text)
                 lists = {name: [float(value) for value in line[name]] for name in ("returns", "successes")}
-                means = [fmean(each) for each in lists.values()]  # an error without an episode
+                # `fmean` raises an error for an evaluation without episodes.
+                means = [fmean(each) for each in lists.values()]
                 steps = float(line["steps"])
                 if not all(map(math.isfinite, [steps, *means])) or steps < 0:
                     raise ValueError("a number is not finite, or a step is negative")
@@ -264,7 +274,8 @@ def read_evaluations(run: Path) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class SolvedAt:
-    """When a confirmation first showed that the task is solved, with its mean return and success rate.
+    """The time at which a confirmation first showed that the task is solved, with its mean return and success
+    rate.
 
     `cpu_seconds` counts from the start of the training. Versions before 0.2 took the recent episodes of the
     training instead of a confirmation.
@@ -279,7 +290,7 @@ class SolvedAt:
 
 
 class StatisticsState(BaseModel, strict=True, allow_inf_nan=False):
-    """What a checkpoint keeps of the statistics."""
+    """The state of the statistics in a checkpoint."""
 
     steps: Annotated[int, Field(ge=0, le=2 * MAX_STEPS)]
     episodes: NonNegativeInt
@@ -297,7 +308,7 @@ class Statistics:
 
     Args:
         period: The time that a step of the agent takes, in s.
-        solved: What counts as solved.
+        solved: The criterion of the scenario.
         worlds: The number of worlds.
         copies: The number of copies of a robot in each world.
     """
@@ -313,7 +324,7 @@ class Statistics:
         self._window_episodes = solved.episodes if solved else WINDOW_EPISODES
         self._window = Generations[Episode](self._window_episodes, worlds, copies)
         self._present = 0
-        """The episodes of the present stage."""
+        """The number of episodes of the present stage."""
         self.returns: Interval | None = None
         """The lowest and the highest return of an episode of the present stage."""
 
@@ -328,54 +339,56 @@ class Statistics:
 
     @property
     def cpu_seconds(self) -> float:
-        """Of this training, without the start of Python, and with what it took before it was resumed."""
+        """The CPU time of this training in s, without the start of Python, and with the time before it was
+        resumed."""
         return self.cpu_seconds_before + time.process_time() - self._began
 
     def has_episodes(self, count: int) -> bool:
-        """Whether the present stage has so many episodes, or as many as the means are over if these are
-        fewer."""
+        """Return whether the present stage has at least `count` episodes, or at least as many as the means
+        are over if these are fewer."""
         return self._present >= min(count, self._window_episodes)
 
     def newest(self, count: int) -> list[Episode] | None:
-        """The newest whole generations of at least `count` episodes; all recent ones if the means are over
-        fewer.
+        """Return the newest whole generations of at least `count` episodes; all recent ones if the means are
+        over fewer.
 
-        None while there are not so many.
+        The result is None while there are not so many.
         """
         return self._window.newest(count)
 
     @property
     def mean_return(self) -> float | None:
-        """None before each world has finished an episode."""
+        """The mean return; None before each world has finished an episode."""
         recent = self._window.whole
         return sum(e.total_return for e in recent) / len(recent) if recent else None
 
     @property
     def success_rate(self) -> float | None:
-        """None before each world has finished an episode."""
+        """The success rate; None before each world has finished an episode."""
         recent = self._window.whole
         return sum(e.is_success for e in recent) / len(recent) if recent else None
 
     @property
     def mean_length(self) -> float:
-        """Of the recent episodes, in steps; also before each world has finished one."""
+        """The mean length of the recent episodes in steps, even before each world has finished one."""
         recent = self._window.whole or self._window.finished
         return sum(e.length for e in recent) / max(1, len(recent))
 
     def term_means(self) -> dict[str, float]:
-        """The mean per episode of every reward term, over the recent episodes."""
+        """Return the mean per episode of every reward term, over the recent episodes."""
         recent = self._window.whole
         names = {name: None for e in recent for name in e.terms}
         return {name: sum(e.terms.get(name, 0.0) for e in recent) / len(recent) for name in names}
 
     def ended_by(self) -> dict[str, float]:
-        """The share of the recent episodes that each ending ended."""
+        """Return the share of the recent episodes that each ending ended."""
         recent = self._window.whole
         counts = Counter(e.ended_by or "unknown" for e in recent)
         return {name: count / len(recent) for name, count in sorted(counts.items())}
 
     def add(self, episode: Episode, world: int = 0, *, present: bool = True) -> None:
-        """Count an episode of a world; one that is not of the present stage counts for the number only."""
+        """Count an episode of a world. An episode that is not of the present stage is counted in the number
+        of episodes only."""
         self.episodes += 1
         if not present:
             return
@@ -385,12 +398,13 @@ class Statistics:
         self._window.add(episode, world)
 
     def begin_anew(self) -> None:
-        """Forget the recent episodes, which say nothing about what follows."""
+        """Forget the recent episodes, which do not describe the next stage."""
         self._window.clear()
         self._present, self.returns = 0, None
 
     def note_solved(self, mean_return: float, success_rate: float) -> None:
-        """A confirmation with this mean return and success rate has shown that the task is solved."""
+        """Record that a confirmation with this mean return and success rate has shown that the task is
+        solved."""
         self.solved_at = SolvedAt(
             self.episodes, self.steps, self.simulated_hours, self.cpu_seconds, mean_return, success_rate
         )
@@ -409,10 +423,10 @@ class Statistics:
         )
 
     def restore(self, state: StatisticsState) -> None:
-        """Take up what `state` gave.
+        """Restore a state that `state` returned.
 
         Raises:
-            ValueError: It does not fit the worlds of the training.
+            ValueError: The state does not fit the worlds of the training.
         """
         self.steps, self.episodes, self.solved_at = state.steps, state.episodes, state.solved_at
         self.cpu_seconds_before, self.returns = state.cpu_seconds, state.returns
@@ -421,8 +435,7 @@ class Statistics:
 
 
 def meets_solved(solved: Solved, mean_return: float, success_rate: float) -> bool:
-    """Whether means over enough episodes count as solved: every threshold that the scenario names is
-    reached."""
+    """Return whether means over enough episodes reach every threshold that the scenario names."""
     return (solved.mean_return is None or mean_return >= solved.mean_return) and (
         solved.success_rate is None or success_rate >= solved.success_rate
     )
@@ -431,7 +444,7 @@ def meets_solved(solved: Solved, mean_return: float, success_rate: float) -> boo
 # Of an evaluation
 
 SUCCESS_STATISTICS = ("successes", "success_rate", "success_interval")
-"""Fields of `Summary` that mean nothing where the scenario defines no success."""
+"""The fields of `Summary` that have no meaning if the scenario defines no success."""
 
 
 class Scores(BaseModel, frozen=True):
@@ -473,7 +486,7 @@ class Summary(Scores, frozen=True):
     def of_episodes(
         cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED, error: float = 0.05, **further: Any
     ) -> Self:
-        """The summary of at least one episode.
+        """Return the summary of at least one episode.
 
         Args:
             done: The episodes.
@@ -502,5 +515,5 @@ class Summary(Scores, frozen=True):
         )
 
     def meets_solved(self, solved: Solved | None) -> bool:
-        """Whether these means count as solved; False where the scenario does not say what does."""
+        """Return whether these means meet the criterion; False if the scenario has none."""
         return solved is not None and meets_solved(solved, self.mean_return, self.success_rate)

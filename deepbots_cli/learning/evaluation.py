@@ -46,20 +46,20 @@ from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 
 MAX_BATCH_WORLDS = 32
-"""Worlds of a batch. What a batch does per step over arrays takes as long as 5 single worlds; those that end
-early rest at the end."""
+"""The number of worlds of a batch. The array operations of a batch take as long per step as 5 single worlds,
+and worlds that end early are idle at the end."""
 
 
 class EvaluationResult(Summary, Evaluation, frozen=True):
     """The result of a policy in held-out episodes: their summary, the circumstances, and the episodes
     themselves.
 
-    As JSON it has the effects of drawn values in place of `draws`, and statistics of a success that is not
-    defined are None.
+    Its JSON has the effects of drawn values in place of `draws`. Statistics of a success that is not defined
+    are None.
 
     Attributes:
         answer: `solved` in words.
-        verdict: The same with the circumstances in parentheses.
+        verdict: The answer with the circumstances in parentheses.
         return_bounds: Smallest and largest possible return of an episode, if deepbots can derive them from
             rewards and time limit. Confidence intervals are cut at them.
         outcomes: The episodes, in the order of their seeds.
@@ -77,7 +77,7 @@ class EvaluationResult(Summary, Evaluation, frozen=True):
 
     @property
     def possible_returns(self) -> tuple[float, float]:
-        """`return_bounds` with infinities."""
+        """The limits of `return_bounds`, infinite where a bound is None."""
         low, high = self.return_bounds
         return -math.inf if low is None else low, math.inf if high is None else high
 
@@ -185,7 +185,7 @@ def evaluate(
 
 @dataclass(frozen=True)
 class _Policy:
-    """How `evaluate` takes actions, with its arguments of these names."""
+    """The options of `evaluate` for choosing actions, under the names of its arguments."""
 
     model: ModelName
     deterministic: bool
@@ -193,7 +193,7 @@ class _Policy:
 
 
 class _Part(NamedTuple):
-    """Some of the episodes of an evaluation; `options` are those of a `_Setting`."""
+    """Some of the episodes of an evaluation. `options` are the arguments of a `_Setting`."""
 
     run: Run
     options: dict[str, Any]
@@ -216,13 +216,13 @@ def play_models(
     executor: Executor = SERIAL,
     **options: Any,
 ) -> Generator[list[Episode]]:
-    """Episodes of several models of a run from the same held-out starts, for one model after the other.
+    """Play episodes of several models of a run from the same held-out starts, one model after the other.
 
     Args:
         run: The run.
         models: The names of the models.
         numbers: The numbers of the starts.
-        watcher: Is told of each model that is done.
+        watcher: Is called after each model.
         executor: Where the episodes run; the result does not depend on it.
         options: `seed`, `permissions` and `build`, as for `evaluate`.
     """
@@ -237,7 +237,8 @@ class _Finished(Watcher):
         self._show, self._done, self._total = show, {0: 0}, total
 
     def on_report(self, item: int, value: object) -> None:
-        if isinstance(value, int) and value > self._done.get(item, 0):  # a part that is repeated begins again
+        # A part that is repeated reports from 0 again.
+        if isinstance(value, int) and value > self._done.get(item, 0):
             self._done[item] = value
             if self._show is not None:
                 self._show(sum(self._done.values()), self._total)
@@ -247,7 +248,7 @@ class _Finished(Watcher):
 
 
 def confirmation_result(run: Run, number: int, seed: int, done: Sequence[Episode]) -> EvaluationResult:
-    """The confirmation that ended a training as an evaluation of its best model.
+    """Return the confirmation that ended a training as an evaluation of its best model.
 
     Args:
         run: The run.
@@ -261,10 +262,10 @@ def confirmation_result(run: Run, number: int, seed: int, done: Sequence[Episode
 def evaluate_trained(
     run: Run, *, permissions: Permissions = Permissions(), on_episode: OnEpisode | None = None
 ) -> EvaluationResult:
-    """The evaluation after a training: the confirmation that ended it, or else new episodes.
+    """Return the evaluation after a training: the confirmation that ended it, or else new episodes.
 
-    The confirmation is kept in the run already. New episodes are as many as `solved` asks for; if they meet
-    it, there are more of them where so few may do so by luck.
+    The confirmation is in the run already. The number of new episodes is that of `solved`. If they meet it
+    and so few may do so by luck, more are played.
     """
     quoted = quoted_episodes(run)
     if quoted is None or quoted[1].confirmation is None:
@@ -280,7 +281,9 @@ def evaluate_trained(
 def until_enough(
     result: EvaluationResult, until: StopCondition, run: Run, **options: Any
 ) -> EvaluationResult:
-    """The result of `evaluate` with the same `options` and `until`, from a result with all episodes."""
+    """Return the result that `evaluate` has with the same `options` and `until`, from a result with all
+    episodes.
+    """
     for count in range(1, result.episodes):
         if until(result.outcomes[:count]):
             others = ("model", "deterministic", "copies", "on_episode")
@@ -346,7 +349,7 @@ def evaluate_cases(
 
 
 def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None) -> Learner:
-    """The model of a run, rebuilt from its scenario for the spaces of `world`, with the weights of
+    """Load the model of a run: built from its scenario for the spaces of `world`, with the weights of
     `models/agent/<name>.zip`.
 
     Raises:
@@ -366,12 +369,12 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
 
 
 class _Setting:
-    """Where a policy is evaluated, and on which starts.
+    """The scenario and the starts on which a policy is evaluated.
 
     Attributes:
-        judged: A scenario in the place of that of the run.
-        program: The case or stage of it that is evaluated in.
-        engine: None for worlds of the caller.
+        judged: A scenario that replaces that of the run.
+        program: The case or stage in which the policy is evaluated.
+        engine: The engine; None for worlds of the caller.
     """
 
     def __init__(
@@ -402,9 +405,8 @@ class _Setting:
         usual = self._usual_episodes()
         self.episodes = usual if episodes is None else episodes
         if seed is None and self._has_confirmed_starts and self.episodes != usual:
-            self.seed = (
-                run.record.seed
-            )  # those of the confirmation are selected: all of them were needed to pass
+            # The episodes of the confirmation are a selected sample: all of them were needed to pass.
+            self.seed = run.record.seed
         if self.episodes < 1 or self.seed < 0:
             raise UsageError(
                 f"episodes must be at least 1 and the seed at least 0, not {self.episodes} and {self.seed}"
@@ -418,7 +420,7 @@ class _Setting:
         on_episode: OnEpisode | None = None,
         until: StopCondition | None = None,
     ) -> list[Episode]:
-        """The episodes of these numbers, the first of which is a multiple of `FORWARD_BATCH_SIZE`."""
+        """Play the episodes of these numbers, the first of which is a multiple of `FORWARD_BATCH_SIZE`."""
         seeds, count = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)], len(numbers)
         copies = (
             max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE))
@@ -449,8 +451,8 @@ class _Setting:
         return is_own and self.engine == self.run.record.engine
 
     def _usual_episodes(self) -> int:
-        """The number of episodes: that of the scenario or the case, or that of the confirmation which they
-        repeat."""
+        """Return the default number of episodes: that of the scenario or the case, or that of the
+        confirmation which they repeat."""
         count = (self.judged or self.run).program.evaluation_episodes(self.case)
         result = self.run.record.result
         best = None if result is None or not self._has_confirmed_starts else result.best_model
@@ -471,7 +473,8 @@ class _Setting:
         deterministic: bool = True,
         confirmation: int | None = None,
     ) -> EvaluationResult:
-        """The result of these episodes; `confirmation` is the number of the confirmation that they are."""
+        """Return the result of these episodes. `confirmation` is the number of the confirmation that they
+        repeat."""
         run, program, engine = self.run, self.program, self.engine
         if confirmation is None and model == "best" and deterministic and self._has_confirmed_starts:
             assert run.record.result is not None
@@ -532,7 +535,7 @@ class _Setting:
     def _circumstances(
         self, model: str, elsewhere: str | None, overrides: Sequence[str], *, deterministic: bool
     ) -> tuple[str, ...]:
-        """What is other than in the training, or than usual in an evaluation."""
+        """Return notes on how this evaluation differs from the training, or from an ordinary evaluation."""
         run, digest, trained_in = self.run, (self.judged or self.run).digest, self.run.record.engine
         lines = [f"scenario {elsewhere}"] if elsewhere else []
         if not elsewhere and run.record.digest not in (digest, run.digest):
@@ -551,8 +554,8 @@ class _Setting:
         return tuple(lines)
 
     def _elsewhere(self) -> tuple[str | None, tuple[str, ...]]:
-        """The name of a scenario that replaces that of the run, and the assignments of `--set`, without that
-        of another engine."""
+        """Return the name of a scenario that replaces that of the run, and the assignments of `--set`,
+        without that of another engine."""
         judged = self.judged
         if judged is None or judged.digest == self.run.record.digest:
             return None, ()

@@ -1,4 +1,4 @@
-"""Where work runs: in this process, or on the workers of `deepbots_cli.cluster`.
+"""Executors of work: in this process, or on the workers of `deepbots_cli.cluster`.
 
 Work is calls of one function with several items, such as the seeds of a group, or the shards of one training.
 A result depends on its item only. A call whose worker was lost is repeated on another one.
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypedDict, TypeVar, Unpack
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.calls import UNWATCHED, Attempt, Watcher
 
-if TYPE_CHECKING:  # which imports torch
+if TYPE_CHECKING:
     from contextlib import ExitStack
 
     from deepbots_cli.learning.environments import WorldFactory
@@ -30,8 +30,8 @@ class CallOptions(TypedDict, total=False):
     """Options of `Executor.map`.
 
     Attributes:
-        watcher: Is told of reports, notes and results.
-        files: Files that every worker must see.
+        watcher: Is called with reports, notes and results.
+        files: Files that every worker must be able to read.
         log: Returns the file for the output of the call with an item, on a worker.
         stop: Returns whether to stop: calls that run on workers receive SIGTERM once, and no other call
             begins. With it, each call has a process of its own.
@@ -44,7 +44,7 @@ class CallOptions(TypedDict, total=False):
 
 
 class Executor(Protocol):
-    """Where calls and shards run."""
+    """Runs calls and shards."""
 
     @property
     def is_here(self) -> bool:
@@ -52,7 +52,7 @@ class Executor(Protocol):
 
     @property
     def is_on_this_machine(self) -> bool:
-        """Whether all workers see the files that this process sees."""
+        """Whether all workers have the files of this process."""
 
     @property
     def workers(self) -> int:
@@ -67,24 +67,25 @@ class Executor(Protocol):
         """Call a function with each item, and yield the results in the order of the items.
 
         A DeepbotsError that a call raises is yielded in its place, and the other calls go on. After a stop
-        the results end early, and None stands for a call that has not been completed. To close the generator
+        the results end early, and None stands for a call that has not been completed. Closing the generator
         ends the calls.
 
         Args:
-            function: A function of a module, which takes an item. Workers need both to be picklable.
+            function: A function of a module, which takes an item. Workers require that both can be pickled.
             items: The items; they are made when they are needed.
 
         Raises:
-            UsageError: A worker has other versions of deepbots or of its libraries, or does not see a file.
+            UsageError: A worker has other versions of deepbots or of its libraries, or cannot read a file.
         """
 
     def shards(
         self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]
     ) -> ShardPool:
-        """The shards of a training, which end with `stack`; `note` is called with what the user should know.
+        """Create the shards of a training, which end with `stack`. `note` is called with messages for the
+        user.
 
         Raises:
-            UsageError: A worker does not see the run, or has other versions of deepbots or of its libraries.
+            UsageError: A worker cannot read the run, or has other versions of deepbots or of its libraries.
         """
 
 
@@ -113,7 +114,7 @@ class _ThisProcess:
     def shards(
         self, stack: ExitStack, run: Run, training: Training, build: WorldFactory, note: Callable[[str], None]
     ) -> ShardPool:
-        from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers  # which import torch
+        from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
 
         pool = LocalShards(
             [Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))]
@@ -126,7 +127,7 @@ SERIAL: Executor = _ThisProcess()
 
 
 def results(found: Generator[Result | DeepbotsError | None]) -> Generator[Result]:
-    """The results of `map`; the first error among them is raised, and ends the calls."""
+    """Yield the results of `map`. The first error among them is raised, and ends the calls."""
     try:
         for outcome in found:
             if isinstance(outcome, DeepbotsError):

@@ -1,5 +1,5 @@
-"""Failures of an episode: a number that is not finite, a world that explodes. They are located, and kept for
-reproduction.
+"""Failures of an episode, such as a number that is not finite or a world that explodes. They are located, and
+kept for reproduction.
 
     failures/0001.json      the start of the episode, its actions, and the error
 
@@ -44,9 +44,10 @@ from deepbots_cli.runtime.batch import EpisodeHistory, LostWorld
 
 FAILURES_FOLDER = "failures"
 _MAX_FILE_BYTES = 100_000_000
-"""Bytes of a file; one of 100 MB that holds empty lists takes 3 GB of memory."""
+"""The largest size of a file in bytes. A file of 100 MB with empty lists takes 3 GB of memory."""
 MAX_LOST_EPISODES, LOSS_WINDOW_EPISODES = 10, 100
-"""A training stops when so many of so many episodes in a row were lost."""
+"""The limit of lost episodes: a training stops when `MAX_LOST_EPISODES` of the last `LOSS_WINDOW_EPISODES`
+episodes were lost."""
 
 
 class Failure(BaseModel, strict=True):
@@ -68,7 +69,7 @@ class Failure(BaseModel, strict=True):
 
 
 class FailureRecorder(HistoryRecorder):
-    """A world with the `history` of its running episode, whose failures name field or term, step, episode and
+    """A world with the `history` of its running episode. Its failures name field or term, step, episode and
     seed.
 
     A failure is an error of the world, a reward that is not finite, or an observation that is not finite.
@@ -127,7 +128,7 @@ class FailureRecorder(HistoryRecorder):
         return outcome
 
     def _name(self, observation: Any) -> str:
-        """The first field of an observation that is not finite."""
+        """Return the name of the first field of an observation that is not finite."""
         parts = observation if isinstance(observation, dict) else {"observation": observation}
         key, part = next((key, part) for key, part in parts.items() if not np.isfinite(part).all())
         if key != "observation" or self._program is None:
@@ -139,7 +140,7 @@ class FailureRecorder(HistoryRecorder):
     def _fail(self, error: DeepbotsError) -> NoReturn:
         """Raise the error with its place, and with the command that reproduces it.
 
-        An action that is not finite is the policy's fault; the world only refuses it.
+        An action that is not finite is an error of the policy, which the world refuses.
         """
         if isinstance(error, UsageError):
             raise error
@@ -162,8 +163,8 @@ class FailureRecorder(HistoryRecorder):
 class BatchFailureRecorder:
     """The failures of a batch of worlds in a training.
 
-    A world that becomes infinite or NaN is reset: its episode is lost. A batch that raises an error has
-    failed.
+    A world whose state becomes infinite or NaN is reset, and its episode is lost. A batch that raises an
+    error has failed.
 
     Args:
         run: The run that keeps a file of each failure.
@@ -190,8 +191,8 @@ class BatchFailureRecorder:
         self._files = 0
 
     def record_lost(self, stage: int, loss: LostWorld, history: EpisodeHistory) -> None:
-        """Keep a lost episode and tell the user. There are files of the first ten, and of the one that ends
-        the training.
+        """Keep a lost episode and report it. The first ten have files, and so does the one that ends the
+        training.
 
         Raises:
             EngineError: Ten of the last hundred episodes were lost.
@@ -240,7 +241,7 @@ def _failure_text(
     stage: str | None = None,
     ends_at_reset: bool = False,
 ) -> str:
-    """The error with its episode, and with the command that repeats it if a file could be written."""
+    """Return the error with its episode, and with the command that repeats it if a file could be written."""
     start = history.start
     root = start if isinstance(start, int) else start.get("root")
     text = f"episode {number:,}{'' if root is None else f' (seed {root})'}, {error}"
@@ -265,7 +266,7 @@ def _failure_text(
 
 
 def is_finite(observation: Any) -> bool:
-    """Whether all numbers of an observation are finite. A dot product takes 0.3 us, a third of
+    """Return whether all numbers of an observation are finite. A dot product takes 0.3 us, a third of
     `numpy.isfinite`."""
     parts = observation.values() if isinstance(observation, dict) else (observation,)
     return all(
@@ -276,7 +277,8 @@ def is_finite(observation: Any) -> bool:
 
 
 def read_failure(path: Path) -> tuple[Failure, Run, Program]:
-    """A file that `FailureRecorder` wrote, its run, and the scenario, case or stage that failed.
+    """Read a file that `FailureRecorder` wrote. Returns the failure, its run, and the scenario, case or stage
+    that failed.
 
     Raises:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
@@ -286,8 +288,8 @@ def read_failure(path: Path) -> tuple[Failure, Run, Program]:
 
 
 def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], path: Path) -> Iterator[int]:
-    """Repeat the episode in a world of the program: yields how many actions are done, from 0, until they are
-    or the episode ends.
+    """Repeat the episode in a world of the program. Yields the number of completed actions, from 0, until all
+    are done or the episode ends.
 
     Raises:
         RunError: The file `path` of the failure is damaged.
@@ -308,10 +310,10 @@ def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], p
 
 
 def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[Failure, str | None]:
-    """Repeat the episode of a file that `FailureRecorder` wrote; the failure, and the error of the repetition
-    (None: it did not fail).
+    """Repeat the episode of a file that `FailureRecorder` wrote. Returns the failure, and the error of the
+    repetition (None: it did not fail).
 
-    If the episode ends earlier now, the actions of the failure are those that were repeated.
+    If the episode ends earlier now, the actions of the returned failure are those that were repeated.
 
     Raises:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
@@ -322,7 +324,7 @@ def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[
         try:
             for done in repeat_steps(failure, program, world, path):  # noqa: B007
                 pass
-        except RunError:  # of the file, not of the world
+        except RunError:  # the recording is damaged; the world did not fail
             raise
         except DeepbotsError as error:
             return failure, str(error)

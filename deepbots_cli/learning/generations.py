@@ -38,7 +38,7 @@ class Generations(Generic[Item]):
         self._window: list[deque[Item]] = [deque(maxlen=self._of_each(episodes)) for _ in range(worlds)]
 
     def _of_each(self, episodes: int) -> int:
-        """The episodes of each world in whole generations of at least so many episodes."""
+        """Return the episodes of each world in whole generations of at least so many episodes."""
         return math.ceil(episodes / self._rows) * self._copies
 
     def add(self, item: Item, world: int = 0) -> None:
@@ -52,41 +52,42 @@ class Generations(Generic[Item]):
 
     @property
     def is_full(self) -> bool:
-        """Whether each world has its share of the window."""
+        """Whether each world has all of its episodes of the window."""
         return all(len(items) == items.maxlen for items in self._window)
 
     @property
     def finished(self) -> list[Item]:
-        """The episodes of all worlds, of which some may have more than others before the window is full."""
+        """The episodes of all worlds. Before the window is full, some worlds may have more than others."""
         return list(chain.from_iterable(self._window))
 
     @property
     def whole(self) -> list[Item]:
-        """The newest whole generations; none before each world has finished an episode."""
+        """The newest whole generations; empty before each world has finished an episode."""
         least = min(map(len, self._window))
         return self._newest(least - least % self._copies)
 
     def newest(self, episodes: int) -> list[Item] | None:
-        """The newest whole generations with at least so many episodes, or the whole window if it has fewer.
+        """Return the newest whole generations with at least so many episodes, or the whole window if it has
+        fewer.
 
-        None while some world has not finished its share.
+        The result is None while some world has not finished its part.
         """
         count = min(self._of_each(episodes), self._window[0].maxlen or 1)
         return self._newest(count) if all(len(items) >= count for items in self._window) else None
 
     def _newest(self, count: int) -> list[Item]:
-        """The newest `count` episodes of each world."""
+        """Return the newest `count` episodes of each world."""
         return [item for items in self._window for item in list(items)[len(items) - count :]]
 
     def state(self) -> tuple[list[Item], list[int]]:
-        """The items, and the world of each."""
+        """Return the items, and the world of each."""
         return self.finished, [world for world, items in enumerate(self._window) for _ in items]
 
     def restore(self, items: Sequence[Item], worlds: Sequence[int] | None) -> None:
-        """Take up what `state` gave.
+        """Restore items that `state` returned.
 
-        Versions before 0.2 kept no worlds. The items of several worlds are then forgotten, since it is not
-        known which are of one generation.
+        Versions before 0.2 kept no worlds. The items of several worlds are then dropped, since their
+        generations are unknown.
 
         Raises:
             ValueError: The worlds do not fit.

@@ -86,13 +86,13 @@ class GroupRecord(CampaignRecord):
 
     @property
     def options(self) -> dict[str, Any]:
-        """Those of each training."""
+        """The options of each training."""
         return self.model_dump(include={*TrainingOptions.__annotations__})
 
 
 @dataclass(frozen=True)
 class Group(Campaign[GroupRecord]):
-    """A group on disk: a run for each seed, or for each attempt of `train --retry`."""
+    """A group on disk, with a run for each seed, or for each attempt of `train --retry`."""
 
     noun = "group"
     kind = SourceKind.GROUP
@@ -108,7 +108,7 @@ class Group(Campaign[GroupRecord]):
             )
 
     def run(self, seed: int) -> Path:
-        """The folder of the run of a seed, which exists once its training has begun."""
+        """Return the folder of the run of a seed, which exists once its training has begun."""
         return self.path / f"seed-{seed}"
 
     @property
@@ -123,8 +123,8 @@ class Group(Campaign[GroupRecord]):
 
     @property
     def representatives(self) -> list[Path]:
-        """The folders of the runs that stand for the group, of those that have begun: all seeds, but only the
-        best attempt.
+        """The folders of the runs that represent the group, as far as they have begun: those of all seeds, or
+        that of the best attempt.
 
         Raises:
             RunError: A record is damaged.
@@ -137,7 +137,11 @@ class Group(Campaign[GroupRecord]):
         return self.attempts[self.best_attempt - 1] if self.attempts else None
 
     def attempt_verdict(self, number: int) -> RunVerdict:
-        """The verdict about an attempt, from 1. Raises: RunError: Its record is damaged."""
+        """Return the verdict about an attempt, from 1.
+
+        Raises:
+            RunError: The record of the attempt is damaged.
+        """
         folder = self.planned[number - 1]
         return (
             run_verdict(folder, RunRecord.read(folder))
@@ -147,7 +151,7 @@ class Group(Campaign[GroupRecord]):
 
     @property
     def best_attempt(self) -> int:
-        """The number of the attempt with the best evaluation: solved, then by what the task asks for; of
+        """The number of the attempt with the best evaluation: solved, then by the measure of the task; of
         equals the last one.
 
         Raises:
@@ -171,7 +175,7 @@ class Group(Campaign[GroupRecord]):
         return max(verdicts, key=order)
 
     def _measure(self, *, defines_success: bool) -> Measure:
-        """What the task asks for, as a training has recorded it; nothing is compiled."""
+        """Return the measure of the task that a training has recorded; nothing is compiled."""
         for folder in self.runs:
             result = RunRecord.read(folder).result
             if result is not None and result.best is not None:
@@ -201,8 +205,8 @@ class GroupTraining:
 
     @property
     def interrupted(self) -> bool:
-        """Whether a stop was requested, also in the last rollout of the last seed, which leaves no seed
-        waiting."""
+        """Whether a stop was requested, including one in the last rollout of the last seed, which leaves no
+        seed waiting."""
         return bool(self.waiting) or any(result.stop_requested for result in self.trained)
 
 
@@ -239,7 +243,7 @@ def train_group(
         on_evaluation: As for `train`, for each training in this process.
         executor: Where the trainings run; the result does not depend on it. By default they run in this
             process, one after the other.
-        options: Those of `train`; the arguments `runs` and `build` are as there, too.
+        options: The options of `train`, including `runs` and `build`.
 
     Raises:
         UsageError: The folder exists, a seed is given twice, or the settings are invalid for training.
@@ -249,7 +253,7 @@ def train_group(
         raise TypeError(f"a training has no option {', '.join(sorted(unknown))}")
     if not seeds or len(set(seeds)) < len(seeds) or len(seeds) > MAX_SEEDS:
         raise UsageError(f"a group needs 1 to {MAX_SEEDS} different seeds")
-    from deepbots_cli.learning.training import checked_settings  # which imports torch
+    from deepbots_cli.learning.training import checked_settings
 
     compiled = api.with_learner(compiled)
     checked_settings(compiled.program, seeds, **options)
@@ -261,7 +265,8 @@ def train_group(
 def new_record(
     compiled: Compiled, seeds: Sequence[int], options: TrainingOptions, retries: int = 0
 ) -> GroupRecord:
-    """The record of a group whose trainings have these options; with `retries`, of a group of attempts."""
+    """Return the record of a group whose trainings have these options; with `retries`, of a group of
+    attempts."""
     kept: dict[str, Any] = {**options}
     kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}
     for name in ("initialize_from", "demonstrations"):
@@ -311,7 +316,7 @@ def resume_group(
     }
     with run_lock(resumed.path):
         if followers:
-            from deepbots_cli.learning.sb3 import plugins  # which imports torch
+            from deepbots_cli.learning.sb3 import plugins
 
             plugins.check(followers.get("callbacks", ()), followers.get("loggers", ()))
             resumed = resumed.changed(**followers)
@@ -360,12 +365,11 @@ def _train_seeds(
             on_workers = {"watcher": reporter, "stop": partial(_stops, interruption, reporter)}
             on_workers |= {"files": [group.path / GROUP_RECORD_NAME], "log": partial(_log_of, group.path)}
         outcomes = stack.enter_context(closing(executor.map(_train_seed, items, **on_workers)))
-        with suppress(KeyboardInterrupt):  # before a training handles it itself, or a second one
+        with suppress(KeyboardInterrupt):  # a signal before a training handles it, or a second one
             for seed, outcome in zip(left, outcomes, strict=False):
                 if isinstance(outcome, DeepbotsError):
-                    if not group.runs or isinstance(
-                        outcome, StorageError
-                    ):  # nothing can be trained so, or written there
+                    # The settings cannot be trained, or the folder cannot be written to.
+                    if not group.runs or isinstance(outcome, StorageError):
                         raise outcome
                     failed[seed] = outcome.full_message
                 elif outcome is not None:
@@ -407,7 +411,8 @@ def _log_of(group: Path, item: _SeedTraining) -> Path:
 
 
 def _is_complete(run: Path, changes: Mapping[str, Any]) -> bool:
-    """Whether nothing is left to train; a run that is damaged has an error to report."""
+    """Return whether nothing is left to train. A damaged run counts as incomplete, so that its error is
+    reported."""
     try:
         record = RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
     except DeepbotsError:
@@ -419,7 +424,7 @@ def _is_complete(run: Path, changes: Mapping[str, Any]) -> bool:
 
 
 def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
-    """Train a seed, or continue its run, which may have been begun by a worker that was lost; None if the
+    """Train a seed, or continue its run, which may have been begun by a worker that was lost. None if the
     group ends before."""
     if item.begin is not None and item.begin() is False:
         return None

@@ -1,4 +1,5 @@
-"""Held-out episodes: the worlds that play them, and those of a training: their starts and who plays them."""
+"""Held-out episodes: the worlds that play them, their starts during a training, and the evaluator that plays
+them."""
 
 from __future__ import annotations
 
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 
 
 EVALUATION_EPISODES = 20
-"""Starts of an evaluation, the same each time: two networks differ by what they do there, not by their
-luck."""
+"""The number of starts of an evaluation. All evaluations have the same starts, so that two networks differ by
+their actions and not by luck."""
 
 
 class EvaluationWorlds:
@@ -59,7 +60,7 @@ class EvaluationWorlds:
         self._singles: list[FailureRecorder] = []
 
     def enter(self, program: Program, *, case: str | None = None, stage: str | None = None) -> None:
-        """Play in this scenario from now on, which is that of a case or stage."""
+        """Play in this scenario from now on; it is the scenario of a case or stage."""
         if program is self._program:
             return
         self.close()
@@ -69,11 +70,11 @@ class EvaluationWorlds:
 
     @property
     def first(self) -> gym.Env[Any, Any]:
-        """One of the worlds, which has the spaces of all."""
+        """A world, whose spaces are those of all worlds."""
         return self._single_worlds()[0] if self._batch is None else self._batch.singles[0]
 
     def has_batch_for(self, episodes: int) -> bool:
-        """Whether a batch plays so many episodes."""
+        """Return whether a batch plays so many episodes."""
         return self._batch is not None and episodes >= self._size
 
     def play(
@@ -86,14 +87,14 @@ class EvaluationWorlds:
         on_episode: OnEpisode | None = None,
         until: StopCondition | None = None,
     ) -> list[Episode]:
-        """An episode from each seed, or only the episodes with these `numbers`.
+        """Play an episode from each seed, or only the episodes with these `numbers`.
 
         They are the same in a batch and in any number of single worlds. With `until`, they end with the first
         episode for which it returns True.
         """
         numbers = range(len(seeds)) if numbers is None else numbers
         if self._batch is not None and self.has_batch_for(len(numbers)):
-            with suppress(DeepbotsError):  # single worlds say where it is, and keep the episode
+            with suppress(DeepbotsError):  # single worlds report its place, and keep the episode
                 finished = play_batch(policy, self._batch, [seeds[number] for number in numbers])
                 return in_order(finished, range(len(numbers)), on_episode, until)
         worlds = self._single_worlds()
@@ -119,31 +120,31 @@ class EvaluationWorlds:
 
 
 def play_script(build: WorldFactory, program: Program, name: str, seeds: Sequence[int]) -> list[Episode]:
-    """The episodes of a script from these seeds."""
+    """Play the episodes of a script from these seeds."""
     with closing(build(program)) as world:
         return [play(world, named_driver(world, name), Start(seed)) for seed in seeds]
 
 
 def evaluation_seeds(seed: int, numbers: range) -> list[int]:
-    """The starts of evaluations during a training with the root seed `seed`, which neither the training nor a
-    later evaluation has. Each evaluation has the first `EVALUATION_EPISODES` of them."""
+    """Return the starts of evaluations during a training with the root seed `seed`. Neither the training nor
+    a later evaluation has these. Each evaluation has the first `EVALUATION_EPISODES` of them."""
     return [derive_seed(seed, "trial", number) for number in numbers]
 
 
 def confirmation_root(seed: int, number: int) -> int:
-    """The root seed of the starts of a confirmation, by its number from 1: six digits, which are easy to
-    repeat."""
+    """Return the root seed of the starts of a confirmation, by its number from 1: six digits, which are easy
+    to repeat."""
     return 100_000 + derive_seed(seed, "confirmation", number) % 900_000
 
 
 class Evaluator:
     """Plays held-out episodes of the current policy without noise: in a batch of worlds if engine and
-    scenario support it, otherwise in the shards of the training if it has several, otherwise in a world of
-    its own."""
+    scenario support it, otherwise in the shards of the training if it has several, otherwise in its own
+    world."""
 
     def __init__(self, build: WorldFactory, seed: int, run: Run | None = None) -> None:
         self.steps = 0
-        """Those of all evaluations, without confirmations and the last choice."""
+        """The steps of all evaluations, without confirmations and the last choice."""
         self.shards: ShardedCollector | None = None
         self.starts = evaluation_seeds(seed, range(EVALUATION_EPISODES))
         """The starts of every evaluation."""
@@ -154,7 +155,7 @@ class Evaluator:
     def evaluate(
         self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None
     ) -> list[Episode]:
-        """The episodes of an evaluation; arguments and errors are those of `play`."""
+        """Play the episodes of an evaluation; arguments and errors are those of `play`."""
         done = self.play(model, scenario, interruption, self.starts, stage)
         self.steps += sum(episode.length for episode in done)
         return done
@@ -169,15 +170,15 @@ class Evaluator:
         *,
         here: bool = False,
     ) -> list[Episode]:
-        """An episode from each seed in `scenario`, which is that of `stage`. The training's random numbers
-        stay as they were.
+        """Play an episode from each seed in `scenario`, which is that of `stage`. The training's random
+        numbers stay as they were.
 
         Args:
             here: Whether to leave out the shards, such as for another model than that of the training.
 
         Raises:
-            KeyboardInterrupt: Somebody wants the training to end; it goes on from its last checkpoint, before
-                this evaluation. Shards complete their part first.
+            KeyboardInterrupt: The training was interrupted. When it is resumed, it continues from its last
+                checkpoint, before this evaluation. Shards complete their part first.
         """
         state = torch.get_rng_state()
 

@@ -19,10 +19,11 @@ from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from deepbots_cli.errors import RunError, StorageError
 from deepbots_cli.files import unwritable_message
 
-_LAST_BYTES = 1 << 16  # which hold the last line
+_LAST_BYTES = 1 << 16  # bytes at the end that contain the last line
 _COPYING = (2, 3, 5, 7, 8, 9)  # codes of attributes, parameters and reports
 _MAX_COPIED = 200_000_000
-"""For each entry, Optuna copies all entries of this kind about the trial.
+"""The largest number of copied entries. For each entry, Optuna copies all entries of this kind about the
+trial.
 
 A study of 10,000 trials with 30 seeds copies 45 million. A journal with 300,000 entries about one trial
 would take an hour.
@@ -37,7 +38,7 @@ _ERRORS = (
     TypeError,
     ValueError,
 )
-"""What Optuna raises for entries that it did not write; it does not check them."""
+"""The exceptions that Optuna raises for entries of another origin, which it does not check."""
 
 
 class JournalFile(JournalFileBackend):
@@ -59,7 +60,7 @@ class JournalFile(JournalFileBackend):
         super().__init__(str(path), self._own_lock)
 
     def read_logs(self, log_number_from: int) -> Generator[dict[str, Any], None, None]:
-        """The entries after so many lines.
+        """Yield the entries after so many lines.
 
         Raises:
             ValueError: A line is no JSON.
@@ -82,7 +83,7 @@ class JournalFile(JournalFileBackend):
         self._line = None
 
     def _check_last_line(self) -> None:
-        """Optuna leaves out a last line that is no JSON, also if it is complete.
+        """Check the last line, because Optuna leaves out a last line that is no JSON, even if it is complete.
 
         Raises:
             ValueError: It is such a line.
@@ -115,7 +116,7 @@ class JournalFile(JournalFileBackend):
 
     @contextmanager
     def checked(self) -> Iterator[None]:
-        """Errors of Optuna within the block are about the file.
+        """Context in which errors of Optuna are reported as errors of the file.
 
         Raises:
             RunError: The file is damaged.
@@ -130,7 +131,7 @@ class JournalFile(JournalFileBackend):
 
 
 def _end_of_entries(file: BinaryIO) -> int:
-    """Where the next entry belongs: behind the last complete line."""
+    """Return the position of the next entry, after the last complete line."""
     size = file.seek(0, os.SEEK_END)
     for length in (_LAST_BYTES, size):
         begin = max(0, size - length)

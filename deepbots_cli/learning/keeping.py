@@ -36,8 +36,8 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.streams import derive_seed
 
 _KINDS = ("best", "step", "candidate", "earlier", "last")
-"""The names of models that may become the best one, before a hyphen; of models with the same steps the first
-one counts."""
+"""The names of models that may become the best one, before a hyphen. If models have the same steps, the first
+kind is used."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class KeptModel:
 
     Attributes:
         run: The run, with its new record.
-        name: Which model was chosen.
-        best: What the record says of it.
+        name: The name of the chosen model.
+        best: Its entry in the record.
         earlier: The file of the best model of before; None if it is the same model, or there was none.
         played: The models that played new starts, the best one first; none if a person chose.
     """
@@ -91,7 +91,8 @@ def keep(
     """
     folder = ref.run.path
     with run_lock(folder):
-        run = Run.open(folder)  # a training that has just ended in there has changed the record
+        # A training that has just ended in the folder has changed the record.
+        run = Run.open(folder)
         result = run.record.result
         if result is None:
             raise UsageError(
@@ -134,7 +135,7 @@ def keep(
             earlier = None if is_same else _put_first(run, name)
         except OSError as error:
             raise StorageError(unwritable_message(run.model("best"), error)) from error
-        if is_same:  # what is known of this model stays: its evaluations, and its confirmation
+        if is_same:  # the evaluations and the confirmation of this model stay
             run.update(updated=run.record.updated, result=result.model_copy(update={"best": best}))
         else:
             run.update(result=result.model_copy(update={"best": best, "confirmed_seed": None}))
@@ -142,12 +143,12 @@ def keep(
 
 
 def _six_digits(run: Run, stream: str, number: int) -> int:
-    """A root seed that is easy to repeat."""
+    """Return a root seed that is easy to repeat."""
     return 100_000 + derive_seed(run.record.seed, stream, number) % 900_000
 
 
 def kept_models(run: Run) -> dict[int, ModelName]:
-    """The models of a run by their steps; two models with the same steps are the same model."""
+    """Return the models of a run by their steps; two models with the same steps are the same model."""
     names = [
         path.stem for path in sorted(run.model("best").parent.glob("*.zip")) if has_model(run.path, path.stem)
     ]
@@ -166,7 +167,7 @@ def _played(
     executor: Executor,
     options: dict[str, Any],
 ) -> list[PlayedModel]:
-    """All models of a run with their results on new starts, the best one first.
+    """Play new starts with all models of a run. Returns them with their results, the best one first.
 
     Raises:
         UsageError: There is a single model.
@@ -189,7 +190,7 @@ def _played(
 
 
 def _model_count(models: int) -> int:
-    """How many models play, over all rounds."""
+    """Return the number of models that play, over all rounds."""
     count = models
     while (models := (models + 1) // 2) > 1:
         count += models
@@ -202,7 +203,7 @@ def _is_best(run: Run, name: ModelName) -> bool:
 
 
 def _put_first(run: Run, name: ModelName) -> Path | None:
-    """Make a model the best one; the file of the best model of before, if there is one."""
+    """Make a model the best one. Returns the file of the best model of before, if there is one."""
     best, source, earlier = run.model("best"), run.model(name), None
     if best.is_file():
         number = 1

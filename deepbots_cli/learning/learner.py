@@ -1,4 +1,4 @@
-"""What learns: the interface between a training and an algorithm.
+"""The interface between a training and an algorithm.
 
 A training calls `collect` of its `Learner` for a fragment of experience, then `update`, and between the two
 it reads the state from which a resumed training continues bit for bit. An evaluation calls `predict`.
@@ -55,7 +55,7 @@ class Setup:
     """Arguments of a learner.
 
     `longest_episode` is in steps, `collector` is None for a policy that does not learn but acts in `rows`,
-    and `demonstrations` are those of a recording that teaches.
+    and `demonstrations` come from a recording that teaches.
     """
 
     training: Training
@@ -81,8 +81,8 @@ class Initialization:
 class Learner(ABC):
     """An algorithm with its policy.
 
-    A training calls `begin`, restores a checkpoint if there is one, and calls `start`; then `collect` and
-    `update` in turn; `end` at last.
+    A training calls `begin`, restores a checkpoint if there is one, and calls `start`. It then calls
+    `collect` and `update` in turn, and finally `end`.
 
     Attributes:
         setup: The arguments that it was created with.
@@ -96,10 +96,10 @@ class Learner(ABC):
     takes_masks = False
     """Whether `predict` uses action masks."""
     takes_callbacks = True
-    """Whether it calls the `followers` of `begin`."""
+    """Whether the learner calls the `followers` of `begin`."""
     is_off_policy = False
-    """Whether it learns from a replay buffer, so that a step of the training takes much longer than one of an
-    evaluation."""
+    """Whether the learner has a replay buffer, so that a step of the training takes much longer than one of
+    an evaluation."""
     device = "cpu"
     setup: Setup
     steps: int
@@ -139,8 +139,8 @@ class Learner(ABC):
         """Collect the next fragment; False if the monitor of the training stopped it before."""
 
     agreement: float | None = None
-    """In which share of the states of the last fragment the policy does what its teacher would do; None
-    before an update that imitates."""
+    """The share of the states of the last fragment in which the policy agrees with its teacher; None before
+    an update that imitates."""
 
     def be_taught(self, plan: Plan) -> None:
         """Called before each fragment of a training with a teacher.
@@ -153,7 +153,7 @@ class Learner(ABC):
         )
 
     def actor(self) -> PolicyActor:
-        """The policy as it acts to learn; shards have copies of it.
+        """Return the acting policy; shards have copies of it.
 
         Raises:
             UsageError: The algorithm does not support shards.
@@ -179,19 +179,21 @@ class Learner(ABC):
         deterministic: bool = False,
         action_masks: Any = None,
     ) -> tuple[Any, Any]:
-        """Actions for an observation, or for rows of them, and the memory of a recurrent policy after it."""
+        """Return the actions for an observation, or for rows of them, and the memory of a recurrent policy
+        after it."""
 
     @abstractmethod
     def recent(self) -> tuple[Any, Array, Array | None]:
-        """Recent observations and actions, rows last but one, and the log-probabilities of the actions if
-        they are known."""
+        """Return recent observations and actions, rows last but one, and the log-probabilities of the actions
+        if they are known."""
 
     @abstractmethod
     def weights(self) -> dict[str, Array]:
-        """The arrays of the policy."""
+        """Return the arrays of the policy."""
 
     def digest(self) -> str:
-        """SHA-256 over names, shapes and bytes of the weights; equal exactly for equal policies."""
+        """Return the SHA-256 over names, shapes and bytes of the weights, which is equal for equal policies
+        only."""
         total = hashlib.sha256()
         for name, array in sorted(self.weights().items()):
             total.update(f"policy/{name} {array.dtype.str} {array.shape}\n".encode())
@@ -199,7 +201,7 @@ class Learner(ABC):
         return total.hexdigest()
 
     def not_finite(self) -> str | None:
-        """The name of the first array of the policy that contains infinite or NaN values."""
+        """Return the name of the first array of the policy that contains infinite or NaN values."""
         return next((name for name, array in self.weights().items() if not np.isfinite(array).all()), None)
 
     # Models
@@ -214,7 +216,7 @@ class Learner(ABC):
 
     @abstractmethod
     def load(self, path: Path) -> None:
-        """Take over a model.
+        """Take over a model from its file.
 
         Raises:
             RunError: The file is missing, damaged, or of another policy.
@@ -236,7 +238,7 @@ class Learner(ABC):
         self.checkpoint_folder = folder
 
     def state(self) -> dict[str, Any]:
-        """The fields of `State` that `CheckpointState` does not have."""
+        """Return the fields of `State` that `CheckpointState` does not have."""
         return {}
 
     def shared_files(self) -> Iterable[Path]:
@@ -245,10 +247,10 @@ class Learner(ABC):
 
     @abstractmethod
     def arrays(self) -> dict[str, Array]:
-        """The arrays of a checkpoint beside the model."""
+        """Return the arrays of a checkpoint beside the model."""
 
     def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
-        """The required shapes and types of these arrays."""
+        """Return the required shapes and types of these arrays."""
         return _specs(self.arrays())
 
     @abstractmethod
@@ -259,16 +261,16 @@ class Learner(ABC):
     # For explanations
 
     def values(self, observations: Sequence[Any]) -> Array | None:
-        """The critic's value of each observation; None without a critic."""
+        """Return the critic's value of each observation; None without a critic."""
         return None
 
     def critic_check(self) -> tuple[float, float] | None:
-        """What the critic predicts in recent states, and the discounted return that followed there (means);
-        None where this is unknown. No random number is drawn."""
+        """Return the critic's mean prediction in recent states, and the mean discounted return that followed
+        there; None if this is unknown. No random number is drawn."""
         return None
 
     def network(self) -> Any:
-        """The layers of the policy, for an export (`learning.sb3.networks.PolicyNetwork`).
+        """Return the layers of the policy, for an export (`learning.sb3.networks.PolicyNetwork`).
 
         Raises:
             UsageError: The policy cannot be exported.
@@ -277,8 +279,8 @@ class Learner(ABC):
 
 
 class ArrayLearner(Learner):
-    """A learner whose state is arrays that it changes in place. Models and checkpoints store these arrays
-    without further code.
+    """A learner whose state consists of arrays that it changes in place. Models and checkpoints store these
+    arrays without further code.
 
     A subclass defines `act`, `update`, `predict` and `weights`, and `memory` if the next update depends on
     further arrays.
@@ -297,10 +299,10 @@ class ArrayLearner(Learner):
 
     @abstractmethod
     def act(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
-        """Actions to learn from, one per row; `starts` is true in rows in which an episode begins."""
+        """Return actions to learn from, one per row. `starts` is true in rows in which an episode begins."""
 
     def memory(self) -> dict[str, Array]:
-        """Further arrays, besides `weights`, on which the next update depends."""
+        """Return further arrays, besides `weights`, on which the next update depends."""
         return {}
 
     def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
@@ -345,10 +347,10 @@ class ArrayLearner(Learner):
 
 
 def class_of(training: Training) -> type[Learner]:
-    """The learner of the algorithm that the scenario names.
+    """Return the learner class of the algorithm that the scenario names.
 
     Raises:
-        UsageError: That of another package cannot be imported, or is none.
+        UsageError: The class of another package cannot be imported, or is no learner.
     """
     model = ALGORITHMS.get(training.algorithm)
     if model is None or model.is_derived():
@@ -369,7 +371,7 @@ def class_of(training: Training) -> type[Learner]:
 
 
 def create(setup: Setup) -> Learner:
-    """A learner that has learned nothing yet.
+    """Create a learner that has learned nothing yet.
 
     Raises:
         UsageError: The algorithm is unknown, or refuses the settings or the spaces.
@@ -379,7 +381,7 @@ def create(setup: Setup) -> Learner:
 
 
 def steps_of(path: Path) -> int:
-    """After how many steps a model was saved.
+    """Read the number of steps after which a model was saved.
 
     Raises:
         RunError: The file is missing, damaged, or no model.

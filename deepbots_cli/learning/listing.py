@@ -1,4 +1,4 @@
-"""What is known of runs, groups and studies from their files alone, also while they train.
+"""Lists runs, groups and studies from their files alone, even while they train.
 
 Nothing is compiled, and torch is not imported.
 """
@@ -29,7 +29,7 @@ from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
 
 State = Literal["training", "finished", "interrupted", "failed", "unreadable"]
 _TAIL_BYTES = 64_000
-"""Bytes of a log that hold its last 100 episodes."""
+"""The number of bytes at the end of a log that contain its last 100 episodes."""
 _MAX_STATE_BYTES = 100_000_000
 _MAX_SCENARIO_BYTES = 10_000_000
 
@@ -38,17 +38,17 @@ _MAX_SCENARIO_BYTES = 10_000_000
 class ListedRun:
     """A run, a group or a study, from its files.
 
-    Of a study, `runs` are the groups of its trials, and `planned` is the number of trials in all; it has no
-    score. Of a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and
-    `cpu_seconds` are sums, and `runs` are its members. `score` says what the return and the success rate are
-    of. `evaluation`: the quoted evaluation (`quoted_evaluation`) of `evaluated_episodes` episodes; `remarks`
-    say how it differs from a usual one. `training`: the recent episodes of the training, in which the policy
-    explores. `solved_after` are the steps after which a confirmation showed that the task is solved, if the
-    run is solved; `best_steps` those of the best model, and `chosen_by` says what chose it. `decline` is how
-    far its evaluations fell since; None where they did not. `settings` are the assignments of `--set`,
-    `teacher` is that of `teacher_of`. `success_rate` is None where the scenario defines no success. `solved`
-    is that of `run_verdict`. Of a run that trains, `cpu_seconds` is as old as its last checkpoint. `updated`
-    is a time in UTC, `problem` why the files cannot be read.
+    For a study, `runs` are the groups of its trials, and `planned` is the number of trials in all; it has no
+    score. For a group, `mean_return` and `success_rate` are means over the runs that have one, `steps` and
+    `cpu_seconds` are sums, and `runs` are its members. `score` is the origin of the return and the success
+    rate. `evaluation`: the quoted evaluation (`quoted_evaluation`) of `evaluated_episodes` episodes;
+    `remarks` are its differences from a usual one. `training`: the recent episodes of the training, in which
+    the policy explores. `solved_after` are the steps after which a confirmation showed that the task is
+    solved, if the run is solved; `best_steps` are those of the best model, and `chosen_by` is how it was
+    chosen. `decline` is the decline of its evaluations since then; None if there is none. `settings` are the
+    assignments of `--set`, `teacher` is the result of `teacher_of`. `success_rate` is None if the scenario
+    defines no success. `solved` is that of `run_verdict`. While a run trains, `cpu_seconds` is as old as its
+    last checkpoint. `updated` is a time in UTC, and `problem` is the reason why the files cannot be read.
     """
 
     path: Path
@@ -82,8 +82,8 @@ class ListedRun:
 
 
 def list_runs(folder: Path) -> list[ListedRun]:
-    """The runs, groups and studies in a folder, the one that changed last at the end; those of a group in the
-    order of their seeds, those of a study in the order of its trials."""
+    """List the runs, groups and studies in a folder, the one that changed last at the end. The runs of a
+    group come in the order of their seeds, and those of a study in the order of its trials."""
     if not folder.is_dir():
         return []
     if folder_kind(folder) in (SourceKind.GROUP, SourceKind.STUDY):
@@ -93,7 +93,7 @@ def list_runs(folder: Path) -> list[ListedRun]:
 
 
 def read_listed(path: Path) -> ListedRun:
-    """A run, a group or a study; files that cannot be read are its `problem`."""
+    """Read a run, a group or a study. If its files cannot be read, `problem` has the reason."""
     read = {SourceKind.GROUP: _listed_group, SourceKind.STUDY: _listed_study}.get(
         folder_kind(path) or SourceKind.RUN, _listed_run
     )
@@ -166,7 +166,7 @@ def _listed_run(path: Path) -> ListedRun:
 def _decline(path: Path, record: RunRecord) -> Decline | None:
     try:
         return decline_of(path, record)
-    except RunError:  # its evaluations during the training are damaged, and what else is listed is not
+    except RunError:  # only its evaluations during the training are damaged
         return None
 
 
@@ -216,7 +216,7 @@ def _listed_study(path: Path) -> ListedRun:
 
 
 def _listed_campaign(campaign: Campaign[Any], counted: Sequence[Path]) -> ListedRun:
-    """What all campaigns have: the members, and the sums over those in the `counted` folders."""
+    """Return the entry of a campaign, with its members, and the sums over those in the `counted` folders."""
     members = tuple(map(read_listed, campaign.runs))
     summed = [member for member in members if member.path in counted and member.problem is None]
     costs = [member.cpu_seconds for member in summed if member.cpu_seconds is not None]
@@ -236,7 +236,7 @@ def _listed_campaign(campaign: Campaign[Any], counted: Sequence[Path]) -> Listed
 
 
 def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
-    """The evaluations that a run keeps, by number; of one that cannot be read, the reason."""
+    """Return the evaluations of a run by number, or the reason why one cannot be read."""
     numbered: list[tuple[int, EvaluationRecord | str]] = []
     for number, path in numbered_files(run / "evaluations"):
         try:
@@ -247,7 +247,7 @@ def evaluations(run: Path) -> list[tuple[int, EvaluationRecord | str]]:
 
 
 def _recent(log: Path) -> list[tuple[int, int, float, bool]]:
-    """Steps, number, return and success of the last episodes in a log; nothing where it cannot be read."""
+    """Return steps, number, return and success of the last episodes in a log; empty if it cannot be read."""
     try:
         rows = read_log_tail(log, _TAIL_BYTES)[-WINDOW_EPISODES:]
         return [
@@ -259,7 +259,7 @@ def _recent(log: Path) -> list[tuple[int, int, float, bool]]:
 
 
 def _cpu_of_checkpoint(run: Path) -> float | None:
-    """CPU time of the training when the last checkpoint was written, s."""
+    """Return the CPU time of the training when the last checkpoint was written, in s."""
     states = sorted((run / "checkpoints").glob("[0-9]*/state.json"))
     try:
         return float(json.loads(read_at_most(states[-1], _MAX_STATE_BYTES))["statistics"]["cpu_seconds"])
@@ -269,12 +269,13 @@ def _cpu_of_checkpoint(run: Path) -> float | None:
         ValueError,
         KeyError,
         TypeError,
-    ):  # there is none yet, or it has just been replaced
+    ):
+        # There is no checkpoint yet, or it has just been replaced.
         return None
 
 
 def _defines_success(run: Path) -> bool:
-    """Whether the scenario of a run has a goal or an ending that is a success."""
+    """Return whether the scenario of a run has a goal or an ending that is a success."""
     root = _scenario(run)
     endings = root.get("termination") if root is not None else None
     return root is not None and (
@@ -284,14 +285,13 @@ def _defines_success(run: Path) -> bool:
 
 
 def teacher_of(run: Path) -> str | None:
-    """The script that teaches the policy of a run, or the file of a recording that does."""
+    """Return the script that teaches the policy of a run, or the file of a recording that does."""
     if (run / DEMONSTRATIONS_NAME).is_file():
         return DEMONSTRATIONS_NAME
     kept = run / RESOLVED_NAME
     try:
-        if not kept.is_file() or b"teacher" not in read_at_most(
-            kept, _MAX_SCENARIO_BYTES
-        ):  # reading all of it takes 5 ms
+        # Reading all of the file takes 5 ms.
+        if not kept.is_file() or b"teacher" not in read_at_most(kept, _MAX_SCENARIO_BYTES):
             return None
     except OSError:
         return None
@@ -303,7 +303,7 @@ def teacher_of(run: Path) -> str | None:
 
 
 def _scenario(run: Path) -> MappingNode | None:
-    """The text of the scenario of a run; None where it cannot be read."""
+    """Return the scenario of a run as nodes; None if it cannot be read."""
     try:
         return Source.kept(run).document().root
     except DeepbotsError:
@@ -313,8 +313,7 @@ def _scenario(run: Path) -> MappingNode | None:
 def sort_runs(
     runs: Sequence[ListedRun], key: Literal["date", "name", "steps", "cpu", "return", "success"]
 ) -> list[ListedRun]:
-    """Runs by date or name upwards, by anything else from the largest value on; runs without a value come
-    last."""
+    """Sort runs by date or name upwards, or by another value downwards. Runs without a value come last."""
     if key == "date":
         return list(runs)
     if key == "name":

@@ -1,10 +1,9 @@
-"""Which of two policies is better: the one order of policies, and the shortlist of the best models of a
-training.
+"""The order of policies, and the shortlist of the best models of a training.
 
-"Better" means what the task asks for: a higher value of the measure that `solved` names; without `solved`, a
-higher success rate where the scenario defines success, else a higher mean return. The other measure counts
-only among equals. The order holds for the models of a training, for attempts and trials, and for what
-commands say about them.
+A policy is better if it has a higher value of the measure of the task. This is the measure that `solved`
+names. Without `solved`, it is the success rate if the scenario defines success, else the mean return. The
+other measure orders policies that are equal in the first. The order applies to the models of a training, to
+attempts and trials, and to the output of commands.
 
 Evaluations during a training are small, so the best of many looks better than it is. A training therefore
 keeps the models of its best evaluations, and plays new starts with them before it chooses one
@@ -35,14 +34,16 @@ Rank = tuple[float, float]
 """The value of the measure, then the value of the other one; the higher rank is better."""
 
 SHORTLIST = 5
-"""Models that a training keeps for the last choice. With 42 evaluations of 20 episodes, the best policy is
-among the five best evaluations in most cases; each further model costs at least 20 episodes."""
+"""The number of models that a training keeps for the last choice. With 42 evaluations of 20 episodes, the
+best policy is among the five best evaluations in most cases; each further model costs at least 20
+episodes."""
 FIRST_ROUND = 20
-"""New starts of each model in the first round of the choice; each later round has twice as many."""
+"""The number of new starts of each model in the first round of the choice. Each later round has twice as
+many."""
 
 
 def measure_of(solved: Solved | None, *, defines_success: bool) -> Measure:
-    """What the task asks for: the measure of `solved`, else the success rate where the scenario defines
+    """Return the measure of the task: that of `solved`, else the success rate if the scenario defines
     success."""
     if solved is None:
         return "success_rate" if defines_success else "mean_return"
@@ -50,7 +51,7 @@ def measure_of(solved: Solved | None, *, defines_success: bool) -> Measure:
 
 
 def rank(measure: Measure, success_rate: float | None, mean_return: float) -> Rank:
-    """The rank of a policy; a success rate that the scenario does not define is None or 0."""
+    """Return the rank of a policy. A success rate that the scenario does not define is None or 0."""
     success = success_rate or 0.0
     return (success, mean_return) if measure == "success_rate" else (mean_return, success)
 
@@ -79,7 +80,7 @@ class Candidate(BaseModel):
         )
 
     def joined(self, summary: Summary) -> Candidate:
-        """The candidate with further episodes."""
+        """Return the candidate with further episodes."""
         episodes = self.episodes + summary.episodes
         share = summary.episodes / episodes
         return Candidate(
@@ -90,19 +91,20 @@ class Candidate(BaseModel):
         )
 
     def text(self, measure: Measure, *, defines_success: bool) -> str:
-        """`success rate 95 %, mean return 12.3 in 20 episodes`, what the task asks for first."""
+        """Return the result in words, the measure of the task first: `success rate 95 %, mean return 12.3 in
+        20 episodes`."""
         parts = [f"mean return {self.mean_return:.4g}"]
         if defines_success:
             parts.insert(0 if measure == "success_rate" else 1, f"success rate {self.success_rate:.0%}")
         return f"{', '.join(parts)} in {self.episodes:,} episodes"
 
     def rank(self, measure: Measure) -> tuple[Rank, int]:
-        """Its rank; of equals the later model is better, which has learned more."""
+        """Return the rank; of equals, the later model is better, which has learned more."""
         return rank(measure, self.success_rate, self.mean_return), self.steps
 
 
 def ordered(candidates: Iterable[Candidate], measure: Measure) -> list[Candidate]:
-    """Candidates, the best one first."""
+    """Return candidates in order, the best one first."""
     return sorted(candidates, key=lambda candidate: candidate.rank(measure), reverse=True)
 
 
@@ -122,7 +124,7 @@ def play_off(
     Args:
         models: At least one model, by its steps of the training.
         play: Takes models and the numbers of starts, and returns the episodes of each.
-        measure: What the task asks for.
+        measure: The measure of the task.
         max_steps: No further round begins after that many steps.
 
     Returns:
@@ -145,7 +147,7 @@ def play_off(
 
 
 def most_episodes(models: int) -> int:
-    """The episodes of a play-off of so many models that no limit of steps ends."""
+    """Return the episodes of a play-off of so many models that no limit of steps ends."""
     episodes, per_model = 0, FIRST_ROUND
     while models > 1:
         episodes += models * per_model
@@ -169,7 +171,7 @@ class Shortlist:
 
     Args:
         run: The run of the training.
-        measure: What the task asks for.
+        measure: The measure of the task.
     """
 
     def __init__(self, run: Run, measure: Measure) -> None:
@@ -182,11 +184,11 @@ class Shortlist:
         return self.candidates[0] if self.candidates else None
 
     def model(self, candidate: Candidate) -> Path:
-        """The file of a candidate."""
+        """Return the file of a candidate."""
         return self._run.model(f"candidate-{candidate.steps:012d}")
 
     def add(self, candidate: Candidate, save: Callable[[Path], object]) -> bool:
-        """Take in a model if it is among the best; `save` writes it. Whether it is the best one."""
+        """Add a model if it is among the best, and return whether it is the best one; `save` writes it."""
         others = [other for other in self.candidates if other.steps != candidate.steps]
         ordered = self._ordered([*others, candidate])
         self.candidates = ordered[:SHORTLIST]
@@ -199,7 +201,7 @@ class Shortlist:
         return is_best
 
     def put_first(self, candidate: Candidate, save: Callable[[Path], object]) -> None:
-        """Make a model the best one, whatever its rank; `save` writes it."""
+        """Make a model the best one, regardless of its rank; `save` writes it."""
         others = [other for other in self.candidates if other.steps != candidate.steps]
         self.candidates = [candidate, *others][:SHORTLIST]
         for path in (self.model(candidate), self._run.model("best")):
@@ -207,12 +209,13 @@ class Shortlist:
         self._remove_others()
 
     def clear(self) -> None:
-        """Forget all candidates, such as at the begin of a stage of the curriculum. The best model stays."""
+        """Forget all candidates, such as at the beginning of a stage of the curriculum. The best model
+        stays."""
         self.candidates = []
         self._remove_others()
 
     def restore(self, candidates: Sequence[Candidate]) -> None:
-        """Go back to the candidates of a checkpoint, without those whose file is missing."""
+        """Restore the candidates of a checkpoint, without those whose file is missing."""
         self.candidates = self._ordered([each for each in candidates if self.model(each).is_file()])
         self._remove_others()
         if self.best is not None:

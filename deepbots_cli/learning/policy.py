@@ -67,7 +67,7 @@ class Policy:
         self._begins = True
 
     def predict(self, observation: Any, *, deterministic: bool = True, action_mask: Any = None) -> Any:
-        """The action for an observation.
+        """Return the action for an observation.
 
         Args:
             observation: An observation of the environment, or several as rows (n, k); see `observe` for
@@ -108,7 +108,7 @@ class Policy:
     __call__ = predict
 
     def observe(self, values: Mapping[str, float], desired: Sequence[float] | None = None) -> Any:
-        """The observation for values by name, in their units (SI); values beyond a range are clipped.
+        """Return the observation for values by name, in their units (SI). Values beyond a range are clipped.
 
         Args:
             values: A value for each name of `self.values`.
@@ -121,12 +121,12 @@ class Policy:
 
         Raises:
             UsageError: A name is missing or unknown, a value is not finite, the goal is missing or has
-                another size, or the policy sees images or older values.
+                another size, or the policy has images or older values in its observation.
         """
         return self._observer.observe(values, desired)
 
     def named(self, action: Any) -> dict[str, float | str]:
-        """An action by name: the chosen option of a choice, or the number in its unit."""
+        """Return an action by name: the chosen option of a choice, or the number in its unit."""
         numbers = np.asarray(action).reshape(-1).tolist()
         return {
             value.name: value.options[int(number)]
@@ -158,7 +158,7 @@ def load_policy(run: str | Path, *, model: ModelName = "best") -> Policy:
 
 
 def loaded(run: Run, model: ModelName) -> Learner:
-    """The model of a run without a world; the random generators of the caller stay as they are.
+    """Load the model of a run without a world. The random generators of the caller stay as they are.
 
     Raises:
         RunError: There is no such model, or it is damaged.

@@ -1,4 +1,4 @@
-"""What a run says of itself: `run.json`, how it was trained and how it ended, and `evaluations/NNNN.json`."""
+"""The records of a run: `run.json`, with its inputs and its result, and `evaluations/NNNN.json`."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import RECORD_NAME
 
 FORMAT = 5
-"""Of the run directory as a whole; raised when an older deepbots could no longer read it."""
+"""The format of the run directory as a whole. It is raised when an older deepbots could no longer read it."""
 Status = Literal["running", "finished", "interrupted", "failed"]
 PATIENCE = "patience"
-"""What `stopped_by` says of a training that did not get better."""
+"""The value of `stopped_by` for a training that did not improve."""
 ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand"]
 _MAX_RECORD_BYTES = 4_000_000
 _MAX_EVALUATION_BYTES = 200_000_000
@@ -41,7 +41,7 @@ class BestModel(BaseModel):
             played new starts. `evaluation`: there was no second model, or the training was interrupted.
             `return`: by the mean return of an evaluation, in versions before 0.2. `hand`: a person named it
             (`eval MODEL --keep`).
-        measure: What the task asks for, by which it was chosen.
+        measure: The measure of the task, by which it was chosen.
         episodes: The held-out episodes that chose it, of which the other values are; they are better than
             those of new episodes on average, because they chose it.
         success_rate: None where the scenario defines no success.
@@ -62,7 +62,7 @@ class BestModel(BaseModel):
 
     @property
     def text(self) -> str:
-        """`after 35,288 steps, by success rate on new starts`."""
+        """The origin of the model, such as `after 35,288 steps, by success rate on new starts`."""
         after = "" if self.steps is None else f"after {self.steps:,} steps, "
         if self.chosen_by == "return":
             return f"{after}chosen by return in an evaluation, by a version before 0.2"
@@ -79,16 +79,17 @@ class BestModel(BaseModel):
 
 
 class RunResult(BaseModel):
-    """How a training ended, or how far it has come.
+    """The result of a training, or its progress so far.
 
     Attributes:
-        status: How it ended. An interrupted training keeps everything learned; `resume(run)` continues it.
+        status: The end of the training. An interrupted training keeps everything learned; `resume(run)`
+            continues it.
         steps: Number of steps, summed over all rows of the environment, without `evaluation_steps`.
         mean_return: Mean return of the recent episodes, like `success_rate`; None if no episode has ended.
         best: The best model; None if there were too few episodes for an evaluation. `best_return` is read
             from records of versions before 0.2.
         evaluation_steps: Steps of all held-out episodes during the training.
-        confirmations: How often a confirmation of a solved task began.
+        confirmations: The number of confirmations of a solved task that began.
         confirmed_seed: The root seed of the starts that confirmed the task and ended the training; None if
             none did.
         stage: The stage of the curriculum in which the training ended; `stages` are the stages before it.
@@ -122,12 +123,12 @@ class RunResult(BaseModel):
 
     @property
     def confirmed_at(self) -> SolvedAt | None:
-        """When a confirmation showed that the task is solved. Versions before 0.2 had no confirmations."""
+        """The confirmation that showed that the task is solved. Versions before 0.2 had no confirmations."""
         return self.solved_at if self.confirmations else None
 
     @property
     def best_model(self) -> BestModel | None:
-        """`best`, also of a record of a version before 0.2, which has the return alone."""
+        """The best model, also for a record of a version before 0.2, which has the return alone."""
         if self.best is not None or self.best_return is None:
             return self.best
         return BestModel(chosen_by="return", measure="mean_return", mean_return=self.best_return)
@@ -203,7 +204,7 @@ class RunRecord(BaseModel):
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """The record of a run.
+        """Return the record of a run.
 
         Raises:
             RunError: The record is missing, damaged, or was written in a format that this deepbots does not
@@ -226,14 +227,14 @@ def write_record(folder: Path, record: RunRecord) -> None:
 
 
 def changed_settings(command: Sequence[str]) -> tuple[str, ...]:
-    """The assignments `path=value` of `--set` in a command line."""
+    """Return the assignments `path=value` of `--set` in a command line."""
     words = list(command)
     after = [value for word, value in pairwise(words) if word == "--set"]
     return (*after, *(word.removeprefix("--set=") for word in words if word.startswith("--set=")))
 
 
 def short_settings(settings: Sequence[str]) -> str:
-    """`learning_rate=0.003, hidden=32` for assignments, without the paths to their keys."""
+    """Return assignments without the paths to their keys, such as `learning_rate=0.003, hidden=32`."""
     return ", ".join(
         "=".join((path.rpartition(".")[2], value))
         for path, _, value in (text.partition("=") for text in settings)
@@ -241,12 +242,13 @@ def short_settings(settings: Sequence[str]) -> str:
 
 
 def timestamp() -> str:
-    """The time in UTC, to the second, as ISO 8601."""
+    """Return the time in UTC, to the second, as ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def versions(*further: str) -> dict[str, str]:
-    """Of Python, of what a training result depends on, and of further packages."""
+    """Return the versions of Python, of the packages on which the result of a training depends, and of
+    further packages."""
     installed = {"python": platform.python_version()}
     for name in (*_VERSIONED_PACKAGES, *further):
         try:
@@ -299,7 +301,7 @@ class Evaluation(Scores, frozen=True):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """`circumstances`, and remarks on the number of episodes."""
+        """The circumstances, and remarks on the number of episodes."""
         return (*self.circumstances, *remark_on_episodes(self.episodes, self.planned, self.required_episodes))
 
 
@@ -313,7 +315,7 @@ class EvaluationRecord(Evaluation, frozen=True):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """An evaluation that was kept.
+        """Return an evaluation that was kept.
 
         Raises:
             RunError: The file is damaged.
@@ -322,7 +324,7 @@ class EvaluationRecord(Evaluation, frozen=True):
 
     @property
     def text(self) -> str:
-        """Mean return and success rate with their intervals, and what they are of."""
+        """Mean return and success rate with their intervals, and the circumstances."""
         text = f"mean return {self.mean_return:.4g}"
         if self.return_interval is not None:
             equal = "; all returns are equal" * (self.std_return == 0)
@@ -357,8 +359,8 @@ class EvaluationWithEpisodes(EvaluationRecord, frozen=True, allow_inf_nan=False)
         return outcomes
 
     def failed(self, program: Program) -> list[int]:
-        """The numbers of the episodes that failed: without a success, or where none is defined, ended by a
-        failure."""
+        """Return the numbers of the episodes that failed: without a success, or where none is defined, ended
+        by a failure."""
         bad = [
             not each.is_success if self.success_defined else each.ended_by in program.failures
             for each in self.outcomes
@@ -367,19 +369,19 @@ class EvaluationWithEpisodes(EvaluationRecord, frozen=True, allow_inf_nan=False)
 
     @property
     def replay_options(self) -> dict[str, Any]:
-        """What `trace_episodes` needs to repeat its episodes."""
+        """The arguments with which `trace_episodes` repeats its episodes."""
         return {"seed": self.seed, "model": self.model, "deterministic": self.deterministic}
 
 
 def in_parentheses(remarks: Iterable[str]) -> str:
-    """` (a; b)`, each remark once; empty without one."""
+    """Return remarks in parentheses, each once: ` (a; b)`. Empty without a remark."""
     joined = "; ".join(dict.fromkeys(remarks))
     return f" ({joined})" if joined else ""
 
 
 def remark_on_episodes(episodes: int, planned: int | None, required: int | None) -> tuple[str, ...]:
-    """What to say of the number of episodes of an evaluation; `required` is the number that `solved` asks
-    for."""
+    """Return remarks on the number of episodes of an evaluation. `required` is the number that `solved`
+    requires."""
     if planned is not None and episodes < planned:
         return (f"stopped by a requirement after {episodes} of {planned} episodes",)
     return (f"fewer than {required} episodes",) if required is not None and episodes < required else ()

@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     from rich.console import Group
 
 LINE_INTERVAL_S, EVALUATION_INTERVAL_S = 30.0, 10.0
-"""Seconds after a line without a terminal until the next one, and until one that an evaluation causes."""
+"""The time in s after a line without a terminal until the next one, and until one that an evaluation
+causes."""
 
 
 class Activity(NamedTuple):
-    """What a training does beside learning, and more about it."""
+    """The activity of a training beside learning, and details about it."""
 
     name: str
     detail: str
@@ -36,15 +37,15 @@ class Activity(NamedTuple):
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """How far a training is.
+    """The progress of a training.
 
-    The means are over the recent episodes, None before the first has ended; the success rate is None too
-    where the scenario defines no success. `solved` is the criterion of the scenario, `best` the best model by
+    The means are over the recent episodes, and None before the first has ended. The success rate is also None
+    if the scenario defines no success. `solved` is the criterion of the scenario, `best` the best model by
     the measure of the task, `evaluated` that of the last evaluation, `stage` the stage of the curriculum with
     its criterion, for people to read. `period` is the time of a step in s, `evaluations` their number in this
-    process, and `activity` what the training does beside learning, such as a confirmation.
-    `evaluation_seconds` is the time of evaluations in this process, and `evaluation_seconds_left` the longest
-    that may follow. With `is_ending`, no further steps follow.
+    process, and `activity` is an activity beside learning, such as a confirmation. `evaluation_seconds` is
+    the time of evaluations in this process, and `evaluation_seconds_left` the longest that may follow. With
+    `is_ending`, no further steps follow.
     """
 
     steps: int
@@ -65,20 +66,20 @@ class TrainingProgress:
     is_ending: bool = False
 
     def seconds_left(self, first_step: int, elapsed: float) -> float | None:
-        """The longest time until the training ends, in s, after `elapsed` s since `first_step`; None before a
-        step was timed."""
+        """Return the longest time until the training ends, in s, after `elapsed` s since `first_step`; None
+        before a step was timed."""
         steps = self.steps - first_step
         if steps <= 0 or self.steps >= self.total_steps or self.is_ending:
             return None
         if elapsed < MIN_TIMED_S and steps < MIN_TIMED_SHARE * self.total_steps:
-            return None  # the first updates are slow: they said 20 min of a training of 4
+            return None  # the first updates are slow: they predicted 20 min for a training of 4 min
         seconds_per_step = max(0.0, elapsed - self.evaluation_seconds) / steps
         return (self.total_steps - self.steps) * seconds_per_step + self.evaluation_seconds_left
 
 
 MIN_TIMED_S, MIN_TIMED_SHARE = 15.0, 0.05
-"""A training is timed for so many seconds, or so large a share of its steps, before the display says how long
-it may take."""
+"""The time in s, or the share of its steps, for which a training is timed before the display shows the
+remaining time."""
 
 
 class Reporter:
@@ -86,7 +87,7 @@ class Reporter:
     one reports nothing."""
 
     def note(self, text: str) -> None:
-        """Called with what the user should know, before `start` or during the training."""
+        """Called with a note for the user, before `start` or during the training."""
 
     def start(self, progress: TrainingProgress) -> None:
         pass
@@ -140,7 +141,7 @@ class ProgressReporter(Reporter):
         if tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S:
             values = progress_values(progress, speed, seconds_left)
             values.pop("episodes", None)
-            if progress.evaluations == self._evaluations:  # said by an earlier line
+            if progress.evaluations == self._evaluations:  # an earlier line has reported it
                 values = {name: value for name, value in values.items() if not value.is_evaluation}
             self._tenth, self._evaluations, self._shown = tenth, progress.evaluations, now
             parts = [
@@ -156,7 +157,7 @@ class GroupReporter(Watcher):
     """Follows trainings on workers, with their `TrainingProgress` as reports. This one reports nothing."""
 
     def stop(self) -> None:
-        """Called, perhaps several times, when the trainings are asked to stop."""
+        """Called, perhaps several times, when a stop of the trainings is requested."""
 
     def close(self) -> None:
         """Called at the end."""
@@ -234,7 +235,7 @@ class GroupProgressReporter(GroupReporter):
             self._shown = now
 
     def _row(self, item: int) -> dict[str, str]:
-        """What is reached, beside what `solved` asks for."""
+        """Return the values that the training has reached, beside those that `solved` requires."""
         cells = {"seed": f"{self._seeds[item]}", "state": self._states[item]}
         progress = self._progress.get(item)
         if progress is None:
@@ -247,7 +248,7 @@ class GroupProgressReporter(GroupReporter):
         return cells | {name: values[name].text for name in ("return", "success") if name in values}
 
     def _summary(self) -> str:
-        """The trainings by their state, the steps of all, and how long the rest will take."""
+        """Return the trainings by their state, the steps of all, and the remaining time."""
         states = Counter(self._states)
         parts = [
             ", ".join(
@@ -273,7 +274,7 @@ class GroupProgressReporter(GroupReporter):
         return "  ".join(parts)
 
     def _table(self, height: int) -> Group:
-        """A row for each training, or as many as there is room for, those at work first; and the summary."""
+        """Return a row for each training, or as many as fit, those at work first; and the summary."""
         from rich.console import Group
         from rich.table import Table
         from rich.text import Text
@@ -296,7 +297,7 @@ class GroupProgressReporter(GroupReporter):
 
 
 def reporter(progress: bool | Reporter) -> Reporter:
-    """The reporter meant by `progress=`: none, one of the caller's, or a display on standard error."""
+    """Return the reporter for `progress=`: none, one of the caller's, or a display on standard error."""
     if not isinstance(progress, bool):
         return progress
     return ProgressReporter() if progress else Reporter()
@@ -305,7 +306,7 @@ def reporter(progress: bool | Reporter) -> Reporter:
 class ProgressValue(NamedTuple):
     """A row of the display.
 
-    `is_evaluation`: it stays the same until the next evaluation. `is_clear`: the text says what it is, as
+    `is_evaluation`: it stays the same until the next evaluation. `is_clear`: the text needs no name, such as
     `589 steps/s`.
     """
 
@@ -317,7 +318,7 @@ class ProgressValue(NamedTuple):
 def progress_values(
     progress: TrainingProgress, speed: float = 0.0, seconds_left: float | None = None
 ) -> dict[str, ProgressValue]:
-    """The rows of the display, by name: what is reached, beside what `solved` asks for."""
+    """Return the rows of the display by name, with the values that `solved` requires."""
     solved, rows = progress.solved, dict[str, ProgressValue]()
     if progress.success_rate is not None:
         goal = (
@@ -355,13 +356,13 @@ def _score(model: Candidate, measure: Measure) -> str:
 
 
 def longer_goal(steps: int) -> int:
-    """A round number of steps to continue a training to, from 1.3 to 2.7 times as many as `steps`."""
+    """Return a round number of steps to continue a training to, from 1.3 to 2.7 times as many as `steps`."""
     unit: int = 10 ** (len(str(2 * steps)) - 1)
     return max(1, round(2 * steps / unit)) * unit
 
 
 def duration(seconds: float) -> str:
-    """`42 s`, `3:07 min` or `2:15 h`."""
+    """Return a time as text: `42 s`, `3:07 min` or `2:15 h`."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -371,7 +372,7 @@ def duration(seconds: float) -> str:
 
 
 def _table(progress: TrainingProgress, speed: float, elapsed: float, seconds_left: float | None) -> Group:
-    """The display of a terminal: a bar, and a row for each value."""
+    """Return the display of a terminal: a bar, and a row for each value."""
     from rich.console import Group
     from rich.progress_bar import ProgressBar as Bar
     from rich.table import Table

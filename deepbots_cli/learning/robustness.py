@@ -40,7 +40,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
 
 EPISODES_PER_LEVEL = 50
-"""Episodes of a level, unless the scenario asks for fewer."""
+"""The number of episodes of a level, unless the scenario has fewer."""
 LATENCY_STEPS, LOSS_RATES, NOISE_SHARES = (1, 2, 4, 8), (0.05, 0.1, 0.2, 0.4), (0.01, 0.02, 0.05, 0.1)
 FACTORS: dict[str, tuple[float, ...]] = {"smaller": (0.75, 0.5), "larger": (1.25, 1.5, 2.0)}
 """Factors on a mass or a friction by side, from the smallest change on."""
@@ -48,14 +48,14 @@ STRENGTH_FACTORS = (0.9, 0.75, 0.5, 0.25)
 FACTOR, DELAY = "x {:g}", "+{:g} ms"
 """Formats of an amount: a factor, and a longer time in ms."""
 _MAX_NAMED = 4
-"""Bodies that the condition of the friction names; more are counted."""
+"""The number of bodies that the condition of the friction names; more are counted."""
 SHARE_OF_NOMINAL = 0.8
-"""Required score if neither the caller nor the scenario sets one: 80 % of the success rate or mean return
+"""The required score if neither the caller nor the scenario sets one: 80 % of the success rate or mean return
 without any change."""
 
 Metric = Literal["success_rate", "mean_return"]
 Change = dict[str, Any]
-"""Keys of a scenario that replace or add to those of the scenario that it extends."""
+"""The keys of a scenario that replace or add to those of the scenario that it extends."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class RobustnessLevel:
 class Side:
     """The levels of a condition in one direction, from the smallest change on.
 
-    `name` is `smaller` or `larger`; it is empty if the condition has one direction only.
+    `name` is `smaller` or `larger`, or empty if the condition has only one direction.
     """
 
     name: str
@@ -95,8 +95,8 @@ class Side:
 
     @property
     def verdict(self) -> str:
-        """In words: `holds up to` a level, `fails from` a level, and the levels between them whose scores do
-        not follow this order."""
+        """The verdict in words: `holds up to` a level, `fails from` a level, and the levels between them
+        whose scores do not follow this order."""
         parts = []
         if self._held:
             *easier, last = self._held
@@ -129,8 +129,8 @@ class Side:
 
 
 def _surely(words: str, boundary: RobustnessLevel, others: Sequence[RobustnessLevel]) -> str:
-    """A remark on a boundary that is not significant: the next level beside it that is, of the others on its
-    side of the boundary."""
+    """Return a remark on a boundary that is not significant: the nearest level on its side of the boundary
+    that is."""
     if boundary.certain:
         return ""
     sure = next((entry.level for entry in others if entry.certain), None)
@@ -138,20 +138,20 @@ def _surely(words: str, boundary: RobustnessLevel, others: Sequence[RobustnessLe
 
 
 def _may_be_ordered(levels: Sequence[RobustnessLevel]) -> bool:
-    """Whether scores within the intervals can fall from level to level; an unknown interval allows all
+    """Return whether scores within the intervals can fall from level to level. An unknown interval allows all
     scores."""
     intervals = [entry.interval for entry in levels if entry.interval is not None]
     return all(after[0] <= before[1] for place, after in enumerate(intervals) for before in intervals[:place])
 
 
 def listed(names: Sequence[str]) -> str:
-    """`a, b and c`."""
+    """Return names as a list in words, such as `a, b and c`."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One changed condition at all of its levels.
+    """A changed condition at all of its levels.
 
     `skipped` is the reason why this scenario cannot be changed in this way; `sides` is empty then.
     """
@@ -177,9 +177,9 @@ class Condition:
 class Robustness:
     """A policy under changed conditions.
 
-    `metric` is what is compared with `bar`: the success rate where the scenario defines success, else the
-    mean return. `nominal` is the evaluation without any change. `bar` is None if there is nothing to keep: no
-    score is required, and the policy never succeeds without any change. `conditions` are then empty.
+    `metric` is the measure that is compared with `bar`: the success rate if the scenario defines success,
+    else the mean return. `nominal` is the evaluation without any change. `bar` is None if no score is
+    required, and the policy never succeeds without any change. `conditions` are then empty.
     """
 
     run: Path
@@ -273,7 +273,7 @@ def evaluate_robustness(
     skipped: dict[str, str] = {}
 
     def levels() -> Iterator[_Level]:
-        """The unchanged scenario, and each change of it, which is compiled when its turn comes."""
+        """Yield the unchanged scenario, and each change of it, which is compiled when it is needed."""
         yield _Level(trained, None, "", "", plain, evaluation_options)
         for plan in planned:
             try:
@@ -337,8 +337,8 @@ def _evaluate_level(level: _Level, attempt: Attempt) -> tuple[str | None, str, s
 def base_document(
     base: Source, overrides: Sequence[str] = (), case: str | None = None, stage: str | None = None
 ) -> Document:
-    """What all levels share: a scenario that compiles, with the settings of the case or stage applied, and
-    without tests.
+    """Return the document that all levels share: a scenario that compiles, with the settings of the case or
+    stage applied, and without tests.
 
     Of the cases and stages, only the name of this one is left: a setting of it may replace what a level
     changes, such as the ground by a terrain.
@@ -363,7 +363,7 @@ def base_document(
 
 
 def changed_scenario(document: Document, change: Change) -> Compiled:
-    """The scenario with the keys of `change`, compiled.
+    """Compile the scenario with the keys of `change`.
 
     Raises:
         ScenarioError: The changed scenario has errors.
@@ -372,8 +372,8 @@ def changed_scenario(document: Document, change: Change) -> Compiled:
 
 
 def changed_program(document: Document, change: Change) -> Program:
-    """The same without linting, which takes a fifth of the time in which a short episode is compiled, built
-    and simulated.
+    """Compile the changed scenario without linting, which takes a fifth of the time in which a short episode
+    is compiled, built and simulated.
 
     Raises:
         ScenarioError: The changed scenario does not compile.
@@ -406,8 +406,8 @@ def _level(label: str, result: EvaluationResult, metric: Metric, bar: float) -> 
 def _bar(
     program: Program, nominal: EvaluationResult, min_success: float | None, min_return: float | None
 ) -> tuple[Metric, float | None, str]:
-    """The metric, the required score, and its source; the score is None if the unchanged one is 0 % of
-    successes and none is required."""
+    """Return the metric, the required score, and its source. The score is None if the unchanged success rate
+    is 0 % and no score is required."""
     solved = program.agent.solved
     if min_return is not None:
         return "mean_return", min_return, "given"
@@ -433,7 +433,7 @@ class Plan(NamedTuple):
     """A condition that can be changed by any amount.
 
     Attributes:
-        kind: What is changed, such as `friction`; `subject` says of what, and may be empty.
+        kind: The changed property, such as `friction`; `subject` is its owner, and may be empty.
         change: The change of the scenario by an amount.
         sides: The amounts of a robustness evaluation by side, from the smallest change on; a condition with
             one side has the side "".
@@ -451,7 +451,7 @@ class Plan(NamedTuple):
         return f"{self.kind} of {self.subject}" if self.subject else self.kind
 
     def level(self, amount: float) -> tuple[str, Change]:
-        """The label of an amount, and the change by it."""
+        """Return the label of an amount, and the change by it."""
         return self.form.format(amount), self.change(amount)
 
     @property
@@ -461,7 +461,7 @@ class Plan(NamedTuple):
 
 
 def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> Iterator[Plan]:
-    """The conditions that a scenario has; `mass_of` as for `evaluate_robustness`."""
+    """Yield the conditions that a scenario has; `mass_of` as for `evaluate_robustness`."""
     if program.format != "none":
         ways = [("to_robot", "latency to the robot")]
         if any(robot.emitted for robot in program.robots):
@@ -493,7 +493,7 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
 
 
 def delayed(delay: float, own: str | None) -> str:
-    """A time of the scenario, or 0, and `delay` ms."""
+    """Return a time of the scenario, or 0, plus `delay` ms."""
     return f"{delay:g} ms" + (f" + {own}" if own else "")
 
 
@@ -510,7 +510,8 @@ Surface = tuple[str, str]
 
 
 def _surfaces(root: MappingNode, program: Program) -> dict[str, Surface]:
-    """What robots stand on, by its name in words: the ground, and fixed objects such as stairs.
+    """Return the surfaces on which robots stand, by their names in words: the ground, and fixed objects such
+    as stairs.
 
     In both engines the friction of a contact is the product of both coefficients, so walls, which robots
     should not touch, are left out.
@@ -533,7 +534,7 @@ def _named(surfaces: Iterable[str]) -> str:
 
 
 def _frictions(root: MappingNode, surfaces: Iterable[Surface], factor: float) -> Change:
-    """The friction of several bodies times a factor."""
+    """Return the friction of several bodies times a factor."""
     change: dict[str, Change] = defaultdict(dict)
     for section, name in surfaces:
         change[section][name] = friction(root, (section, name), factor)
@@ -541,7 +542,7 @@ def _frictions(root: MappingNode, surfaces: Iterable[Surface], factor: float) ->
 
 
 def friction(root: MappingNode, surface: Surface, factor: float) -> Change:
-    """The friction of a body, and of the variants that have one of their own, times a factor; 1 is the
+    """Return the friction of a body, and of the variants that have one of their own, times a factor; 1 is the
     default."""
     change: Change = {"friction": f"{factor:g} * ({written(root, *surface, 'friction') or '1'})"}
     for variant in entries_at(root, *surface, "one_of"):
@@ -551,13 +552,14 @@ def friction(root: MappingNode, surface: Surface, factor: float) -> Change:
 
 
 def written(root: Node | None, *path: str) -> str | None:
-    """The single value that is written at a path; None where nothing is."""
+    """Return the single value at a path; None if there is none."""
     node = node_at(root, *path)
     return node.text if isinstance(node, ScalarNode) else None
 
 
 def _noise(root: MappingNode, program: Program, share: float) -> Change:
-    """Noise on each entry of the observation with a finite range, that of its narrowest component."""
+    """Return noise on each entry of the observation with a finite range, in relation to its narrowest
+    component."""
     widths: dict[str, tuple[float, str]] = {}
     for number in program.agent.numbers:
         width = number.high - number.low
@@ -576,15 +578,16 @@ def _noise(root: MappingNode, program: Program, share: float) -> Change:
 
 
 def masses(root: MappingNode, program: Program, largest: int) -> Iterator[Plan]:
-    """The masses of the heaviest links that can move, at most `largest`, and of the objects that can move."""
+    """Yield the masses of the heaviest links that can move, at most `largest`, and of the objects that can
+    move."""
     links, objects, _ = _movable(root, program)
     heaviest = sorted(links, key=lambda link: -links[link])[:largest]
     yield from (_mass_plan(root, name) for name in (*heaviest, *objects))
 
 
 def _movable(root: MappingNode, program: Program) -> tuple[dict[str, float], list[str], list[str]]:
-    """The links that can move, with their masses in kg; the objects that can; and what is fixed to the
-    world."""
+    """Return the links that can move, with their masses in kg; the objects that can move; and the links and
+    objects that are fixed to the world."""
     heavy = {
         f"{body.name}.{link.name}": (link.inertial.mass, link.name in still)
         for body in program.world.robots
@@ -616,11 +619,11 @@ def _mass_plan(root: MappingNode, name: str) -> Plan:
 
 
 def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
-    """The link or object whose mass is changed; None where nothing has a mass.
+    """Return the link or object whose mass is changed; None if nothing has a mass.
 
     By default it is the heaviest link of all robots, as if it carried a load. All masses by one factor would
     often change nothing: the accelerations of a robot that follows commands of speed stay as they are. The
-    mass of what is fixed to the world changes no motion.
+    mass of a body that is fixed to the world has no effect.
 
     Raises:
         UsageError: Nothing of this name has a mass, or it is fixed to the world.
@@ -638,12 +641,12 @@ def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:
 
 
 def _nested(path: Sequence[str], value: Change | str) -> Change:
-    """A change of the value at a path of keys."""
+    """Return a change of the value at a path of keys."""
     return {path[0]: _nested(path[1:], value) if len(path) > 1 else value}
 
 
 def _strengths(root: MappingNode, factor: float) -> Change:
-    """The strength of every actuator times a factor."""
+    """Return the strength of every actuator times a factor."""
     return {
         robot: {
             "actuators": {

@@ -1,4 +1,4 @@
-"""The run directory: everything that one training was made from and has made.
+"""The run directory: the inputs and the results of one training.
 
     runs/cartpole-0-1/
     ├── run.json             command, seeds, digests, versions, status, result
@@ -14,8 +14,8 @@
     │                        step-000020000.zip with --keep-checkpoints; earlier-1.zip was the best before
     │                        `eval --keep`
     ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
-    ├── logs/                what callbacks and loggers append
-    └── checkpoints/         what a resumed training goes on from
+    ├── logs/                the output of callbacks and loggers
+    └── checkpoints/         the state from which a resumed training continues
 
 A directory is made once and never overwritten. All files are replaced whole, so a killed process leaves a
 usable run.
@@ -56,7 +56,7 @@ _FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "chec
 
 @dataclass
 class Run:
-    """One run on disk; `record` is what its `run.json` says, `compiled` its scenario as it compiles now."""
+    """A run on disk. `record` is its `run.json`, and `compiled` its scenario as it compiles now."""
 
     path: Path
     record: RunRecord
@@ -85,8 +85,8 @@ class Run:
         return self.record.seed if result is None or result.confirmed_seed is None else result.confirmed_seed
 
     def engine_for(self, program: Program) -> str:
-        """The engine to evaluate in: that of `program` if it names another than the run's scenario, else the
-        engine of the training."""
+        """Return the engine to evaluate in: that of `program` if it names another than the run's scenario,
+        else the engine of the training."""
         own = program.engine is not None and program.engine != self.program.engine
         return program.engine if own and program.engine else self.record.engine
 
@@ -99,7 +99,7 @@ class Run:
         """Write an evaluation under the next free number.
 
         Raises:
-            RunError: The run may not be written to, or its disk is full.
+            RunError: The run cannot be written to, or its disk is full.
         """
         return write_numbered(
             self.evaluations,
@@ -144,9 +144,8 @@ class Run:
             write_text(path / "environment.py", compiled.code)
             write_record(path, record)
             return Run(path, record, compiled)
-        except (
-            BaseException
-        ) as error:  # also Ctrl-C: half a directory is no run, and would stand in the way of the next one
+        except BaseException as error:
+            # This includes Ctrl-C. Half a directory is no run, and would block the next one.
             shutil.rmtree(path, ignore_errors=True)
             if isinstance(error, OSError):
                 raise StorageError(unwritable_message(path, error)) from error
@@ -189,7 +188,7 @@ class Run:
 
 
 def has_model(run: Path, name: str) -> bool:
-    """Whether a run has a model of this name, which a file may name."""
+    """Return whether a run has a model of this name, which may come from a file."""
     return (
         re.fullmatch(r"[a-z]+(-[0-9]+)?", name) is not None
         and (run / MODELS_FOLDER / ONLY_AGENT / f"{name}.zip").is_file()
@@ -198,10 +197,10 @@ def has_model(run: Path, name: str) -> bool:
 
 @dataclass(frozen=True)
 class ModelRef:
-    """A model of a run: what everything that acts with the policy of a run takes.
+    """A model of a run, as the argument of everything that acts with the policy of a run.
 
     It is named by the folder of its run (`runs/cartpole-0-1`: the best model), or by its file
-    (`runs/cartpole-0-1/models/agent/last.zip`). Whether the file fits is found out when it is loaded.
+    (`runs/cartpole-0-1/models/agent/last.zip`). The file is checked when it is loaded.
 
     Attributes:
         run: The run.
@@ -221,7 +220,7 @@ class ModelRef:
         *,
         model: ModelName = "best",
     ) -> ModelRef:
-        """The model that `source` names; of a run, the one called `model`.
+        """Open the model that `source` names; of a run, the one called `model`.
 
         Raises:
             RunError: It is neither a run nor a model of a run, or the run cannot be used.
@@ -249,7 +248,7 @@ class ModelRef:
 
     @property
     def label(self) -> str:
-        """`cartpole-0-1` for the best model, `cartpole-0-1 (last)` for another one."""
+        """The label, such as `cartpole-0-1` for the best model, and `cartpole-0-1 (last)` for another one."""
         return self.run.path.name if self.name == "best" else f"{self.run.path.name} ({self.name})"
 
 
@@ -267,8 +266,8 @@ def _check_plain(run: Path) -> None:
 
 
 def remove_incomplete(folder: Path) -> None:
-    """Remove what a killed process has left of a new run directory: folders and files of a run, but no
-    record."""
+    """Remove the files that a killed process has left of a new run directory: folders and files of a run
+    without a record."""
     removable = {*_FOLDERS, *_FILES, "environment.py"}
     if folder.is_dir() and not folder.is_symlink():
         names = {path.name for path in folder.iterdir()}

@@ -21,12 +21,12 @@ class Scalars:
         self._seen = {
             number.full_name: place for number, place in newest if number.clip and not number.is_truth
         }
-        """Where the newest value of each clipped number stands in an observation; a truth value is always at
-        an end of its range."""
+        """The place of the newest value of each clipped number in an observation. Truth values are left out,
+        because they are always at an end of their range."""
         self._began = time.monotonic(), active.statistics.steps
 
     def record_episodes(self) -> None:
-        """Scalars beside those of the learner, which writes them with its own."""
+        """Record scalars beside those of the learner, which writes them with its own."""
         log, statistics, curriculum = self._active.log, self._active.statistics, self._active.curriculum
         log.record("rollout/episodes", statistics.episodes)
         log.record("rollout/simulated_hours", statistics.simulated_hours)
@@ -45,12 +45,12 @@ class Scalars:
             log.record(f"ended_by/{name}", share)
 
     def record_policy(self) -> None:
-        """What the policy has seen and done in the last rollout, or in the last steps of the replay buffer.
+        """Record scalars about the policy in the last rollout, or in the last steps of the replay buffer.
 
-        `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` how often
-        an option was chosen, and `action/probability` the mean probability of the chosen actions.
-        `critic/value` is what the critic of an off-policy algorithm predicts, and `critic/followed` the
-        discounted return that followed.
+        `saturation/NAME` is the share of observations at the ends of their range, `action/OPTION` is the
+        share of steps in which an option was chosen, and `action/probability` the mean probability of the
+        chosen actions. `critic/value` is the prediction of the critic of an off-policy algorithm, and
+        `critic/followed` the discounted return that followed.
         """
         log, learner = self._active.log, self._active.learner
         choices = self._active.run.program.agent.choices
@@ -62,9 +62,8 @@ class Scalars:
             log.record("action/probability", float(np.exp(log_probs).mean()))
         if isinstance(observations, dict):
             observations = observations.get("observation")
-        if observations is not None and observations.shape[-1] > max(
-            self._seen.values(), default=0
-        ):  # not a world of the caller's
+        # A world of the caller may have other observations.
+        if observations is not None and observations.shape[-1] > max(self._seen.values(), default=0):
             shares = (np.abs(observations) >= 1.0).mean(axis=(0, 1))
             for name, place in self._seen.items():
                 log.record(f"saturation/{name}", float(shares[place]))
@@ -88,7 +87,7 @@ class Scalars:
         if teaching.demonstrations is None:
             driven = 0 if plan.lesson is None else plan.lesson.worlds
             log.record("teacher/driven_worlds", driven / self._active.learner.setup.training.environments)
-        if teaching.score is not None:  # in each stage of a curriculum another one
+        if teaching.score is not None:  # each stage of a curriculum has its own score
             log.record("teacher/mean_return", teaching.score.mean_return)
             if self._active.defines_success:
                 log.record("teacher/success_rate", teaching.score.success_rate)

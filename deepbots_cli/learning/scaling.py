@@ -1,4 +1,4 @@
-"""How fast a training is with several numbers of shards, and where its time goes.
+"""Measures the speed of a training with several numbers of shards, and the share of each part of its time.
 
 A measurement trains for a few seconds in a temporary folder, and leaves nothing.
 """
@@ -23,12 +23,12 @@ from deepbots_cli.rollout.collector import CollectTimes
 from deepbots_cli.scenario.fields import counted_noun
 
 SECONDS = 4.0
-"""Time of a measurement, after the first iteration, in which workers start."""
+"""The time of a measurement in s, after the first iteration, in which workers start."""
 _MIN_ITERATIONS = 3
 _LEARNING_STARTS = 200
-"""Steps before the first update of an off-policy algorithm, if it permits so few."""
+"""The number of steps before the first update of an off-policy algorithm, if it permits so few."""
 MIN_GAIN = 1.1
-"""How much faster several shards must be to be chosen."""
+"""The factor by which several shards must be faster to be chosen."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ShardTiming:
     """The speed of a training with a number of shards. Times are in us by the clock, per step of one world.
 
     Attributes:
-        shards: Number of shards.
+        shards: The number of shards.
         workers: Number of processes that have these shards; 0 for the process of the training.
         steps_per_second: Steps of all worlds per second, with the updates and without evaluations.
         speedup: `steps_per_second` divided by that of the first measurement.
@@ -45,7 +45,7 @@ class ShardTiming:
         worlds_us: Steps of the worlds, divided by the number of processes.
         policy_us: The rest of collecting: actions of the policy, and counting steps and episodes.
         transfer_us: Orders to the shards, and their answers.
-        waiting_us: How much longer than the mean the slowest process takes.
+        waiting_us: The time by which the slowest process is slower than the mean.
         update_us: Learning.
     """
 
@@ -171,19 +171,19 @@ def _difference(after: CollectTimes, before: CollectTimes) -> CollectTimes:
 
 
 def candidates(environments: int, workers: int) -> list[int]:
-    """The numbers of shards to compare: 1, 2, 4, ..., and one for each worker."""
+    """Return the numbers of shards to compare: 1, 2, 4, ..., and one for each worker."""
     most = min(environments, workers)
     return sorted({1, most, *(1 << power for power in range(most.bit_length()))})
 
 
 def choose(timings: Sequence[ShardTiming]) -> ShardTiming:
-    """The fastest, or the first if no other is at least `MIN_GAIN` times as fast."""
+    """Choose the fastest, or the first if no other is at least `MIN_GAIN` times as fast."""
     best = max(timings, key=lambda timing: timing.steps_per_second)
     return best if best.steps_per_second >= MIN_GAIN * timings[0].steps_per_second else timings[0]
 
 
 def described(timings: Sequence[ShardTiming], chosen: ShardTiming) -> str:
-    """What was measured and chosen, in a sentence."""
+    """Return a sentence with the measurements and the choice."""
     rates = ", ".join(
         f"{counted_noun(timing.shards, 'shard')} {timing.steps_per_second:,.0f} steps/s" for timing in timings
     )

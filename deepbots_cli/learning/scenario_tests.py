@@ -34,8 +34,8 @@ class UnmetExpectation:
     """An expectation that is not met.
 
     `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words.
-    `episode`, which counts from 0, is the first at fault; the number of the `step` is None if the miss is of
-    no single step.
+    `episode`, which counts from 0, is the first that fails. `step` is None if the miss does not belong to a
+    single step.
     """
 
     expected: str
@@ -69,7 +69,7 @@ def run_tests(
     permissions: Permissions = Permissions(),
     on_episode: OnEpisode | None = None,
 ) -> Iterator[TestResult]:
-    """Yield the result of each test, those in the same case or stage together, which share an environment.
+    """Yield the result of each test. Tests in the same case or stage run together, and share an environment.
 
     Raises:
         UsageError: There is no such engine, or the scenario calls functions of Python without permission.
@@ -117,8 +117,8 @@ def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | No
 def _first_of_each(
     misses: Sequence[UnmetExpectation], test: ScenarioTest, period: float
 ) -> Iterator[UnmetExpectation]:
-    """The first miss of each expectation, with the number of episodes that miss it, and where it was
-    measured."""
+    """Yield the first miss of each expectation, with the number of episodes that miss it, and the position
+    of the first miss."""
     for first in {miss.where: miss for miss in reversed(misses)}.values():
         episodes = {miss.episode for miss in misses if miss.where == first.where}
         many = f"; in {len(episodes)} of {test.episodes} episodes" if len(episodes) > 1 else ""
@@ -131,7 +131,8 @@ def _first_of_each(
 def _episode(
     environment: Supervisor, test: ScenarioTest, number: int, misses: list[UnmetExpectation]
 ) -> Episode:
-    """One episode, whose `ended_by` is None if the test stops it; what it misses is added to `misses`."""
+    """Run one episode, whose `ended_by` is None if the test stops it. Unmet expectations are added to
+    `misses`."""
     start = Start.of_evaluation(test.seed, number)
     watches = [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
     if isinstance(test.driver, str):
@@ -189,7 +190,7 @@ class _ExpectationMonitor:
                 )
 
     def misses(self, length: str) -> Iterator[UnmetExpectation]:
-        """What the episode misses, called after its last step."""
+        """Yield the expectations that the episode does not meet. Call this after its last step."""
         yield from self._broken.values()
         for expected in self._test.conditions:
             if expected.key == "eventually" and expected not in self._met:
@@ -201,7 +202,7 @@ class _ExpectationMonitor:
                 )
 
     def _compared(self, wanted: ExpectedResult) -> str:
-        """What the condition compares, with the values after the last step."""
+        """Return the compared values of the condition, after the last step."""
         values = iter(self._agent.tested(self._test.name, "compared"))
         compared = {
             expected: [(value, next(values)) for value in expected.compared]
@@ -216,7 +217,7 @@ class _ExpectationMonitor:
 def _over_episodes(
     program: Program, test: ScenarioTest, done: Sequence[Episode]
 ) -> Iterator[UnmetExpectation]:
-    """What all episodes together miss."""
+    """Yield the requirements that the episodes together do not meet."""
     returns = [episode.total_return for episode in done]
     for expected in test.expected:
         match expected.key:

@@ -1,7 +1,7 @@
 """The worlds of a training, and shards: groups of these worlds, each with a copy of the policy.
 
-The worlds of a training stand in this process (`make_worlds`), or belong to shards. A `Shard` needs nothing
-but the run directory and the numbers of its worlds, so it can be made in any process that sees this
+The worlds of a training are in this process (`make_worlds`), or belong to shards. A `Shard` needs only the
+run directory and the numbers of its worlds, so it can be created in any process with access to this
 directory. `LocalShards` has its shards in this process.
 """
 
@@ -45,7 +45,7 @@ from deepbots_cli.runtime.streams import derive_seed
 
 @dataclass(frozen=True)
 class WorldPlan:
-    """Which worlds of a training are made: those with these `numbers`, each in a stage of the curriculum.
+    """The worlds of a training to create: those with these `numbers`, each in a stage of the curriculum.
 
     `stages` changes when a world begins an episode of another stage, which is `present()` then.
     """
@@ -58,7 +58,7 @@ class WorldPlan:
 
 
 def world_seed(run: Run, world: int) -> int:
-    """The seed of the first episode of a world."""
+    """Return the seed of the first episode of a world."""
     return derive_seed(run.record.seed, "environment", world)
 
 
@@ -71,14 +71,14 @@ def make_worlds(
     next_episode: Callable[[], int],
     note: Callable[[str], None],
 ) -> Worlds:
-    """The worlds of a plan, which are closed with `stack`.
+    """Create the worlds of a plan, which are closed with `stack`.
 
     Args:
         on_step: Called after the step of each row.
         on_episode: Called after each episode of a row, with the place of its world in the plan, its stage and
             the values that it drew.
         next_episode: Returns the number of the next episode of the training, for failures.
-        note: Called with what the user should know.
+        note: Called with messages for the user.
     """
     run, stages = plan.run, plan.stages
     curriculum = Curriculum(run.program, run.record.first_stage)
@@ -95,8 +95,8 @@ def make_worlds(
         on_episode(world, episode, stages[world], env.drawn[world])
 
     def next_seed(world: int) -> int | None:
-        """Let a world enter the present stage; the seed that it begins there with, or None if it is there
-        already."""
+        """Move a world into the present stage. Returns the seed with which it begins there, or None if it is
+        there already."""
         if stages[world] == plan.present():
             return None
         stages[world] = plan.present()
@@ -119,7 +119,7 @@ def make_worlds(
             recorder=recorder,
         )
     else:
-        with ExitStack() as partly:  # closes what is there when one of them cannot be built
+        with ExitStack() as partly:  # closes the built worlds when another one cannot be built
             worlds = [partly.enter_context(closing(guarded(stage))) for stage in stages]
             partly.pop_all()
         env = Worlds(worlds, seeds, on_step=on_step, on_episode=end, next_world=next_world)
@@ -133,7 +133,7 @@ class Shard:
     Args:
         run: The run.
         build: Makes a world.
-        number: That of the shard, from 0.
+        number: The number of the shard, from 0.
         worlds: The numbers of its worlds.
     """
 
@@ -141,7 +141,8 @@ class Shard:
         training = run.program.agent.training
         if training is None:
             raise UsageError(f"{run.program.name} has no `train` section")
-        self._training = replace(training, device="cpu")  # which computes the same on every machine of a kind
+        # A CPU gives the same numbers on every machine of a kind.
+        self._training = replace(training, device="cpu")
         self._run, self._build, self._number, self._numbers = run, build, number, worlds
         self._stack = ExitStack()
         self._ended: list[tuple[int, Mapping[str, Any]]] = []
@@ -151,7 +152,7 @@ class Shard:
         self._evaluation = EvaluationWorlds(build, run)
 
     def begin(self, episodes: Sequence[RunningEpisode]) -> Any:
-        """Bring the worlds to the end of these episodes; the observations."""
+        """Bring the worlds to the end of these episodes. Returns the observations."""
         self._stack.close()
         self._stages = [episode.stage for episode in episodes]
         plan = WorldPlan(self._run, self._build, self._numbers, self._stages, lambda: self._stage)
@@ -171,7 +172,7 @@ class Shard:
         return self._collector.repeat([episode.history for episode in episodes])
 
     def _make_policy(self, worlds: Worlds) -> Learner:
-        """A copy of the policy, for the rows of these worlds."""
+        """Return a copy of the policy, for the rows of these worlds."""
         setup = Setup(
             self._training,
             worlds.observation_space,
@@ -183,7 +184,8 @@ class Shard:
         return learners.create(setup)
 
     def collect(self, order: Order, memory: Mapping[str, Array]) -> Harvest:
-        """Collect experience for an order; `memory` is that of the rows of this shard."""
+        """Collect experience for an order; `memory` is the memory of the policy for the rows of this
+        shard."""
         began, worlds_before = perf_counter(), self._collector.times.worlds
         actor = self._begun().actor()
         self._stage, self._next_episode = order.stage, order.next_episode
@@ -219,7 +221,7 @@ class Shard:
         return Evaluated(dict(zip(numbers, played, strict=True)))
 
     def _lesson(self, lesson: Lesson | None) -> Lesson | None:
-        """The part of this shard in a lesson."""
+        """Return the part of this shard in a lesson."""
         if lesson is None:
             return None
         return lesson._replace(worlds=max(0, min(lesson.worlds - self._numbers[0], len(self._numbers))))
@@ -230,8 +232,8 @@ class Shard:
         return self._policy
 
     def _seed(self, seed: int) -> None:
-        """Seed all generators that a policy draws from; no shard needs to keep their states between two
-        fragments."""
+        """Seed all generators that a policy draws from, so that no shard needs to keep their states between
+        two fragments."""
         torch.default_generator.manual_seed(seed)
         np.random.seed(seed % 2**32)
         random.seed(seed)
@@ -244,7 +246,7 @@ class Shard:
 
 @contextmanager
 def _random_numbers_kept() -> Iterator[None]:
-    """The generators of this process go on after the block as if nothing had been drawn in it."""
+    """Context after which the generators of this process continue as if nothing had been drawn in it."""
     states = torch.get_rng_state(), np.random.get_state(), random.getstate()
     try:
         yield
@@ -285,7 +287,7 @@ class LocalShards:
 
 
 def world_numbers(training: Training) -> list[range]:
-    """The worlds of each shard. If the shards differ in size, the first ones have one world more."""
+    """Return the worlds of each shard. If the shards differ in size, the first ones have one world more."""
     ends = [number * training.environments // training.shards for number in range(training.shards + 1)]
     sizes = sorted((end - begin for begin, end in pairwise(ends)), reverse=True)
     ends = [0, *accumulate(sizes)]

@@ -10,7 +10,7 @@ from types import FrameType
 
 
 class Interruption:
-    """Whether someone wants the training to end: Ctrl-C or SIGTERM."""
+    """A requested end of the training, by Ctrl-C or SIGTERM."""
 
     def __init__(self) -> None:
         self.requested = False
@@ -24,10 +24,10 @@ class Interruption:
 
 @contextmanager
 def signals_handled(interruption: Interruption) -> Iterator[None]:
-    """Within, the first signal only sets `requested`; the second raises KeyboardInterrupt. Restores the
-    handlers.
+    """Context in which the first signal only sets `requested`, and the second raises KeyboardInterrupt.
+    Restores the handlers.
 
-    Python hands signals to the main thread only; elsewhere this changes nothing.
+    Python delivers signals to the main thread only; in other threads this changes nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -16,11 +16,12 @@ Interval = tuple[float, float]
 UNBOUNDED: Interval = (-math.inf, math.inf)
 
 ALPHA = 0.05
-"""The probability that an interval misses the true value, or that a test that stops early decides wrongly."""
+"""The probability that an interval misses the true value, or that a test that stops early gives a wrong
+answer."""
 
 
 def wilson(successes: int, episodes: int, error: float = ALPHA) -> Interval:
-    """The score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927, p. 209).
+    """Return the score interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927, p. 209).
 
     It solves (p - phat)^2 = z^2 p (1 - p) / n for p. It stays inside [0, 1] and has a width also at 0 and at
     n successes.
@@ -34,8 +35,8 @@ def wilson(successes: int, episodes: int, error: float = ALPHA) -> Interval:
 
 
 def episodes_above(rate: float, error: float = ALPHA) -> int:
-    """The smallest number of episodes whose interval is above a rate if all of them succeed; its lower end is
-    n / (n + z^2)."""
+    """Return the smallest number of episodes whose interval is above a rate if all of them succeed; its lower
+    end is n / (n + z^2)."""
     return math.ceil(NormalDist().inv_cdf(1 - error / 2) ** 2 * rate / (1.0 - rate))
 
 
@@ -44,8 +45,8 @@ def mean_interval(
 ) -> Interval | None:
     """Student's interval of a mean, cut at the bounds of the values; None for fewer than two values.
 
-    Equal values tell nothing of the spread. With a probability of 95 %, at most the share 1 - 0.05^(1/n) of
-    all values differs from n equal ones; the interval then has this share of the way to the bounds, and is
+    Equal values give no estimate of the spread. With a probability of 95 %, at most the share 1 - 0.05^(1/n)
+    of all values differs from n equal ones; the interval then has this share of the way to the bounds, and is
     None without bounds.
     """
     if len(values) < 2:
@@ -60,15 +61,15 @@ def mean_interval(
 
 
 def student_quantile(freedom: float, probability: float) -> float:
-    """The quantile of Student's distribution with so many degrees of freedom."""
+    """Return the quantile of Student's distribution with so many degrees of freedom."""
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, probability))
 
 
 def interquartile_mean(values: Sequence[float]) -> float:
-    """The mean of the middle half of the values (R. Agarwal et al., NeurIPS 2021); the values at its two
-    edges count in part."""
+    """Return the mean of the middle half of the values (R. Agarwal et al., NeurIPS 2021); the values at its
+    two edges count in part."""
     import numpy as np
 
     ordered = np.sort(np.asarray(values, dtype=float))
@@ -84,7 +85,7 @@ def interquartile_mean(values: Sequence[float]) -> float:
 
 
 def rate_evidence(rate: float, successes: int, episodes: int) -> float:
-    """The natural logarithm of the evidence against a success rate of exactly `rate`, from 0 to 1.
+    """Return the natural logarithm of the evidence against a success rate of exactly `rate`, from 0 to 1.
 
     This is the beta-binomial mixture martingale with Jeffreys' prior Beta(1/2, 1/2) (H. Robbins, Ann. Math.
     Stat. 41, 1970, p. 1397): if `rate` is true, the evidence exceeds log(1 / ALPHA) after any number of
@@ -102,9 +103,10 @@ def rate_evidence(rate: float, successes: int, episodes: int) -> float:
 
 
 def rate_sequence(successes: int, episodes: int) -> Interval:
-    """The confidence sequence of a success rate: with a probability of 95 % it holds the true rate after
-    every episode at once."""
-    from scipy.optimize import brentq  # here, since its import takes 0.2 s of CPU, which trainings do without
+    """Return the confidence sequence of a success rate: with a probability of 95 % it contains the true rate
+    after every episode at once."""
+    # The import takes 0.2 s of CPU, and trainings do not need it.
+    from scipy.optimize import brentq
 
     def excess(rate: float) -> float:
         return rate_evidence(rate, successes, episodes) - math.log(1 / ALPHA)
@@ -116,12 +118,12 @@ def rate_sequence(successes: int, episodes: int) -> Interval:
     return low, high
 
 
-_LARGEST_BET = 0.75  # of the capital that may be lost at once
+_LARGEST_BET = 0.75  # the largest share of the capital that may be lost at once
 
 
 def mean_evidence(mean: float, values: Sequence[float], bounds: Interval) -> tuple[float, float]:
-    """The natural logarithms of the evidence that the mean of bounded values is above `mean`, and that it is
-    below.
+    """Return the natural logarithms of the evidence that the mean of bounded values is above `mean`, and that
+    it is below.
 
     Each is the capital of a gambler who bets on the next value, from 1 (I. Waudby-Smith and A. Ramdas,
     "Estimating means of bounded random variables by betting", J. R. Stat. Soc. B 86, 2024). If the true mean
@@ -136,7 +138,7 @@ def mean_evidence(mean: float, values: Sequence[float], bounds: Interval) -> tup
 
 
 def _capital(gains: Sequence[float], largest_loss: float) -> float:
-    """The logarithm of the capital after bets on values of which none is below -`largest_loss`.
+    """Return the logarithm of the capital after bets on values of which none is below -`largest_loss`.
 
     A bet is the ratio of the mean to the mean square of the values before, which nearly maximizes the growth
     of the capital.
@@ -160,10 +162,10 @@ class Verdict:
 
 
 def gate_rate(required: float, successes: int, episodes: int, planned: int) -> Verdict:
-    """Whether a success rate reaches `required` after `episodes` of `planned` episodes.
+    """Return whether a success rate reaches `required` after `episodes` of `planned` episodes.
 
     The answer is certain when the confidence sequence of the rate excludes `required`, or when the episodes
-    that are left cannot change it. After the last planned episode the measured rate decides.
+    that are left cannot change it. After the last planned episode, the answer is that of the measured rate.
     """
     rate = successes / episodes
     if rate_evidence(required, successes, episodes) >= math.log(1 / ALPHA):
@@ -186,12 +188,12 @@ def gate_rate(required: float, successes: int, episodes: int, planned: int) -> V
 def gate_mean(
     required: float, returns: Sequence[float], planned: int, bounds: Interval = UNBOUNDED
 ) -> Verdict:
-    """Whether a mean return reaches `required` after some of `planned` episodes; `bounds` are those of a
-    return.
+    """Return whether a mean return reaches `required` after some of `planned` episodes; `bounds` are those of
+    a return.
 
     The answer is certain when the evidence against the other answer exceeds 2 / ALPHA, or when the episodes
-    that are left cannot change it. After the last planned episode the measured mean decides. Without bounds,
-    no answer is certain before.
+    that are left cannot change it. After the last planned episode, the answer is that of the measured mean.
+    Without bounds, no answer is certain before.
     """
     left = planned - len(returns)
     so_far = f"mean return {fmean(returns):.4g} in {len(returns)} episodes"
@@ -235,8 +237,8 @@ class Difference:
 def compare_seeds(
     first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED, error: float = ALPHA
 ) -> Difference:
-    """Two groups of runs, by one score per seed: Welch's interval of the difference of their means (B. L.
-    Welch, Biometrika 34, 1947).
+    """Compare two groups of runs by one score per seed: Welch's interval of the difference of their means (B.
+    L. Welch, Biometrika 34, 1947).
 
     The interval is cut at the largest difference that the `bounds` of a score allow. The seeds of both groups
     are independent, also where they have the same numbers: two trainings diverge after the first update.
@@ -261,8 +263,8 @@ def compare_seeds(
 def compare_episodes(
     first: Sequence[float], second: Sequence[float], bounds: Interval = UNBOUNDED
 ) -> Difference:
-    """Two policies on the same starts, by one score per episode in the same order: Student's interval of the
-    mean of the differences.
+    """Compare two policies on the same starts by one score per episode in the same order: Student's interval
+    of the mean of the differences.
 
     The interval is cut at the largest difference that the `bounds` of a score allow.
     """
@@ -275,7 +277,7 @@ def compare_episodes(
 
 
 def probability_of_improvement(first: Sequence[float], second: Sequence[float]) -> float:
-    """The probability that a score of `second` exceeds one of `first`; equal scores count half.
+    """Return the probability that a score of `second` exceeds one of `first`; equal scores count half.
 
     This is the Mann-Whitney U statistic over the number of pairs.
     """

@@ -56,8 +56,8 @@ TrialState = Literal["running", "complete", "pruned", "failed"]
 
 _MAX_JOURNAL_BYTES = 200_000_000
 _LONG_JOURNAL_MB = 5
-_MAX_SCORE = 1e300  # also of steps and returns, so that sums are finite
-_MAX_REASON = 10_000  # characters of why a trial failed
+_MAX_SCORE = 1e300  # larger scores, steps and returns are refused, so that sums stay finite
+_MAX_REASON = 10_000  # the largest number of characters of the reason of a failure
 
 
 class StudyRecord(CampaignRecord):
@@ -83,16 +83,16 @@ class StudyRecord(CampaignRecord):
         return self.objective == "solved"
 
     def score_interval(self, trial: StudyTrial) -> Interval | None:
-        """The interval of the score of a trial over its seeds."""
+        """Return the interval of the score of a trial over its seeds."""
         return mean_interval([each.score for each in trial.seeds], self.score_bounds)
 
     @property
     def score_bounds(self) -> Interval:
-        """The least and the greatest possible score."""
+        """The smallest and the largest possible score."""
         return {"solved": (0.0, 2.0), "success_rate": (0.0, 1.0), "mean_return": UNBOUNDED}[self.objective]
 
     def training_command(self, assignments: Sequence[str]) -> list[str]:
-        """The command that trains a trial with these values, without a study."""
+        """Return the command that trains a trial with these values, without a study."""
         settings = [word for text in (*self.set, *assignments) for word in ("--set", text)]
         seeds = ",".join(map(str, self.seeds))
         return [
@@ -107,14 +107,14 @@ class StudyRecord(CampaignRecord):
         ]
 
     def texts(self, values: Mapping[str, Any]) -> dict[str, str]:
-        """The values of a trial as they are written in a scenario, by key."""
+        """Return the values of a trial as they are written in a scenario, by key."""
         return {name: space.text(values[name]) for name, space in self.search.items()}
 
 
 @dataclass(frozen=True)
 class SeedScore:
-    """The result of one training of a trial; statistics are None without a model, `steps` where the task is
-    not solved."""
+    """The result of one training of a trial. Statistics are None without a model, and `steps` is None if the
+    task is not solved."""
 
     seed: int
     score: float
@@ -132,7 +132,8 @@ _SEED_SCORES = TypeAdapter(tuple[SeedScore, ...])
 
 @dataclass(frozen=True, kw_only=True)
 class StudyTrial(Member):
-    """A trial, as far as it is known. `score` is None unless it is complete, `reason` says why it failed."""
+    """A trial, as far as it has run. `score` is None unless it is complete, and `reason` is the reason of a
+    failure."""
 
     number: int
     state: TrialState
@@ -171,7 +172,7 @@ class OverFirst:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """What `run_trial` came to. `state` is `running` after an interruption: the trial can be continued."""
+    """The result of `run_trial`. `state` is `running` after an interruption: the trial can be continued."""
 
     state: TrialState
     seeds: tuple[SeedScore, ...] = ()
@@ -181,7 +182,7 @@ class TrialResult:
 
 @dataclass(frozen=True)
 class TrialProgress:
-    """How far a trial is: the training of `seed`, number `place` from 1 of its `count` trainings."""
+    """The progress of a trial: the training of `seed`, number `place` from 1 of its `count` trainings."""
 
     seed: int
     place: int
@@ -190,7 +191,7 @@ class TrialProgress:
 
     @property
     def fraction(self) -> float:
-        """That of all steps, if each training takes them all."""
+        """The completed share of all steps, if each training takes them all."""
         return (self.place - 1 + self.training.steps / self.training.total_steps) / self.count
 
 
@@ -198,7 +199,7 @@ class StudyReporter:
     """Follows a study and the trials at work. This one reports nothing."""
 
     def note(self, text: str) -> None:
-        """Called with what the user should know."""
+        """Called with a note for the user."""
 
     def begin_trial(self, trial: StudyTrial) -> None:
         """Called before a trial is trained, or continued."""
@@ -212,7 +213,7 @@ class StudyReporter:
 
 @dataclass(frozen=True)
 class Journal:
-    """The study as Optuna knows it, read from its journal and written to it."""
+    """Optuna's study, read from its journal and written to it."""
 
     known: optuna.Study
     storage: optuna.storages.JournalStorage
@@ -220,13 +221,17 @@ class Journal:
 
     @property
     def trials(self) -> list[optuna.trial.FrozenTrial]:
-        """All trials, by number. Raises: RunError: The journal is damaged."""
+        """All trials, by number.
+
+        Raises:
+            RunError: The journal is damaged.
+        """
         with self.file.checked():
             return self.known.get_trials(deepcopy=False)
 
     def importances(self, seeds: int, *, lower_is_better: bool) -> list[dict[str, float]]:
-        """How much each key matters for the best quarter of the complete trials, by the scores of one seed
-        after the other; sums are 1.
+        """Return the importance of each key for the best quarter of the complete trials, by the scores of one
+        seed after the other; sums are 1.
 
         This is PED-ANOVA (S. Watanabe, A. Bansal and F. Hutter, IJCAI 2023).
         """
@@ -246,7 +251,11 @@ class Journal:
             return [importances(seed) for seed in range(seeds)]
 
     def trial(self, number: int) -> optuna.trial.Trial:
-        """A trial, of whatever process, to report to. Raises: RunError: The journal is damaged."""
+        """Return a trial of any process, to report to.
+
+        Raises:
+            RunError: The journal is damaged.
+        """
         import optuna
 
         with self.file.checked():
@@ -267,7 +276,7 @@ class Study(Campaign[StudyRecord]):
 
     @property
     def reading_note(self) -> str | None:
-        """A note that its trials are read, where this takes seconds."""
+        """A note that the trials are read, if this takes seconds."""
         path = self.path / JOURNAL_NAME
         megabytes = path.stat().st_size // 1_000_000 if path.is_file() else 0
         return (
@@ -288,7 +297,7 @@ class Study(Campaign[StudyRecord]):
         return next(iter(self.ranked(self.trials())), None)
 
     def connect(self) -> Journal:
-        """Its journal, which is made where there is none.
+        """Open the journal, which is created if there is none.
 
         Raises:
             MissingExtraError: Optuna is not installed.
@@ -307,7 +316,8 @@ class Study(Campaign[StudyRecord]):
             raise RunError(f"{path} is not a regular file, so deepbots did not write it")
         if path.exists() and path.stat().st_size > _MAX_JOURNAL_BYTES:
             raise RunError(f"{path} is larger than {_MAX_JOURNAL_BYTES} bytes, so deepbots did not write it")
-        optuna.logging.set_verbosity(optuna.logging.WARNING)  # or it reports each study that it makes
+        # Otherwise Optuna reports each study that it creates.
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
         try:
             direction: Literal["minimize", "maximize"] = (
                 "minimize" if self.record.lower_is_better else "maximize"
@@ -329,7 +339,7 @@ class Study(Campaign[StudyRecord]):
             optuna.logging.set_verbosity(level)
 
     def trials(self, journal: Journal | None = None) -> list[StudyTrial]:
-        """All trials that have values, by number.
+        """Return all trials that have values, by number.
 
         Raises:
             RunError: The journal is damaged, or has values that are not in the search space.
@@ -363,11 +373,11 @@ class Study(Campaign[StudyRecord]):
         )
 
     def ranked(self, trials: Sequence[StudyTrial]) -> list[StudyTrial]:
-        """The complete trials, the best first.
+        """Return the complete trials, the best first.
 
-        Of equal scores, such as those of trials without any success, the higher success rate comes first,
-        then the higher return; with the objective `mean_return`, in the other order. Of equals, the earlier
-        trial comes first.
+        Trials with equal scores, such as those without any success, are ordered by the success rate, then by
+        the return; with the objective `mean_return`, in the other order. Among equals, the earlier trial
+        comes first.
         """
         sign = -1 if self.record.lower_is_better else 1
         measure: Measure = "mean_return" if self.record.objective == "mean_return" else "success_rate"
@@ -379,7 +389,7 @@ class Study(Campaign[StudyRecord]):
         return sorted((trial for trial in trials if trial.score is not None), key=quality, reverse=True)
 
     def over_first(self, trials: Sequence[StudyTrial]) -> OverFirst | None:
-        """The best trial against the first one; None if it is the first one, or the first one has no
+        """Return the best trial against the first one; None if it is the first one, or the first one has no
         score."""
         ranked = self.ranked(trials)
         first = next((trial for trial in ranked if trial.number == 0 and self.record.present), None)
@@ -404,7 +414,8 @@ def create_study(
     seed: int = 0,
     command: Sequence[str] = (),
 ) -> Study:
-    """Make the folder of a study; nothing is trained yet. What is None is as under `tune` of the scenario.
+    """Create the folder of a study; nothing is trained yet. Arguments that are None are taken from `tune` of
+    the scenario.
 
     Raises:
         ScenarioError: The scenario has findings at error level.

@@ -1,10 +1,10 @@
 """A teacher, which is a script or a recording: when the policy imitates it, and how much.
 
 At first the policy only imitates: the script drives some of the worlds, fewer and fewer with time and
-agreement, and says in every state what it would do (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011).
-The critic learns meanwhile. This ends when an evaluation shows that the policy is about as good as the
-script, or after a share of all timesteps. Then the algorithm learns as usual, with an imitation loss whose
-weight fades. A recording does not drive; the policy imitates its actions in its states.
+agreement, and provides its action in every state (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The
+critic learns meanwhile. This ends when an evaluation shows that the policy is about as good as the script, or
+after a share of all timesteps. Then the algorithm learns as usual, with an imitation loss whose weight fades.
+A recording does not drive; the policy imitates its actions in its states.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import Lesson
 
 ENOUGH = 0.95
-"""Share of the script's success rate at which imitation alone ends."""
+"""The share of the script's success rate at which imitation alone ends."""
 _FADE_SHARE = 0.3
-"""Share of all timesteps in which the weight of the imitation loss falls to 0."""
+"""The share of all timesteps in which the weight of the imitation loss falls to 0."""
 _DEMONSTRATES_SHARE = 1 / 3
-"""Share of the time of imitation in which the script drives all worlds of an algorithm without an actor. A
-critic that sees only the script overrates other actions: on PandaPush with SAC, the policy succeeds in 5 %
-after 12,200 such steps, and in 95 % after 20,000 with 4,800."""
+"""The share of the time of imitation in which the script drives all worlds of an algorithm without an actor.
+A critic with experience of the script alone overrates other actions: on PandaPush with SAC, the policy
+succeeds in 5 % after 12,200 such steps, and in 95 % after 20,000 with 4,800."""
 _DRIVES_SHARE = 0.5
-"""Share of the time of imitation in which the script drives some of the worlds."""
+"""The share of the time of imitation in which the script drives some of the worlds."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a teacher does in the next fragment.
+    """The plan of a teacher for the next fragment.
 
     Attributes:
-        lesson: For the collector; None when the teacher is done, or is a recording.
-        weight: Of the imitation loss.
+        lesson: The lesson for the collector; None when the teacher is done, or is a recording.
+        weight: The weight of the imitation loss.
         only: Whether the policy only imitates.
     """
 
@@ -49,7 +49,7 @@ class Plan:
 
 
 class TeacherState(BaseModel, strict=True, allow_inf_nan=False):
-    """What a checkpoint keeps."""
+    """The state of the teacher in a checkpoint."""
 
     stage: Annotated[int, Field(ge=0)]
     imitated_until: Annotated[int, Field(ge=-1)]
@@ -66,7 +66,7 @@ class Teaching:
         worlds: Number of its worlds.
         imitates: Whether the policy can imitate; otherwise the script only drives, and its steps stay in the
             replay buffer.
-        demonstrations: Those of a recording, which is the teacher then.
+        demonstrations: The demonstrations of a recording, which is the teacher then.
     """
 
     def __init__(
@@ -85,21 +85,21 @@ class Teaching:
         self.drives = False
         """Whether the script drives some of the worlds."""
         self.agreement = 0.0
-        """The share of the newest states in which a policy that imitates does what the script would do."""
+        """The share of the newest states in which a policy that imitates agrees with the script."""
         self._stage, self._imitated_until, self._is_able = 0, -1, True
 
     @property
     def imitates(self) -> bool:
-        """Whether no evaluation, and no limit, has ended the lessons."""
+        """Whether the lessons continue: no evaluation, and no limit, has ended them."""
         return self._imitated_until < 0
 
     def knows(self, stage: int) -> bool:
-        """Whether the score of the script in a stage of the curriculum is known."""
+        """Return whether the score of the script in a stage of the curriculum is known."""
         return self.score is not None and (self._stage == stage or not self._is_script)
 
     def begin(self, stage: int, episodes: Sequence[Episode], defines_success: bool) -> str:
-        """Take over the episodes of the script in a stage of the curriculum; its score in a sentence. A new
-        stage begins with lessons.
+        """Take over the episodes of the script in a stage of the curriculum. Returns its score in a sentence.
+        A new stage begins with lessons.
 
         If none of them succeeds, the script does not teach in this stage.
         """
@@ -120,7 +120,7 @@ class Teaching:
         )
 
     def plan(self, steps: int) -> Plan:
-        """What to do in a fragment after `steps` timesteps."""
+        """Return the plan for a fragment after `steps` timesteps."""
         plan = self._plan(steps)
         self.drives = plan.lesson is not None and plan.lesson.worlds > 0
         return plan
@@ -145,7 +145,7 @@ class Teaching:
         return Lesson(self.teacher.script, worlds) if self._is_script else None
 
     def on_evaluation(self, found: Summary, steps: int, *, defines_success: bool, is_solved: bool) -> None:
-        """Called with the summary of each evaluation, and whether it meets what `solved` requires."""
+        """Called with the summary of each evaluation, and whether it meets `solved`."""
         if self._imitated_until >= 0 or self.score is None:
             return
         if defines_success:

@@ -171,7 +171,7 @@ def train(
 
 
 def _provenance(compiled: Compiled) -> dict[str, Any]:
-    """The fields of the record of a new run that follow from the scenario and this installation."""
+    """Return the fields of the record of a new run that follow from the scenario and this installation."""
     return {
         "format": FORMAT,
         "deepbots": deepbots_cli.__version__,
@@ -192,7 +192,7 @@ def _provenance(compiled: Compiled) -> dict[str, Any]:
 
 
 def _derived_seeds(seed: int, environments: int) -> dict[str, int]:
-    """The seeds of the environments, the policy and the evaluations, by their names in the record."""
+    """Return the seeds of the environments, the policy and the evaluations, by their names in the record."""
     seeds = {f"environment/{i}": derive_seed(seed, "environment", i) for i in range(environments)}
     return seeds | {name: derive_seed(seed, name) for name in ("policy", "evaluation")}
 
@@ -200,8 +200,8 @@ def _derived_seeds(seed: int, environments: int) -> dict[str, int]:
 def checked_settings(
     program: Program, seeds: Sequence[int], **options: Unpack[TrainingOptions]
 ) -> tuple[Training, ModelRef | None]:
-    """The training with the options of `train`, and the model that initializes it; these checks need no
-    world.
+    """Return the training with the options of `train`, and the model that initializes it; these checks need
+    no world.
 
     Raises:
         UsageError: An option does not fit the scenario, or names something that does not exist.
@@ -260,7 +260,8 @@ def resume(
         UsageError: The run has already reached its total, or another training uses it.
     """
     path = Source.open(run, Permissions(), SourceKind.RUN).path
-    RunRecord.read(path)  # a folder that is no run is told so, whoever is at work in it
+    # A folder that is no run is refused as such, even if a training is at work in it.
+    RunRecord.read(path)
     with run_lock(path):
         # Only now: a training that has just ended in there has changed the record.
         resumed = Run.open(path)
@@ -323,7 +324,8 @@ def _stopped_as_solved(record: RunRecord) -> bool:
 
 
 def _training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:
-    if find_spec("tensorboard") is None:  # the log would only notice with the run half made
+    # The log would fail only after the run was half created.
+    if find_spec("tensorboard") is None:
         raise MissingExtraError("train", "training")
     if program.agent.training is None:
         raise UsageError(f"{program.name} has no `train` section; add `train: {{algorithm: auto}}`")
@@ -353,7 +355,7 @@ def _validate_setup(
     """Fail before there is a run directory, if a world cannot be built, the algorithm refuses its settings,
     or no initial tensor fits.
 
-    Returns what is taken over from `source`, in words.
+    Returns the tensors that are taken over from `source`, in words.
     """
     for stage in program.curriculum:
         build(stage.program).close()
@@ -381,7 +383,7 @@ def _check_teacher(
     """Play episodes of a teacher in the first stage of a training, until one succeeds.
 
     Raises:
-        UsageError: None does.
+        UsageError: No episode succeeds.
     """
     first = next((one.program for one in program.curriculum if stage in (None, one.name)), program)
     if not first.defines_success:

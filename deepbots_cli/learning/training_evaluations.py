@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
 
 EVALUATION_SHARE, URGENT_SHARE, UNLIMITED_SHARE = 0.1, 0.4, math.inf
-"""Largest ratio of the steps of evaluations to the steps of the training: as a rule, and when one evaluation
-may end the training soon, because its recent episodes meet `solved` or a teacher drives."""
+"""The largest ratio of the steps of evaluations to the steps of the training: as a rule, and when one
+evaluation may end the training soon, because its recent episodes meet `solved` or a teacher drives."""
 
 
 class TrainingEvaluations:
@@ -56,13 +56,13 @@ class TrainingEvaluations:
         self.activity: Activity | None = None
 
     def share(self, *, has_teacher: bool) -> float:
-        """The largest ratio of the steps of evaluations to the steps of the training so far."""
+        """Return the largest ratio of the steps of evaluations to the steps of the training so far."""
         share = URGENT_SHARE if has_teacher or self._seems_solved() else EVALUATION_SHARE
         return self._active.off_policy_factor * share
 
     def _seems_solved(self) -> bool:
-        """Whether the recent episodes of the training, with exploration, meet `solved`, which no confirmation
-        has shown."""
+        """Return whether the recent episodes of the training, with exploration, meet `solved`, and no
+        confirmation has shown it."""
         statistics = self._active.statistics
         if statistics.solved_at is not None or statistics.solved is None:
             return False
@@ -70,8 +70,8 @@ class TrainingEvaluations:
         return newest is not None and Summary.of_episodes(newest).meets_solved(statistics.solved)
 
     def is_due(self, share: float) -> bool:
-        """Whether there are enough episodes since the last evaluation, and evaluations do not take more than
-        their `share` of the steps."""
+        """Return whether there are enough episodes since the last evaluation, and evaluations do not take
+        more than their `share` of the steps."""
         statistics, steps = self._active.statistics, self._active.statistics.steps
         fits = self._active.evaluator.steps + EVALUATION_EPISODES * statistics.mean_length <= share * steps
         # In a long rollout, the same policy would play the same starts again without new weights.
@@ -79,7 +79,8 @@ class TrainingEvaluations:
         return statistics.has_episodes(EVALUATION_EPISODES) and is_new and fits
 
     def evaluate(self) -> list[Episode]:
-        """The episodes of an evaluation of the present networks, which are kept if they are among the best."""
+        """Play the episodes of an evaluation of the present networks, which are kept if they are among the
+        best."""
         active = self._active
         scenario, stage = active.curriculum.scenario_of(active.curriculum.index), active.curriculum.name
         done = active.evaluator.evaluate(active.learner, scenario, active.interruption, stage)
@@ -100,8 +101,8 @@ class TrainingEvaluations:
         self.shortlist.put_first(candidate, self._active.learner.save)
 
     def possible_returns(self) -> Interval:
-        """The lowest and the highest return: the possible ones, or where they are unknown, those of all
-        episodes of the stage so far."""
+        """Return the lowest and the highest possible return; if they are unknown, those of all episodes of
+        the stage so far."""
         low, high = possible_returns(self._active.run.program)
         seen = [each for each in (self.returns, self._active.statistics.returns) if each is not None]
         return (
@@ -110,7 +111,7 @@ class TrainingEvaluations:
         )
 
     def choose_best(self, load: Callable[[Path], Learner], report: Callable[[], None]) -> None:
-        """After the training: play new starts with the models of the best evaluations, and keep the best one.
+        """Play new starts with the models of the best evaluations after the training, and keep the best one.
 
         Args:
             load: Makes a policy from the file of a model.
@@ -146,7 +147,7 @@ class TrainingEvaluations:
             )
 
     def _append(self, name: str, about: Mapping[str, Any], done: Sequence[Episode]) -> None:
-        """A line for episodes in a file of `evaluations`."""
+        """Append a line for episodes to a file of `evaluations`."""
         line = {
             **about,
             "returns": [episode.total_return for episode in done],

@@ -72,9 +72,9 @@ OnIteration = Callable[[Iteration], str | None]
 
 @dataclass
 class TrainingProcess:
-    """One process's share in a run, from its last checkpoint to the goal.
+    """The part of one process in a run, from its last checkpoint to the goal.
 
-    A resumed run has its record of `before` in the end if nothing was learned.
+    A resumed run keeps its record of `before` if nothing was learned.
     """
 
     run: Run
@@ -151,7 +151,7 @@ class TrainingProcess:
         return result
 
     def _train_within(self, stack: ExitStack) -> None:
-        """Train with what `stack` closes."""
+        """Train with resources that `stack` closes."""
         callback, reporter = self._callback, self.reporter
         learner, collector, log = self._open(stack)
         stack.enter_context(signals_handled(callback.active.interruption))
@@ -173,7 +173,7 @@ class TrainingProcess:
             self._weights_digest = learner.digest()
 
     def _open(self, stack: ExitStack) -> tuple[Learner, Collector, TrainingLog]:
-        """The worlds, the learner and its log, attached to the callback and the checkpoints."""
+        """Open the worlds, the learner and its log, and attach them to the callback and the checkpoints."""
         run, callback, checkpoints = self.run, self._callback, self.checkpoints
         stack.enter_context(algorithms.torch_settings())
         stack.callback(self._evaluator.close)
@@ -194,7 +194,7 @@ class TrainingProcess:
         return learner, collector, log
 
     def _make_collector(self, stack: ExitStack, counter: TrainingCounter) -> Collector:
-        """The worlds of a training, in shards if it has several; all closed with `stack`."""
+        """Create the worlds of a training, in shards if it has several; all closed with `stack`."""
         run, training, stages = self.run, self.training, self.checkpoints.stages
         if not stages:
             stages.extend([self._curriculum.index] * training.environments)
@@ -222,7 +222,8 @@ class TrainingProcess:
         try:
             learner.begin(total, callback, self._followers)
             self.checkpoints.restore()
-            if self._is_complete:  # it ended before its last evaluation, or before its record said so
+            # The training was killed before its last evaluation, or before its record was written.
+            if self._is_complete:
                 callback.evaluate(UNLIMITED_SHARE)
                 return "finished"
             self._iterate(learner, collector)
@@ -236,7 +237,7 @@ class TrainingProcess:
                 raise
             if self._is_complete:
                 self.checkpoints.finish()
-            else:  # in the middle of a rollout, since the task is solved or a callback says so
+            else:  # the task is solved or a callback stopped the training within a rollout
                 learner.save(self.run.model("last"))
         except (ValueError, UsageError):
             # torch's distributions refuse parameters that are not finite, and a world an action, before we
@@ -308,7 +309,7 @@ class TrainingProcess:
         )
 
     def _best_model(self) -> BestModel | None:
-        """What the record of the run says about the best model; None before the first evaluation."""
+        """Return the entry of the best model in the record of the run; None before the first evaluation."""
         callback = self._callback
         best = callback.best
         if best is None:
@@ -382,7 +383,7 @@ def create_learner(
 
 @contextmanager
 def _storage_errors_of_threads_left_out() -> Iterator[None]:
-    """Within, no thread reports an `OSError` with a traceback.
+    """Context in which no thread reports an `OSError` with a traceback.
 
     TensorBoard's writer raises the error of a thread that cannot write a file again, at its next call.
     """
@@ -397,7 +398,7 @@ def _storage_errors_of_threads_left_out() -> Iterator[None]:
 
 
 def _teaching(training: Training, shown: Demonstrations | None) -> Teaching | None:
-    """By demonstrations if there are any, otherwise by the script of the scenario."""
+    """Imitate the demonstrations if there are any, otherwise the script of the scenario."""
     teacher = training.teacher or (None if shown is None else Teacher(""))
     if teacher is None:
         return None
@@ -408,7 +409,7 @@ def _teaching(training: Training, shown: Demonstrations | None) -> Teaching | No
 
 
 def _load(training: Training, learner: Learner, model: Path) -> Learner:
-    """A policy with the weights of a model, beside the learner of the training."""
+    """Return a policy with the weights of a model, beside the learner of the training."""
     setup = learner.setup
     loaded = learners.create(
         Setup(replace(training, device="cpu"), setup.observation_space, setup.action_space)
@@ -418,7 +419,7 @@ def _load(training: Training, learner: Learner, model: Path) -> Learner:
 
 
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:
-    """The error that ended a training, with what is kept of it and how to use that."""
+    """Return the error that ended a training, with the kept results and how to use them."""
     explained = (
         StorageError(unwritable_message(Path(error.filename or run.path), error))
         if isinstance(error, OSError)
@@ -430,7 +431,7 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
         explained.add_note(
             f"{checkpoints.description}; continue from there with: deepbots resume {quote(str(run.path))}"
         )
-    elif checkpoints.has_learned:  # going on would fail again, to the bit
+    elif checkpoints.has_learned:  # a resumed training would fail again, to the bit
         explained.add_note(
             f"{checkpoints.description}; evaluate what was learned with: deepbots eval {quote(str(run.path))}"
         )

@@ -1,4 +1,4 @@
-"""Trials of a study: which one a process takes, how it is trained and scored, and when it is pruned."""
+"""Trials of a study: how a process takes, trains, scores and prunes them."""
 
 from __future__ import annotations
 
@@ -47,20 +47,23 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.signals import Interruption
 
 PRUNED_BY = "tune"
-"""`stopped_by` of a run whose trial was pruned."""
+"""The value of `stopped_by` of a run whose trial was pruned."""
 GRID = 10
-"""Points of a training at which trials are compared."""
+"""The number of points of a training at which trials are compared."""
 WARM_UP = 2
-"""Points of the first training at which no trial is pruned: its first evaluations say little."""
+"""The number of points of the first training at which no trial is pruned, because its first evaluations are
+uncertain."""
 MIN_COMPARED = 5
-"""Complete trials before one is pruned, as in Optuna's median pruner."""
+"""The number of complete trials before one is pruned, as in Optuna's median pruner."""
 UNSOLVED = 2.0
 """The score of a training without a model, the upper bound of all others."""
 _MAX_EVALUATIONS_BYTES = 200_000_000
 _CLAIM_TIMEOUT_S = 300.0
-"""How long a process waits for another one that takes a trial, which lasts less than a second."""
+"""The time that a process waits for another one that takes a trial, in s. Taking a trial lasts less than a
+second."""
 _MAX_FAILED_FIRST = 3
-"""Trials that may fail at the beginning; after that the settings are wrong, not the values."""
+"""The number of trials that may fail at the beginning. More failures are due to the settings, not the
+values."""
 
 
 def run_study(
@@ -70,12 +73,12 @@ def run_study(
     permissions: Permissions = Permissions(),
     executor: Executor = SERIAL,
 ) -> bool:
-    """Take trials until the study has as many as its record says, or none is left for this process.
+    """Take trials until the study has as many as its record defines, or none is left for this process.
 
     Trials that other processes have begun and left are continued first. Returns False after Ctrl-C or
     SIGTERM.
 
-    This process takes each trial when a worker is free, so that the sampler knows all results until then, and
+    This process takes each trial when a worker is free, so that the sampler has all results until then, and
     keeps its lock; a worker trains it. The lock also outlasts a worker that is lost, and its trial continues
     on another one.
 
@@ -84,8 +87,8 @@ def run_study(
         reporter: Follows the trials.
         permissions: With `code`, the scenario may run functions of installed Python packages.
         executor: Where trials run, by default in this process, one after the other. With several at a time,
-            the values of a trial depend on those that have ended when it begins. What a trial with these
-            values comes to does not, except for pruning.
+            the values of a trial depend on those that have ended when it begins. The result of a trial with
+            these values does not, except for pruning.
 
     Raises:
         RunError: The study is damaged.
@@ -108,7 +111,7 @@ def run_study(
             for outcome in outcomes:
                 if executor.is_here and (not isinstance(outcome, TrialResult) or outcome.stop_requested):
                     return False
-        except KeyboardInterrupt:  # a second one
+        except KeyboardInterrupt:  # a second Ctrl-C
             if executor.is_here:
                 raise
             return False
@@ -117,7 +120,7 @@ def run_study(
 
 @dataclass(frozen=True)
 class TakenTrial:
-    """A trial that a process has taken, and is to be run in any process that sees the study."""
+    """A trial that a process has taken, to be run in any process with access to the study."""
 
     study: Path
     number: int
@@ -129,7 +132,7 @@ def _log_of(taken: TakenTrial) -> Path:
 
 
 class _Search(Watcher):
-    """Takes trials, keeps their locks while they run, and tells Optuna their results.
+    """Takes trials, keeps their locks while they run, and reports their results to Optuna.
 
     Attributes:
         is_stopping: Whether a stop was requested.
@@ -178,9 +181,8 @@ class _Search(Watcher):
     def on_done(self, item: int, outcome: object) -> None:
         number = self._numbers[item]
         with self._locks.pop(number):
-            if isinstance(
-                outcome, UsageError
-            ):  # about the study or the worker; errors of a training are in a `TrialResult`
+            # This is an error of the study or the worker; errors of a training are in a `TrialResult`.
+            if isinstance(outcome, UsageError):
                 raise outcome
             result = (
                 TrialResult("failed", reason=outcome.full_message)
@@ -203,7 +205,7 @@ class _Search(Watcher):
 
 @contextmanager
 def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
-    """Take a trial, which no other process takes within the block; None if there is none left.
+    """Context with a trial that no other process takes within the block; None if there is none left.
 
     A trial that is unfinished and locked by nobody comes first; then a new one with values of the sampler.
     """
@@ -219,9 +221,8 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
                 if trial.state.name == "RUNNING":
                     with ExitStack() as attempt, suppress(UsageError):  # another process works on it
                         attempt.enter_context(lock(trial.number))
-                        is_left = not is_training(
-                            study.trial_folder(trial.number)
-                        )  # by a worker whose driver has died
+                        # A worker whose driver has died may still train it.
+                        is_left = not is_training(study.trial_folder(trial.number))
                         if is_left and journal.trials[trial.number].state.name == "RUNNING":
                             number = trial.number
                             stack.enter_context(attempt.pop_all())
@@ -254,8 +255,8 @@ def _suggest(trial: optuna.trial.Trial, search: Mapping[str, SearchSpace]) -> No
 
 
 def end_trial(journal: Journal, number: int, result: TrialResult) -> None:
-    """Tell Optuna the result of a trial. One that failed counts as pruned, so that the sampler keeps away
-    from its values."""
+    """Report the result of a trial to Optuna. A failed trial is reported as pruned, so that the sampler
+    avoids its values."""
     from optuna.trial import TrialState
 
     trial = journal.trial(number)
@@ -279,7 +280,8 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
     """
     study, number, permissions = Study.open(taken.study), taken.number, taken.permissions
     record, folder, journal = study.record, study.trial_folder(number), study.connect()
-    if attempt.number > 1 and not has_ended(folder):  # on a node that was lost and works on
+    # A node that was lost may still be at work.
+    if attempt.number > 1 and not has_ended(folder):
         return TrialResult("running")
     follower = _Follower(study, journal, number, study.compiled().program, attempt)
     options: dict[str, Any] = {
@@ -291,9 +293,8 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
         if folder_kind(folder) is SourceKind.GROUP:
             trained = resume_group(folder, permissions=permissions, **options)
         else:
-            shutil.rmtree(
-                folder, ignore_errors=True
-            )  # of a process that was killed before it wrote the record
+            # The folder is left by a process that was killed before it wrote the record.
+            shutil.rmtree(folder, ignore_errors=True)
             overrides = study.trial(journal, number).assignments
             compiled = study.compiled(overrides, permissions)
             options |= {
@@ -305,7 +306,7 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
             )
     except StorageError:  # the trial stays as it is, and can be continued
         raise
-    except DeepbotsError as error:  # values that do not go together
+    except DeepbotsError as error:  # the values do not fit together
         return TrialResult("failed", reason=error.full_message)
     stop_requested = any(result.stop_requested for result in trained.trained)
     group = Group.open(folder)
@@ -335,7 +336,7 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
 
 
 def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) -> SeedScore:
-    """The score of a training from the evaluation of its best model."""
+    """Return the score of a training from the evaluation of its best model."""
     path, record = group.run(seed), study.record
     run = RunRecord.read(path) if folder_kind(path) is SourceKind.RUN else None
     quoted = quoted_evaluation(path, run) if run is not None else None
@@ -367,12 +368,12 @@ def score(
     success_rate: float,
     solved_after: float | None,
 ) -> float:
-    """The score of a training.
+    """Return the score of a training.
 
-    That of the objective `solved` is at most 1 for a solved task: the fraction of the timesteps after which
-    it was solved (`solved_after`, None if it was not). For others, it is 1 to 2, and grows with the distance
-    d from the required value, relative to this value: of a success rate, d / 2 is added, so that the mean
-    over seeds follows their mean success rate; of a return, which has no lower bound, d / (1 + d). Small
+    The score of the objective `solved` is at most 1 for a solved task: the fraction of the timesteps after
+    which it was solved (`solved_after`, None if it was not). For others, it is 1 to 2, and grows with the
+    distance d from the required value, relative to this value: of a success rate, d / 2 is added, so that the
+    mean over seeds follows their mean success rate; of a return, which has no lower bound, d / (1 + d). Small
     values are good.
     """
     if objective != "solved" or solved is None:
@@ -389,7 +390,8 @@ def score(
 
 
 class _Follower(Reporter):
-    """Reports the evaluations of the trainings of a trial to the journal, and says when the trial is pruned.
+    """Reports the evaluations of the trainings of a trial to the journal, and determines when the trial is
+    pruned.
 
     After each evaluation, the best one so far has a score. At `GRID` points of each training, the mean of
     this score and those of the seeds before it goes to the journal. A trial is pruned where this mean is
@@ -408,14 +410,15 @@ class _Follower(Reporter):
         self.solved = program.agent.solved
 
     def begin_seed(self, seed: int, number: int, count: int) -> bool:
-        """Whether to train a seed: not after the trial was pruned."""
+        """Return whether to train a seed, which is false after the trial was pruned."""
         if not self.is_pruned():
             self._seed = (seed, number, count)
             return True
         return False
 
     def note(self, text: str) -> None:
-        self._attempt.note(text.partition(";")[0])  # without how to continue this training
+        # The hint on how to continue this training is left out.
+        self._attempt.note(text.partition(";")[0])
 
     def update(self, progress: TrainingProgress) -> None:
         self._attempt.report(TrialProgress(*self._seed, progress))
@@ -427,7 +430,7 @@ class _Follower(Reporter):
         return PRUNED_BY if 0 < point < GRID and self._is_worse(place, point) else None
 
     def is_pruned(self) -> bool:
-        """Whether a training of the trial was stopped, or the next one is not worth its time."""
+        """Return whether a training of the trial was stopped, or the next one is not worth its time."""
         begun = [RunRecord.read(run) for run in self._runs if folder_kind(run) is SourceKind.RUN]
         if any(each.result is not None and each.result.stopped_by == PRUNED_BY for each in begun):
             return True
@@ -441,8 +444,8 @@ class _Follower(Reporter):
         self._report(len(self._runs) - 1, GRID)
 
     def _is_worse(self, place: int, point: int) -> bool:
-        """Report the scores up to a point of the training at `place`; whether that at the point is worse than
-        the median."""
+        """Report the scores up to a point of the training at `place`, and return whether the score at the
+        point is worse than the median."""
         value, step = self._report(place, point), GRID * place + point
         complete = [
             trial.intermediate_values for trial in self._journal.trials if trial.state.name == "COMPLETE"
@@ -453,7 +456,7 @@ class _Follower(Reporter):
         return value > median(others) if self._study.record.lower_is_better else value < median(others)
 
     def _report(self, place: int, point: int) -> float | None:
-        """Report the scores up to a point of the training at `place`, each once; returns that at the
+        """Report the scores up to a point of the training at `place`, each once, and return the score at the
         point."""
         step = GRID * place + point
         reported = dict(self._journal.trials[self._trial.number].intermediate_values)
@@ -466,14 +469,14 @@ class _Follower(Reporter):
         return reported.get(step)
 
     def _score(self, place: int, point: int) -> float | None:
-        """The mean score of the trainings up to `place` at a point of the last one; None before its first
-        evaluation."""
+        """Return the mean score of the trainings up to `place` at a point of the last one; None before its
+        first evaluation."""
         scores = [self._score_of(run, GRID) for run in self._runs[:place]]
         scores.append(self._score_of(self._runs[place], point))
         return None if None in scores else fmean(each for each in scores if each is not None)
 
     def _score_of(self, run: Path, point: int) -> float | None:
-        """The score of the best evaluation of a training up to a point."""
+        """Return the score of the best evaluation of a training up to a point."""
         record, study = RunRecord.read(run), self._study.record
         at = record.result.solved_at if record.status == "finished" and record.result is not None else None
         share = (
@@ -491,8 +494,8 @@ class _Follower(Reporter):
         return (min if study.lower_is_better else max)(scores, default=None)
 
     def _evaluations(self, run: Path) -> list[tuple[float, float, float]]:
-        """The evaluations of a training in the last stage of the curriculum: fraction of its steps, mean
-        return, success rate."""
+        """Return the evaluations of a training in the last stage of the curriculum: fraction of its steps,
+        mean return, success rate."""
         path, total = run / "evaluations" / "training.jsonl", self._study.record.total_timesteps
         try:
             lines = map(

@@ -1,4 +1,4 @@
-"""The verdict about a run: which of its evaluations everyone quotes, and whether the run solves its task.
+"""The verdict about a run: the evaluation that is quoted everywhere, and whether the run solves its task.
 
 `run_verdict` is the one definition of "solved" of `train`, `runs`, `report`, `diagnose` and the card of an
 exported policy. Nothing is compiled, and torch is not imported.
@@ -24,10 +24,10 @@ from deepbots_cli.rollout import Episode
 
 
 class SolvedVerdict(NamedTuple):
-    """Whether episodes show that a task is solved.
+    """The verdict of episodes on whether a task is solved.
 
     Attributes:
-        solved: True: they show it. False: they do not meet the criterion, or would be refused as a
+        solved: True: the episodes show it. False: they do not meet the criterion, or would be refused as a
             confirmation. None: the scenario has no criterion, or more episodes are needed.
         text: The answer and its reason.
         required_episodes: The number of episodes from which on there is an answer; None without a criterion.
@@ -41,10 +41,10 @@ class SolvedVerdict(NamedTuple):
 def solved_verdict(
     solved: Solved | None, done: Sequence[Episode], returns: Interval = UNBOUNDED, number: int | None = None
 ) -> SolvedVerdict:
-    """Whether these episodes show that the task is solved, and why.
+    """Return whether these episodes show that the task is solved, and why.
 
     Args:
-        solved: What the scenario asks for.
+        solved: The criterion of the scenario.
         done: The episodes.
         returns: The lowest and the highest possible return.
         number: The number of the confirmation that the episodes are; None for a policy that is confirmed,
@@ -97,7 +97,7 @@ def solved_verdict(
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """Whether a run solves its task: the answer of the evaluation that everyone quotes.
+    """The verdict on whether a run solves its task, by the evaluation that is quoted everywhere.
 
     `solved` is None where there is no such evaluation, where it has too few episodes, or where the scenario
     has no `solved`. A training that stopped because its task is solved has an evaluation: the confirmation.
@@ -110,13 +110,13 @@ class RunVerdict:
 
     @property
     def solved_after(self) -> int | None:
-        """`confirmed_after` of a run that is solved; a later evaluation with more episodes may say
-        otherwise."""
+        """The steps of `confirmed_after` of a run that is solved. A later evaluation with more episodes may
+        contradict the confirmation."""
         return self.confirmed_after if self.solved else None
 
     @property
     def text(self) -> str:
-        """Mean return and success rate with their intervals, what they are of, and the answer."""
+        """Mean return and success rate with their intervals, the circumstances, and the verdict."""
         if self.evaluation is None:
             return "not evaluated since the end of the training"
         answer = {True: "; solved", False: "; not solved", None: ""}[self.solved]
@@ -124,8 +124,8 @@ class RunVerdict:
 
 
 def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
-    """The verdict about a run, from its files. While the run trains, its evaluations are those of older
-    models and do not count."""
+    """Return the verdict about a run, from its files. While the run trains, its evaluations are those of
+    older models and are ignored."""
     quoted = None if record.status == "running" and is_training(path) else quoted_evaluation(path, record)
     if quoted is None:
         return RunVerdict(None, None)
@@ -135,7 +135,8 @@ def run_verdict(path: Path, record: RunRecord) -> RunVerdict:
 
 
 def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRecord] | None:
-    """The evaluation of the best model that everyone quotes, and its file: the one with the most episodes.
+    """Return the evaluation of the best model that is quoted everywhere, and its file: the one with the most
+    episodes.
 
     Of equals, it is the confirmation that ended the training, else the latest. It is one in the scenario and
     engine of the training, since the training ended. One in a scenario that was changed since the training is
@@ -151,7 +152,7 @@ def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRe
 
 
 def quoted_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:
-    """`quoted_evaluation` with its episodes.
+    """Return `quoted_evaluation` with its episodes.
 
     Raises:
         RunError: It is damaged.
@@ -160,10 +161,10 @@ def quoted_episodes(run: Run) -> tuple[Path, EvaluationWithEpisodes] | None:
 
 
 def last_episodes(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes] | None:
-    """The last evaluation in the scenario and engine of the training, since the training ended, also with
-    sampled actions.
+    """Return the last evaluation in the scenario and engine of the training, since the training ended,
+    including evaluations with sampled actions.
 
-    It is one of the model that was named, or where a run was named, of any of its models.
+    It is one of the named model, or of any model if a run was named.
 
     Raises:
         RunError: It is damaged.
@@ -177,12 +178,12 @@ def last_episodes(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes] | None:
 def own_evaluations(
     path: Path, record: RunRecord, *, best_deterministic: bool = True
 ) -> list[tuple[Path, EvaluationRecord]]:
-    """The evaluations in the scenario and engine of the training, since it ended, by number; unreadable ones
-    are left out.
+    """Return the evaluations in the scenario and engine of the training, since it ended, by number;
+    unreadable ones are left out.
 
     Args:
-        best_deterministic: Only those of the best model without sampled actions. Otherwise those of all
-            models that the run still has, checkpoints too.
+        best_deterministic: Only evaluations of the best model without sampled actions. Otherwise those of all
+            models that the run still has, including checkpoints.
     """
     kept = []
     best = None if record.result is None else record.result.best_model
@@ -217,7 +218,8 @@ def own_evaluations(
 
 
 def _of_training(evaluation: EvaluationRecord, record: RunRecord) -> bool:
-    """Whether it judges the scenario of the training; evaluations of older versions have no digest."""
+    """Return whether an evaluation was made in the scenario of the training. Evaluations of older versions
+    have no digest."""
     return evaluation.digest in (None, record.digest)
 
 

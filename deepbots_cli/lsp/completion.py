@@ -92,10 +92,10 @@ _COLON = re.compile(r"[\w]*[ \t]*:")
 
 
 def completion(view: CursorView) -> CompletionList:
-    """All completions at the place; the client filters them by the text before the cursor.
+    """Return all completions at the place; the client filters them by the text before the cursor.
 
-    The list is marked as incomplete until the current text is analyzed, so that the client asks again at the
-    next letter.
+    The list is marked as incomplete until the current text is analyzed, so that the client repeats the
+    request at the next letter.
     """
     place = view.place
     if view.document.is_blank:
@@ -110,7 +110,7 @@ def completion(view: CursorView) -> CompletionList:
         items = [*_keys(view), *(_values(view) if place.path else ())]
     else:
         items = list(_values(view))
-    for index, item in enumerate(items):  # clients sort by the alphabet otherwise
+    for index, item in enumerate(items):  # otherwise clients sort alphabetically
         item.sort_text = f"{index:04}"
     return CompletionList(is_incomplete=not view.is_settled, items=items)
 
@@ -175,12 +175,12 @@ def _values(view: CursorView) -> Iterator[CompletionItem]:
 
 
 def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator[Choice]:
-    """What may come next in an expression, including names in the text that no analysis knows yet."""
+    """Yield the items that may come next in an expression, including names in the text that no analysis has
+    resolved yet."""
     path, text = view.place.path, view.place.text
     if _expects_unit(text):
-        goes_on = text[: len(text) - len(_word_before(text))].endswith(
-            ("*", "/")
-        )  # then only single units follow, not `N*m`
+        # After `*` or `/`, only single units follow, not `N*m`.
+        goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))
         wanted = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
         if not goes_on:
             yield from (
@@ -209,7 +209,7 @@ def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator
 
 
 def _example(view: CursorView, data: Any) -> Iterator[Choice]:
-    """The documented example of the key at the cursor, for values without a vocabulary."""
+    """Yield the documented example of the key at the cursor, for values without a vocabulary."""
     path = view.place.path
     section = section_of(path, data) if not view.place.text.strip() else None
     example = example_of(section, str(path[-1])) if section is not None else None
@@ -262,7 +262,7 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
 
 
 def _named(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choice]:
-    """The names that a reference may take."""
+    """Yield the names that a reference may take."""
     if isinstance(field, (Reference, Pattern)):
         entries = names_at(view.checked, field.kind, path) if view.checked is not None else ()
         yield from (Choice(entry.name, CompletionItemKind.Reference, entry.description) for entry in entries)
@@ -276,7 +276,7 @@ def _named(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choic
 
 
 def _codes(view: CursorView) -> list[CompletionItem]:
-    """The warnings that a comment may suppress."""
+    """Return the warnings that a comment may suppress."""
     match = _CODES.search(view.document.plain[max(0, view.offset - 200) : view.offset])
     if match is None:
         return []
@@ -300,9 +300,8 @@ def _unique(choices: Iterable[Choice]) -> Iterable[Choice]:
 
 def _item(view: CursorView, choice: Choice, start: int, text: str | None = None) -> CompletionItem:
     before = view.document.plain[: view.offset]
-    start = max(
-        start, len(before) - len(before.rpartition("\n")[2].lstrip())
-    )  # the protocol wants the edit on one line
+    # The protocol requires an edit on one line.
+    start = max(start, len(before) - len(before.rpartition("\n")[2].lstrip()))
     span = view.document.lines.range(start, view.offset)
     return CompletionItem(
         label=choice.text,
@@ -339,7 +338,7 @@ _ROBOT_CONTEXTS = ("emit", "apply")
 _BODY = "body or link"
 _MAX_NAMES = 1000
 _MAX_LOOKBACK = 2000
-"""How many characters before the cursor are searched for an open bracket."""
+"""The number of characters before the cursor that are searched for an open bracket."""
 
 
 def _is_expression(field: FieldType) -> bool:
@@ -347,7 +346,7 @@ def _is_expression(field: FieldType) -> bool:
 
 
 def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> Scope | None:
-    """The scope of an expression at `path` in a field of this type."""
+    """Return the scope of an expression at `path` in a field of this type."""
     checked = analysis.checked
     if checked is None or checked.namespace is None:
         return None
@@ -375,13 +374,13 @@ def _word_before(text: str) -> str:
 
 
 def _expects_unit(text: str) -> bool:
-    """Whether `text` ends in a number, or in a unit followed by `*` or `/`."""
+    """Return whether `text` ends in a number, or in a unit followed by `*` or `/`."""
     word = _word_before(text)
     return "." not in word and _AFTER_NUMBER.search(text[: len(text) - len(word)]) is not None
 
 
 def _expected_kind(text: str, field: FieldType) -> str:
-    """The kind of name that may end `text`: a kind of `_names_in_text`."""
+    """Return the kind of name that may end `text`: a kind of `_names_in_text`."""
     word = _word_before(text)
     if _expected_parts(text[: len(text) - len(word)]) is not None:
         return _BODY
@@ -391,7 +390,7 @@ def _expected_kind(text: str, field: FieldType) -> str:
 
 
 def _expression_choices(text: str, scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
-    """What may replace the name at the end of `text`, except units."""
+    """Yield the items that may replace the name at the end of `text`, except units."""
     word = _word_before(text)
     before = text[: len(text) - len(word)]
     kinds = _expected_parts(before)
@@ -425,7 +424,7 @@ def _unit(measure: str) -> Unit | None:
 
 
 def functions(families: frozenset[Family]) -> Iterator[Choice]:
-    """The functions of these families."""
+    """Yield the functions of these families."""
     for function in FUNCTIONS.values():
         if function.family in families:
             yield Choice(
@@ -451,13 +450,13 @@ def _names(scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
 
 
 def _components(name: str, scope: Scope) -> Iterator[Choice]:
-    """The components of a named vector, such as `name.x`."""
+    """Return the components of a named vector, such as `name.x`."""
     symbol = scope.lookup(name)
     return _component_choices(symbol.type if symbol else None, f"{name}.")
 
 
 def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
-    """The components of the vector that the call at the end of the text returns, such as `x`."""
+    """Return the components of the vector that the call at the end of the text returns, such as `x`."""
     depth = 0
     for index in range(len(text) - 1, max(-1, len(text) - _MAX_LOOKBACK), -1):
         depth += {")": 1, "(": -1}.get(text[index], 0)
@@ -470,7 +469,7 @@ def _components_of_call(text: str, scope: Scope) -> Iterator[Choice]:
 
 
 def _component_choices(vector: Type | None, before: str) -> Iterator[Choice]:
-    """Each component of a vector, and `xy` for a vector in space."""
+    """Yield each component of a vector, and `xy` for a vector in space."""
     components = (vector and vector.components) or ()
     for picked in (*components, *(("xy",) if components == ("x", "y", "z") else ())):
         words = vector._replace(components=None).description if vector else ""
@@ -485,8 +484,8 @@ def _parts(scope: Scope, kinds: frozenset[Kind]) -> Iterator[Choice]:
 
 
 def _expected_parts(before: str) -> frozenset[Kind] | None:
-    """The kinds of parts that the argument at the end of the text may name; None for a value or outside of a
-    call."""
+    """Return the kinds of parts that the argument at the end of the text may name; None for a value or
+    outside of a call."""
     called = _open_call(before)
     if called is None:
         return None
@@ -504,7 +503,7 @@ def _expected_parts(before: str) -> frozenset[Kind] | None:
 
 
 def _open_call(before: str) -> tuple[str, int] | None:
-    """The innermost open call at the end of the text: its function and the index of the argument."""
+    """Return the innermost open call at the end of the text: its function and the index of the argument."""
     depth = commas = 0
     for index in range(len(before) - 1, max(-1, len(before) - _MAX_LOOKBACK), -1):
         sign = before[index]
@@ -547,7 +546,7 @@ _ROBOT_SECTIONS = {
 
 
 def _names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
-    """The names in `data` that a reference of this kind may name at `path`."""
+    """Yield the names in `data` that a reference of this kind may name at `path`."""
     for section in _sections(kind, path):
         value = value_at(data, section)
         yield from (name for name in value if not _defines(path, name)) if isinstance(value, dict) else ()
@@ -562,7 +561,7 @@ def _names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
 
 
 def _defines(path: NodePath, name: str) -> bool:
-    """Whether `path` is the definition of the name, which cannot refer to itself."""
+    """Return whether `path` is the definition of the name, which cannot refer to itself."""
     return path[:-1] in _SECTIONS["value"] and path[-1] == name
 
 
@@ -585,7 +584,7 @@ _MAX_FILES = 300
 def _files(
     view: CursorView, suffixes: tuple[str, ...], library: shipped.Library | None = None
 ) -> Iterator[Choice]:
-    """The files and folders that may continue the path at the cursor."""
+    """Yield the files and folders that may continue the path at the cursor."""
     folder, slash, _ = view.place.text.rpartition("/")
     if library and not slash:
         yield from (

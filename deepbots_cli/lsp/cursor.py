@@ -1,4 +1,4 @@
-"""The place of the cursor in the text of a scenario, which may be broken YAML while somebody types.
+"""The place of the cursor in the text of a scenario, which may be broken YAML during typing.
 
 The reader scans the text before the cursor, followed by a mark, with PyYAML's scanner. Where the scanner
 fails, the reader replaces one character and scans again. Brackets and blocks need not be closed.
@@ -18,7 +18,7 @@ from deepbots_cli.document.parse import LOADER, MAX_DEPTH
 
 Role = Literal["key", "value", "aside"]
 
-_MARK = "\ue000"  # of private use, so no text holds it on purpose
+_MARK = "\ue000"  # a character for private use, which texts do not contain
 _MAX_REPAIRS = 20
 _PERCENT = re.compile(r"^%", re.MULTILINE)
 _DASHES = re.compile(r" *(?:- *)*")
@@ -29,9 +29,9 @@ _CLOSING = ("}", "]", "<block end>")
 class Place(NamedTuple):
     """The key or value at the cursor.
 
-    A `key` belongs to the mapping at `path`, or is a scalar on its own line at `path`; a `value` stands at
+    A `key` belongs to the mapping at `path`, or is a scalar on its own line at `path`; a `value` is at
     `path`; `aside` is a comment, or text after a complete value. The key or value begins at the offset
-    `start`, `text` is its part before the cursor, and `data` holds the values before it.
+    `start`, `text` is its part before the cursor, and `data` has the values before it.
     """
 
     path: NodePath
@@ -42,7 +42,8 @@ class Place(NamedTuple):
 
 
 class _EndedError(Exception):
-    """The bracket at `opening` is never closed: a later line is indented no further than its own."""
+    """The error for a bracket at `opening` that is never closed: a later line is indented no further than its
+    own."""
 
     def __init__(self, opening: int) -> None:
         super().__init__()
@@ -50,7 +51,7 @@ class _EndedError(Exception):
 
 
 def place_at(text: str, offset: int) -> Place:
-    """The key or value at `offset`."""
+    """Return the key or value at `offset`."""
     offset = min(offset, len(text), MAX_BYTES)
     text = text[:offset]
     sound = _PERCENT.sub("_", FORBIDDEN_CHARACTERS.sub("_", text.replace(_MARK, "_")))
@@ -72,7 +73,7 @@ def place_at(text: str, offset: int) -> Place:
 
 
 def value_at(data: Any, path: NodePath) -> Any:
-    """The plain value at `path`; an empty text if `path` leads nowhere."""
+    """Return the plain value at `path`; an empty text if `path` leads nowhere."""
     for step in path:
         if isinstance(data, dict):
             data = data.get(step, "")
@@ -84,8 +85,8 @@ def value_at(data: Any, path: NodePath) -> Any:
 
 
 def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, str, str]:
-    """The repair that lets the scanner continue: an offset, the character to put there (or none), and the
-    text after the mark."""
+    """Return the repair that lets the scanner continue: an offset, the character to put there (or none), and
+    the text after the mark."""
     text, problem = reader.text, error.problem or ""
     stop = error.problem_mark.index if error.problem_mark else len(text)
     at = error.context_mark.index if error.context_mark else stop
@@ -106,8 +107,8 @@ def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, 
 
 
 def _ends_before(text: str, start: int) -> bool:
-    """Whether a later line is indented no further than the line of `start`, so that the value at `start` has
-    ended."""
+    """Return whether a later line is indented no further than the line of `start`, so that the value at
+    `start` has ended."""
     line = text[text.rfind("\n", 0, start) + 1 :]
     indentation = len(line) - len(line.lstrip(" "))
     return re.compile(rf"\n {{0,{indentation}}}[^\s}}\]]").search(text, start) is not None
@@ -127,11 +128,10 @@ class _Reader:
         self.slot: tuple[Any, Any, NodePath] = (self.root, "", ())
         self.frames: list[tuple[Any, Any, NodePath]] = []
         self.flows: list[int] = []  # the offsets of the open brackets
-        self.flush: list[
-            Any
-        ] = []  # lists in the column of their key, which have no tokens for beginning and end
+        # The lists in the column of their key, which have no tokens for beginning and end.
+        self.flush: list[Any] = []
         self.word = ""
-        self.since, self.end = 0, 0  # of the last value
+        self.since, self.end = 0, 0  # the end of the last value
         self.path: NodePath = ()
         self.role: Role = "aside"
         self.start = offset
@@ -158,7 +158,7 @@ class _Reader:
         self.path = last  # the mark is in a comment
 
     def _check_line(self, start: int) -> None:
-        """Brackets end at a line that is indented no further than the line of the opening one."""
+        """End brackets at a line that is indented no further than the line of the opening one."""
         line = self.text.rfind("\n", 0, start) + 1
         if (
             line > self.flows[0]
@@ -221,7 +221,7 @@ class _Reader:
             holder[key] = text
 
     def _finish(self, token: Any, start: int) -> None:
-        """The scalar that holds the mark."""
+        """Finish the scalar that contains the mark."""
         holder, key, path = self.slot
         style = getattr(token, "style", None)
         if self.end == start and self.text.endswith(("'", '"')):

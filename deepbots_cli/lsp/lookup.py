@@ -1,5 +1,5 @@
-"""What the schema allows at a path; the expression, key or value under the cursor, its definition and hover
-text; document symbols."""
+"""Look-ups by path and cursor: the shapes that the schema allows; the expression, key or value under the
+cursor, its definition and hover text; document symbols."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _OPTION = Reference("option")
 
 
 def shapes_at(path: NodePath, data: Any) -> list[Shape]:
-    """Every shape that the schema allows at `path`; several while the data does not decide between the forms
+    """Return every shape that the schema allows at `path`; several while the data does not determine the form
     of a value."""
     shapes = list(dict.fromkeys(_shapes(Scenario, data, path)))
     # A rule of a script, or an action of a test, gives an expression or an option of the action; the schema
@@ -58,12 +58,12 @@ def shapes_at(path: NodePath, data: Any) -> list[Shape]:
 
 
 def field_types_at(path: NodePath, data: Any) -> list[FieldType]:
-    """The field types that the schema allows at `path`."""
+    """Return the field types that the schema allows at `path`."""
     return [shape for shape in shapes_at(path, data) if isinstance(shape, FieldType)]
 
 
 def section_of(path: NodePath, data: Any) -> type[Section] | None:
-    """The section that defines the last key of `path`; None for a name that the user chose."""
+    """Return the section that defines the last key of `path`; None for a name that the user chose."""
     if not path or not isinstance(path[-1], str):
         return None
     for shape in shapes_at(path[:-1], data):
@@ -99,7 +99,7 @@ def _shapes(shape: Shape, data: Any, path: NodePath) -> Iterator[Shape]:
 
 
 def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
-    """The form that the data chooses, or all forms while the data decides nothing."""
+    """Return the form that the data determines, or all forms if the data determines none."""
     if isinstance(data, (dict, list)) and data:
         chosen = shape.choose(data)
         if chosen is not None:
@@ -110,7 +110,7 @@ def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
 
 
 def _sections(shape: Shape, data: Any) -> tuple[type[Section], ...]:
-    """The sections whose keys data of this shape may hold."""
+    """Return the sections whose keys data of this shape may have."""
     if isinstance(shape, Kinds):
         section = shape.find(data)
         return (section,) if section else shape.distinct_models
@@ -176,7 +176,7 @@ class KeyOrValue(NamedTuple):
 
 
 def expression_at(view: CursorView) -> ExpressionNode | None:
-    """The innermost node of the expression under the cursor."""
+    """Return the innermost node of the expression under the cursor."""
     if view.analysis is None or view.source is None or view.known_offset is None:
         return None
     readings = [
@@ -190,17 +190,18 @@ def expression_at(view: CursorView) -> ExpressionNode | None:
     index = _index(reading.text, view.known_offset)
     text = reading.text.text
     tree = parser.parse(text, ignore_finding)
+    # A comment is not part of the expression.
     if (
         tree is None
         or not tree.start <= index <= tree.end
         or "#" in text[text.rfind("\n", 0, index) + 1 : index]
-    ):  # a comment
+    ):
         return None
     return _innermost(ExpressionNode(reading, index, tree))
 
 
 def key_or_value_at(view: CursorView) -> KeyOrValue | None:
-    """The key or the single value under the cursor."""
+    """Return the key or the single value under the cursor."""
     place, text = view.place, view.document.plain
     if place.role == "aside":
         return None
@@ -220,8 +221,8 @@ def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
 
 
 def _size_around(view: CursorView, reading: ScopedExpression) -> int | None:
-    """The length of the expression's text if it holds the cursor, otherwise None; a default has no text in
-    the file."""
+    """Return the length of the expression's text if it contains the cursor, otherwise None. A default has no
+    text in the file."""
     text, then = reading.text, view.known_offset
     first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
     if first.source is not view.source or then is None or not first.start <= then <= last.end:
@@ -237,7 +238,7 @@ def _index(text: SourceText, offset: int) -> int:
 
 
 def _innermost(outer: ExpressionNode) -> ExpressionNode:
-    """The smallest node that holds the cursor; the end of a name belongs to the name."""
+    """Return the smallest node that contains the cursor. The end of a name belongs to the name."""
     node, index = outer.node, outer.cursor
     if isinstance(node, syntax.Call) and index <= node.name_end:
         return outer
@@ -250,7 +251,7 @@ def _innermost(outer: ExpressionNode) -> ExpressionNode:
 
 
 def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | None]]:
-    """The child nodes, with the allowed kinds for arguments that name a part of the world."""
+    """Yield the child nodes, with the allowed kinds for arguments that name a part of the world."""
     function = FUNCTIONS.get(node.function) if isinstance(node, syntax.Call) else None
     for index, child in enumerate(syntax.children(node)):
         param = (
@@ -260,7 +261,7 @@ def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | 
 
 
 def ignore_finding(*_finding: object, **_more: object) -> None:
-    """Discard findings; the analysis reports them."""
+    """Discard a finding, because the analysis reports it."""
 
 
 _START = types.Range(types.Position(0, 0), types.Position(0, 0))
@@ -268,8 +269,8 @@ _ALIAS = re.compile(r"\*([\w-]+)")
 
 
 def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
-    """The definitions of the name, alias or file under the cursor; several for a pattern that matches several
-    names."""
+    """Return the definitions of the name, alias or file under the cursor; several for a pattern that matches
+    several names."""
     anchor = _anchor(view)
     if anchor is not None:
         return [anchor]
@@ -314,7 +315,7 @@ def _file(view: CursorView, target: KeyOrValue, open_uris: dict[Path, str]) -> t
 
 
 def _located(view: CursorView, reference: str, library: shipped.Library | None) -> Path | None:
-    """The file that a reference names; None if no such file exists or the scenario may not read it."""
+    """Return the file that a reference names; None if no such file exists or the scenario may not read it."""
     if reference.startswith("package://"):
         return meshes.package_file(reference)
     path = resolve_reference(reference, view.document.path.parent, view.roots, library)
@@ -322,7 +323,7 @@ def _located(view: CursorView, reference: str, library: shipped.Library | None) 
 
 
 def _by_name(view: CursorView) -> list[Span]:
-    """The definition of the name under the cursor in an expression."""
+    """Return the definition of the name under the cursor in an expression."""
     node = expression_at(view)
     if node is None or node.name is None or view.checked is None:
         return []
@@ -331,7 +332,7 @@ def _by_name(view: CursorView) -> list[Span]:
 
 
 def _by_reference(view: CursorView, target: KeyOrValue) -> list[Span]:
-    """The definitions of a reference or pattern outside of expressions."""
+    """Return the definitions of a reference or pattern outside of expressions."""
     checked = view.checked
     if checked is None or checked.document.root is None:
         return []
@@ -355,7 +356,7 @@ def _by_reference(view: CursorView, target: KeyOrValue) -> list[Span]:
 
 
 def _setting(root: MappingNode, text: str) -> list[Span]:
-    """The key at the dotted path of a setting."""
+    """Return the key at the dotted path of a setting."""
     steps, _, rest = follow_dotted(root, text)
     key = descend(root, steps)[1] if steps and not rest else None
     return [key.span] if key else []
@@ -381,7 +382,7 @@ _SECTIONS = {
 
 
 def document_symbols(document: Document) -> list[types.DocumentSymbol]:
-    """The keys of a document in the order of the file; empty if the document cannot be parsed."""
+    """Return the keys of a document in the order of the file; empty if the document cannot be parsed."""
     _, root, _ = document.read()
     return list(_symbols(document, root, "", _DEPTH)) if isinstance(root, MappingNode) else []
 
@@ -391,9 +392,8 @@ def _symbols(
 ) -> Iterator[types.DocumentSymbol]:
     for name, entry in mapping.entries.items():
         inner = entry.value
-        is_here = (
-            isinstance(inner, MappingNode) and inner.span.start >= entry.key.span.start
-        )  # the value of an alias lies elsewhere
+        # The value of an alias has another place in the text.
+        is_here = isinstance(inner, MappingNode) and inner.span.start >= entry.key.span.start
         below = (
             list(_symbols(document, inner, name, depth - 1))
             if isinstance(inner, MappingNode) and is_here and depth > 1
@@ -421,7 +421,7 @@ _MAX_CHARACTERS = 300
 
 
 def hover(view: CursorView) -> types.Hover | None:
-    """The hover text of a place; None for white space and text without a meaning."""
+    """Return the hover text of a place; None for white space and text without a meaning."""
     contents = _suppressed_code(view) or _expression(view) or _key_or_value(view)
     if contents is None:
         return None
@@ -436,7 +436,7 @@ HoverText = tuple[str, int, int]
 
 
 def _suppressed_code(view: CursorView) -> HoverText | None:
-    """The page of a rule whose code a suppressing comment names."""
+    """Return the page of a rule whose code a suppressing comment names."""
     text = view.document.plain
     begin = text.rfind("\n", 0, view.offset) + 1
     end = text.find("\n", view.offset)
@@ -485,7 +485,7 @@ def _name_text(view: CursorView, node: ExpressionNode, name: str) -> str | None:
         subject = node.reading.scope.subject(name, node.kinds)
         return f"`{name}`: {subject.kind.description}{_definition_line(named)}" if subject else None
     symbol = node.reading.scope.lookup(name)
-    if symbol is None:  # a component of a vector, or a unit
+    if symbol is None:  # the name is a component of a vector, or a unit
         node_type = node.type
         if node_type:
             return f"`{name}`: {describe_type(node_type)}{_definition_line(named)}"
@@ -495,7 +495,7 @@ def _name_text(view: CursorView, node: ExpressionNode, name: str) -> str | None:
 
 
 def _definition_line(named: NameEntry | None) -> str:
-    """The source line of a definition as a code block; empty if there is none."""
+    """Return the source line of a definition as a code block; empty if there is none."""
     if named is None or named.span is None:
         return ""
     line = named.span.source.line(named.span.start_position.line).strip()[:_MAX_CHARACTERS]
@@ -526,13 +526,13 @@ def _key_text(view: CursorView, target: KeyOrValue) -> str | None:
 
 
 def _kinds(view: CursorView, target: KeyOrValue) -> Kinds | None:
-    """The kinds among which the value of this key chooses."""
+    """Return the kinds among which the value of this key chooses."""
     above = shapes_at(target.path[:-1], view.data) if target.path else ()
     return next((shape for shape in above if isinstance(shape, Kinds) and shape.key == target.path[-1]), None)
 
 
 def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
-    """The description of a name at its definition."""
+    """Return the description of a name at its definition."""
     checked = view.checked
     if view.analysis is None or checked is None or checked.namespace is None or checked.document.root is None:
         return None
@@ -607,13 +607,13 @@ _LONGEST_NOUN = 120
 
 
 def summary(part: type[Section], key: str) -> str:
-    """The noun of a key's value, shortened for a completion list."""
+    """Return the noun of a key's value, shortened for a completion list."""
     noun = noun_of(section_fields(part)[key])
     return noun if len(noun) <= _LONGEST_NOUN else f"{noun[:_LONGEST_NOUN]}…"
 
 
 def describe_shape(shape: Shape) -> str:
-    """The noun of a shape, with an example if it has one."""
+    """Return the noun of a shape, with an example if it has one."""
     example = getattr(shape, "example", None)
     return f"{noun_of(shape)}, such as `{example}`" if example else noun_of(shape)
 
@@ -624,8 +624,8 @@ def describe_function(function: Function) -> str:
 
 
 def describe_type(known: Type) -> str:
-    """The dimension, components and interval of a type, and when it is known: `a length (m), from 0 to 2.7 m,
-    fixed`."""
+    """Return the dimension, components and interval of a type, and when it is known: `a length (m), from 0 to
+    2.7 m, fixed`."""
     if known.picture is not None:
         rows, columns, channels = known.picture
         return f"a picture of {columns} x {rows} pixels with {channels} channel{'s' if channels > 1 else ''}"
@@ -652,7 +652,7 @@ def _interval(interval: Interval, dimension: str) -> str:
 
 
 def describe_symbol(symbol: Symbol) -> str:
-    """The type and value of a name, or the reason why it has no value."""
+    """Return the type and value of a name, or the reason why it has no value."""
     if symbol.refusal is not None:
         return f"no value here: {symbol.refusal}"
     if symbol.type is None:
@@ -664,7 +664,7 @@ def describe_symbol(symbol: Symbol) -> str:
 
 
 def describe_rule(code: str) -> str | None:
-    """The page of a rule by its code; None if no rule has the code."""
+    """Return the page of a rule by its code; None if no rule has the code."""
     rule = RULES.get(code)
     if rule is None:
         return None

@@ -1,7 +1,7 @@
 """The server: request handlers, findings as diagnostics, the background analysis that publishes them, and the
 text edits of code actions.
 
-A failing handler answers nothing and shows the client a message.
+A failing handler returns an empty answer and shows the client a message.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ from deepbots_cli.lsp.workspace import (
 _SOURCE = "deepbots"
 _SEVERITIES = {"error": types.DiagnosticSeverity.Error, "warning": types.DiagnosticSeverity.Warning}
 _UNNECESSARY = frozenset({"DB205", "DB901"})
-"""Rules that report unnecessary text, which editors show faded."""
+"""The rules that report unnecessary text, which editors show faded."""
 
 
 def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
-    """One finding with its related locations."""
+    """Convert a finding with its related locations."""
     also = [
         types.DiagnosticRelatedInformation(locator.location(label.span), shortened(label.text))
         for label in finding.labels
@@ -77,7 +77,7 @@ def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
 
 
 def diagnostics(analysis: DocumentAnalysis, open_uris: dict[Path, str]) -> dict[str, list[types.Diagnostic]]:
-    """All diagnostics by URI. The document and all open files that it reads always have an entry."""
+    """Return all diagnostics by URI. The document and all open files that it reads always have an entry."""
     locator = Locator(analysis, open_uris)
     read = (open_uris[path] for path in analysis.paths.values() if path in open_uris)
     by_uri: dict[str, list[types.Diagnostic]] = {uri: [] for uri in (analysis.document.uri, *read)}
@@ -101,7 +101,7 @@ class _Published(NamedTuple):
     found: dict[str, list[types.Diagnostic]]
 
     def is_about(self, document: Document | None) -> bool:
-        """Whether the analysis read the current text of a document; None stands for a file that is not
+        """Return whether the analysis read the current text of a document; None stands for a file that is not
         open."""
         return document is None or self.analysis.drafts.get(document.path) == document.bytes
 
@@ -154,9 +154,8 @@ class Checker:
         try:
             analysis = await loop.run_in_executor(self._executor, self._run, document, self._workspace.drafts)
             self._workspace.record(analysis)
-            if (
-                self._workspace.documents.get(document.uri) is document
-            ):  # otherwise a newer version is scheduled
+            # If the text has changed, a newer version is scheduled.
+            if self._workspace.documents.get(document.uri) is document:
                 self._record(analysis)
         except Exception as error:  # an internal error must not end the server  # noqa: BLE001
             self._warn(
@@ -220,7 +219,7 @@ class CodeActions:
         self._versioned = versioned
 
     def at(self, range: types.Range, only: Iterable[str] | None = None) -> list[types.CodeAction]:
-        """The code actions for a range of the document, limited to the kinds in `only`."""
+        """Return the code actions for a range of the document, limited to the kinds in `only`."""
         actions: list[types.CodeAction] = []
         if _is_wanted(types.CodeActionKind.QuickFix.value, only):
             for finding, analysis in self._findings(range):
@@ -237,7 +236,7 @@ class CodeActions:
         return actions
 
     def fix_all(self) -> types.WorkspaceEdit | None:
-        """The fixes that `deepbots lint --fix` makes in the scenario and the files it includes."""
+        """Return the fixes that `deepbots lint --fix` makes in the scenario and the files it includes."""
         analysis = self._analysis
         if analysis is None or analysis.checked is None:
             return None
@@ -268,7 +267,7 @@ class CodeActions:
         return latest if latest is not None and latest.document is self._document else None
 
     def _findings(self, range: types.Range) -> Iterator[tuple[Finding, DocumentAnalysis]]:
-        """The findings in the document that touch the range, each once."""
+        """Yield the findings in the document that touch the range, each once."""
         lines, seen = self._document.lines, set()
         start, end = lines.offset(range.start), lines.offset(range.end)
         for analysis, source in self._workspace.analyses_of(self._document):
@@ -300,7 +299,8 @@ class CodeActions:
                 yield types.CodeAction(title, types.CodeActionKind.QuickFix, about, edit=edit)
 
     def _changes(self, finding: Finding, analysis: DocumentAnalysis) -> dict[Document, list[types.TextEdit]]:
-        """The edits of a fix by document; empty unless all apply to the current text of open documents."""
+        """Return the edits of a fix by document; empty unless all apply to the current text of open
+        documents."""
         changes: dict[Document, list[types.TextEdit]] = {}
         by_path = self._workspace.by_path
         for edit in finding.fix.edits if finding.fix else ():
@@ -312,7 +312,7 @@ class CodeActions:
         return changes
 
     def _suppression_edit(self, finding: Finding) -> types.TextEdit | None:
-        """The edit that adds the code to the line's suppressing comment, or adds a comment; None if it
+        """Return the edit that adds the code to the line's suppressing comment, or adds a comment; None if it
         changes the values of the file."""
         text = self._document.plain
         begin = text.rfind("\n", 0, finding.span.start) + 1
@@ -343,7 +343,7 @@ class CodeActions:
 
 
 def _is_wanted(kind: str, only: Iterable[str] | None) -> bool:
-    """Whether a client wants a kind: `source` includes `source.*`; source actions are given only on
+    """Return whether a client requests a kind: `source` includes `source.*`; source actions are given only on
     request."""
     if only is None:
         return not kind.startswith("source")
@@ -358,7 +358,8 @@ def _title(edit: Edit) -> str:
 
 
 def formatting(document: Document) -> list[types.TextEdit]:
-    """The edits that `deepbots fmt` would make; empty if there are none or the document cannot be parsed."""
+    """Return the edits that `deepbots fmt` would make; empty if there are none or the document cannot be
+    parsed."""
     _, root, findings = document.read()
     before = document.plain
     after = canonical_text(before) if root is not None and not findings.errors else None
@@ -366,8 +367,8 @@ def formatting(document: Document) -> list[types.TextEdit]:
 
 
 def minimal_edits(document: Document, after: str) -> list[types.TextEdit]:
-    """The edit that turns a document into `after`, without the common start and end, so that cursors and
-    marks there stay."""
+    """Return the edit that turns a document into `after`, without the common start and end, so that cursors
+    and marks there stay."""
     before = document.plain
     if after == before:
         return []
@@ -404,7 +405,7 @@ class Server(LanguageServer):
         super().__init__(
             "deepbots", deepbots_cli.__version__, text_document_sync_kind=full, protocol_cls=_Protocol
         )
-        self.exit_code = 0  # the protocol wants 1 if the client exits without a shutdown request
+        self.exit_code = 0  # the protocol requires 1 if the client exits without a shutdown request
         self._is_shut_down = False
         self.scenarios = Workspace()
         self._warned: set[str] = set()
@@ -440,7 +441,7 @@ class Server(LanguageServer):
         self.feature(method, options)(self._guard(method, handler))
 
     def _guard(self, method: str, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Wrap a handler: on an exception it answers nothing and warns the user."""
+        """Wrap a handler. On an exception it returns an empty answer and warns the user."""
 
         def guarded(params: Any) -> Any:
             try:
@@ -456,7 +457,7 @@ class Server(LanguageServer):
         return guarded
 
     def _initialized(self, _params: types.InitializedParams) -> None:
-        """Ask the client to report changes of the files that scenarios read, if it can."""
+        """Request from the client that it reports changes of the files that scenarios read, if it can."""
         workspace = self.client_capabilities.workspace
         watching = workspace.did_change_watched_files if workspace else None
         if watching is not None and watching.dynamic_registration:
@@ -485,7 +486,7 @@ class Server(LanguageServer):
         self.checker.schedule(*([uri] if document.is_scenario or not dependents else []), *dependents)
 
     def _saved(self, _params: object) -> None:
-        """Analyze all documents again: a robot, a mesh or the project's settings may have changed."""
+        """Analyze all documents again, because a robot, a mesh or the project's settings may have changed."""
         self.checker.schedule(*self.scenarios.documents)
 
     def _closed(self, params: types.DidCloseTextDocumentParams) -> None:
@@ -499,7 +500,7 @@ class Server(LanguageServer):
     # Requests
 
     def _at(self, answer: Callable[[CursorView], Any]) -> Callable[[Any], Any]:
-        """The handler of a request about a position."""
+        """Return the handler of a request about a position."""
 
         def handler(params: Any) -> Any:
             view = self.scenarios.view(params.text_document.uri, params.position)
@@ -508,7 +509,7 @@ class Server(LanguageServer):
         return handler
 
     def _of(self, answer: Callable[[Document], Any]) -> Callable[[Any], Any]:
-        """The handler of a request about a whole document."""
+        """Return the handler of a request about a whole document."""
 
         def handler(params: Any) -> Any:
             document = self.scenarios.document(params.text_document.uri)
@@ -562,7 +563,8 @@ class Server(LanguageServer):
         return support is not None and "edit" in support.properties
 
     def shutdown(self) -> None:
-        """Close the connection too: pygls leaves it open, and asyncio waits for it from Python 3.12 on."""
+        """Close the connection too, because pygls leaves it open, and asyncio waits for it from Python 3.12
+        on."""
         super().shutdown()  # type: ignore[no-untyped-call]
         if isinstance(self.protocol.writer, asyncio.StreamWriter):
             self.protocol.writer.close()

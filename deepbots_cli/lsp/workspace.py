@@ -1,5 +1,4 @@
-"""The open documents, positions in them, their analyses, and the view of a place that requests are answered
-from.
+"""The open documents, positions in them, their analyses, and the position from which requests are answered.
 
 The protocol counts lines and columns from 0. Columns count UTF-16 units unless client and server agree on
 another encoding; findings count code points. Lines end in `\\n`, `\\r\\n` or `\\r`.
@@ -56,7 +55,8 @@ class Lines:
         self._ends = [*(end.start() for end in ends), len(text)]
 
     def position(self, offset: int) -> types.Position:
-        """The position of the character at `offset`; an offset beyond the text gives the end of the text."""
+        """Return the position of the character at `offset`; an offset beyond the text gives the end of the
+        text."""
         index = min(max(0, offset) + self._mark, len(self._text))
         line = bisect_right(self._starts, index) - 1
         before = self._text[self._starts[line] : index]
@@ -66,7 +66,7 @@ class Lines:
         return types.Range(self.position(start), self.position(end))
 
     def offset(self, position: types.Position) -> int:
-        """The offset of a position.
+        """Return the offset of a position.
 
         A position beyond a line or the text gives its end, a position inside a character the start of that
         character.
@@ -88,7 +88,7 @@ _NAMELESS = "<untitled {:08x}>"
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """One version of an open file; `path` is its file, which need not exist."""
+    """A version of an open file; `path` is its file, which need not exist."""
 
     uri: str
     version: int
@@ -112,7 +112,7 @@ class Document:
 
     @property
     def is_blank(self) -> bool:
-        """Whether the document holds only comments and at most the beginning of one word."""
+        """Whether the document has only comments and at most the beginning of one word."""
         *lines, last = self.text.removeprefix("\ufeff").rstrip().split("\n")
         begun = "" if re.fullmatch("[a-z]+", last) else last
         return all(line.lstrip()[:1] in ("", "#") for line in (*lines, begun))
@@ -122,19 +122,20 @@ class Document:
         return self.text.encode("utf-8", "surrogatepass")
 
     def read(self) -> tuple[Source, Node | None, Findings]:
-        """The source, the parsed tree (None if the text is not readable) and the findings of the parser."""
+        """Return the source, the parsed tree (None if the text is not readable) and the findings of the
+        parser."""
         findings = Findings()
         source, readable = files.decode(self.bytes, str(self.path), findings)
         return source, parse(source, findings) if readable else None, findings
 
 
 def path_of(uri: str) -> Path:
-    """The file of a URI. A URI without a file gets a unique name in the working directory."""
+    """Return the file of a URI. A URI without a file gets a unique name in the working directory."""
     nameless = _NAMELESS.format(crc32(uri.encode("utf-8", "surrogatepass")))
     named = uris.to_fs_path(uri) if uri.startswith("file:") else None
     try:
         return Path(named or nameless).resolve()
-    except (OSError, ValueError, RuntimeError):  # no name that a file can have
+    except (OSError, ValueError, RuntimeError):  # the name is not possible for a file
         return Path(nameless).absolute()
 
 
@@ -146,9 +147,9 @@ def uri_of(path: Path) -> str:
 class DocumentAnalysis:
     """The result of compiling and linting one version of a document.
 
-    `drafts` holds the open files at that time by path. `checked` is None for an included file and for
-    unreadable files. `selection` decides which findings the project wants; `settings_error` describes a fault
-    in the project's settings.
+    `drafts` has the open files at that time by path. `checked` is None for an included file and for
+    unreadable files. `selection` determines the reported findings of the project; `settings_error` describes
+    a fault in the project's settings.
     """
 
     document: Document
@@ -180,11 +181,11 @@ class DocumentAnalysis:
         }
 
     def path(self, source: Source) -> Path:
-        """The file of a source. A file that could not be read is found by its name."""
+        """Return the file of a source. A file that could not be read is found by its name."""
         return self.paths.get(source) or Path(source.name).absolute()
 
     def source(self, path: Path) -> Source | None:
-        """The text that the analysis read from a file."""
+        """Return the text that the analysis read from a file."""
         return next((source for source, read in self.paths.items() if read == path), None)
 
     @cached_property
@@ -222,7 +223,7 @@ def analyze(
             permissions=permissions,
             drafts={**drafts, document.path: document.bytes},
         )
-    except UsageError:  # a folder, or a name that no file can have
+    except UsageError:  # it is a folder, or the name is not possible for a file
         return DocumentAnalysis(document, drafts)
     checked = check(read)
     findings = all_findings(checked, preview=preview)
@@ -260,7 +261,7 @@ class CursorView:
     scenario, if any.
 
     `source` is the text of the document in that analysis. `known_offset` is the offset of the place in
-    `source`, None if the place was typed later. `is_settled` says that an analysis of the current text
+    `source`, None if the place was typed later. `is_settled` is true if an analysis of the current text
     exists.
     """
 
@@ -292,7 +293,7 @@ class CursorView:
 
     @property
     def keys(self) -> set[str]:
-        """The other keys of the mapping at the place that this document holds."""
+        """The other keys of the mapping at the place in this document."""
         before = value_at(self.place.data, self.place.path)
         keys = set(before) if isinstance(before, dict) else set()
         if self.checked is not None and self.checked.document.root is not None:
@@ -307,7 +308,7 @@ class CursorView:
         return self.checked.document.roots if self.checked else (project_root(self.document.path.parent),)
 
     def _is_elsewhere(self, span: Span) -> bool:
-        """Whether the current text still holds the span of the analysis, outside the cursor."""
+        """Return whether the current text still contains the span of the analysis, outside the cursor."""
         if span.source is not self.source:
             return False
         now = self.document.plain
@@ -362,8 +363,8 @@ class Workspace:
         return {document.path: uri for uri, document in self.documents.items()}
 
     def document(self, uri: str) -> Document | None:
-        """The open document of a URI if it is a scenario, included by one, or blank; editors send every YAML
-        file."""
+        """Return the open document of a URI if it is a scenario, included by one, or blank; editors send
+        every YAML file."""
         document = self.documents.get(uri)
         if document is None or document.is_scenario or document.is_blank:
             return document
@@ -375,7 +376,7 @@ class Workspace:
         )
 
     def dependents(self, document: Document) -> list[str]:
-        """The URIs of the other open documents that read this one."""
+        """Return the URIs of the other open documents that read this one."""
         return [
             uri
             for uri, analysis in self.latest.items()
@@ -383,14 +384,14 @@ class Workspace:
         ]
 
     def analyses_of(self, document: Document) -> Iterable[tuple[DocumentAnalysis, Source]]:
-        """The analyses that read this version of the document."""
+        """Yield the analyses that read this version of the document."""
         for analysis in self.latest.values():
             source = analysis.source(document.path)
             if source is not None and source.text == document.plain:
                 yield analysis, source
 
     def view(self, uri: str, position: types.Position) -> CursorView | None:
-        """The view of a position; None if the document is not open or not part of a scenario."""
+        """Return the view of a position; None if the document is not open or not part of a scenario."""
         document = self.document(uri)
         if document is None:
             return None
@@ -406,10 +407,10 @@ class Workspace:
 
 
 def _map_offset(offset: int, now: str, then: str) -> int | None:
-    """The offset in `then`, an earlier version of the text, for an offset in `now`; None for text that is
-    new.
+    """Return the offset in `then`, an earlier version of the text, for an offset in `now`; None for text that
+    is new.
 
-    Offsets before and after the changed region map directly. Within it, a line maps if `then` holds it
+    Offsets before and after the changed region map directly. Within it, a line maps if `then` contains it
     exactly once.
     """
     if now == then:
@@ -430,14 +431,16 @@ def _map_offset(offset: int, now: str, then: str) -> int | None:
 
 
 def common_prefix(one: str, other: str) -> int:
-    """The length of the common prefix; bisection compares slices, which is faster than single characters."""
+    """Return the length of the common prefix; bisection compares slices, which is faster than single
+    characters."""
     return bisect_left(
         range(min(len(one), len(other))), True, key=lambda index: one[: index + 1] != other[: index + 1]
     )
 
 
 def _include_path(node: Node | None, source: Source, path: NodePath = ()) -> NodePath:
-    """The path of the mapping into which `source` was included, found by the first key that comes from it."""
+    """Return the path of the mapping into which `source` was included, found by the first key that comes from
+    it."""
     if isinstance(node, MappingNode):
         for entry in node.entries.values():
             if entry.key.span.source is source:

@@ -6,10 +6,10 @@ some of the worlds with its own copy of the policy, in this process or in anothe
 experience does not depend on where shards run, because:
 
 - The worlds of a shard have their own seeds and random streams. The policy of a shard draws from generators
-  that are seeded anew for each fragment, with the number of the shard and of the steps before.
+that are seeded anew for each fragment, with the number of the shard and of the steps before.
 - Fragments are joined by the number of their shard (`join`), never by the order in which they arrive.
-- The collector knows how each running episode began, and its actions. Another shard can continue from there
-  exactly.
+- The collector keeps the start and the actions of each running episode. Another shard can continue from there
+exactly.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ Actor = Callable[[Any, Array, Array | None], Decision]
 
 
 _NOISE = 0.1
-"""Standard deviation of the noise on ranges where a script drives, in the agent's [-1, 1]."""
+"""The standard deviation of the noise on ranges while a script drives, in the agent's [-1, 1]."""
 
 
 class Lesson(NamedTuple):
-    """What a script teaches in a fragment: its actions become the column `taught`, and it drives the first
+    """The lesson of a script in a fragment: its actions become the column `taught`, and it drives the first
     `worlds`."""
 
     script: str
@@ -63,11 +63,11 @@ class PolicyActor(Protocol):
         """Called before each fragment."""
 
     def parameters(self) -> Mapping[str, Any]:
-        """What copies in shards must have in common with it: weights, and numbers such as the rate of
-        exploration."""
+        """Return the values that copies in shards must have in common with the actor: weights, and numbers
+        such as the rate of exploration."""
 
     def memory(self) -> Mapping[str, Array]:
-        """What the policy remembers between two fragments: arrays with a row for each agent."""
+        """Return the memory of the policy between two fragments: arrays with a row for each agent."""
 
     def load(self, parameters: Mapping[str, Any]) -> None:
         """Take over the parameters of another actor."""
@@ -115,12 +115,12 @@ class ShardState(NamedTuple):
 
 @dataclass
 class CollectTimes:
-    """Where the time of a collector went, in seconds by the clock, added up over its fragments.
+    """The time of the parts of a collector, in seconds by the clock, added up over its fragments.
 
     Attributes:
         worlds: Steps of the worlds; with shards in several processes, the mean of these processes.
-        waiting: What the slowest process took longer than the mean.
-        transfer: What orders and answers took beside the work of the slowest process.
+        waiting: The time that the slowest process took longer than the mean.
+        transfer: The time of orders and answers beside the work of the slowest process.
     """
 
     worlds: float = 0.0
@@ -129,7 +129,7 @@ class CollectTimes:
 
 
 class Collector(Protocol):
-    """Gives a learner its experience."""
+    """Collects the experience of a learner."""
 
     rows: int
     times: CollectTimes
@@ -147,14 +147,15 @@ class Collector(Protocol):
         with_masks: bool = False,
         lesson: Lesson | None = None,
     ) -> Fragment | None:
-        """The next `steps` of every row; None if `on_step` ended it before. `with_masks` gives the actor
-        which options are allowed."""
+        """Collect the next `steps` of every row; None if `on_step` ended them before. With `with_masks`, the
+        actor gets the allowed options."""
 
     def state(self) -> ShardState:
-        """What another collector with the same worlds goes on from, between two fragments."""
+        """Return the state from which another collector with the same worlds continues, between two
+        fragments."""
 
     def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
-        """Go on from a state. Returns False where the worlds come to other observations: then they begin anew
+        """Continue from a state. Returns False if the observations of the worlds differ: then they begin anew
         from `seeds`."""
 
 
@@ -169,7 +170,7 @@ class LocalCollector:
         self.times = CollectTimes()
         self.stale: Mapping[str, Array] = {}
         self.starts = np.ones(self.rows, bool)
-        """Whether an episode begins with the observations that the agents act on next."""
+        """Whether an episode begins with the observations on which the agents act next."""
 
     @property
     def agents(self) -> Sequence[Any]:
@@ -177,11 +178,11 @@ class LocalCollector:
         return self.worlds.agents
 
     def action_masks(self) -> Array | None:
-        """Which options are allowed in each row; None where the worlds do not say."""
+        """Return which options are allowed in each row; None if the worlds have no masks."""
         return self.worlds.action_masks()
 
     def begin(self) -> Any:
-        """The observations that the agents act on next; the first episodes begin if none has."""
+        """Return the observations on which the agents act next. The first episodes begin if none has."""
         return self.worlds.reset() if self.worlds.observations is None else self.worlds.observations
 
     def collect(
@@ -225,7 +226,7 @@ class LocalCollector:
         )
 
     def taught(self, decision: Decision, lesson: Lesson) -> Decision:
-        """What is done in a step of a lesson. The script drives with some noise, so that it meets more states
+        """Return the decision in a step of a lesson. The script drives with some noise, to meet more states
         than its own."""
         taught = self.worlds.scripted(lesson.script)
         columns = {**decision.columns, "taught": taught}
@@ -240,7 +241,7 @@ class LocalCollector:
         return Decision(actions, columns)
 
     def step_all(self, actions: Any) -> WorldsStep:
-        """One step, for a learner that asks for single steps."""
+        """Make one step, for a learner that steps by itself."""
         began = perf_counter()
         outcome = self.worlds.step_all(actions)
         self.times.worlds += perf_counter() - began
@@ -251,7 +252,7 @@ class LocalCollector:
         return ShardState(self.worlds.histories(), observation_digest(self.worlds.observations))
 
     def repeat(self, episodes: Sequence[EpisodeHistory]) -> Any:
-        """Go on from the running episode of each world; the observations."""
+        """Continue from the running episode of each world. Returns the observations."""
         self.starts = np.repeat([not episode.actions for episode in episodes], self.rows // len(episodes))
         return self.worlds.repeat(episodes)
 
@@ -265,7 +266,7 @@ class LocalCollector:
 
 
 def join(fragments: Sequence[Fragment]) -> Fragment:
-    """The fragments of shards 0, 1, 2, ... as one, with the rows of the first shard first."""
+    """Join the fragments of shards 0, 1, 2, ..., with the rows of the first shard first."""
     offsets = np.cumsum([0, *(fragment.rewards.shape[1] for fragment in fragments)])
     endings = [
         (number, ending._replace(row=ending.row + int(offset)))
@@ -301,15 +302,15 @@ def _joined(join_arrays: Callable[[Sequence[Any]], Any], observations: Sequence[
 
 @dataclass(frozen=True)
 class Order:
-    """What a shard is asked for: `steps` of each row.
+    """A request to a shard for `steps` of each row.
 
     Attributes:
-        parameters: Those of the actor.
+        parameters: The parameters of the actor.
         begun: Steps of the training before the fragment, summed over all rows.
         next_episode: The number of the next episode of the training, from 1.
         stage: The number of the present stage of the curriculum.
-        with_masks: Whether the actor wants to know which options are allowed.
-        lesson: What a script teaches; its `worlds` are counted over all shards.
+        with_masks: Whether the actor uses masks of the allowed options.
+        lesson: The lesson of a script; its `worlds` are counted over all shards.
     """
 
     parameters: Mapping[str, Any]
@@ -326,7 +327,7 @@ class EvaluationOrder:
     """An evaluation of the policy, which the shards divide among them.
 
     Attributes:
-        parameters: Those of the actor.
+        parameters: The parameters of the actor.
         seeds: The start of each episode.
         stage: The name of the stage of the curriculum; None without stages.
     """
@@ -338,10 +339,10 @@ class EvaluationOrder:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What a shard returns.
+    """The answer of a shard.
 
     Attributes:
-        notes: What the user should know, such as lost episodes.
+        notes: Notes for the user, such as lost episodes.
         cpu_seconds: CPU time, if the shard runs in another process.
         worker: The number of this process.
     """
@@ -360,14 +361,14 @@ class Evaluated(Answer):
 
 @dataclass(frozen=True)
 class Harvest(Answer):
-    """What a shard has collected for an order.
+    """The experience that a shard has collected for an order.
 
     Attributes:
         fragment: The experience of its rows.
-        memory: That of its actor after the fragment.
-        ended: Of each ending of the fragment: the stage of the episode, and what it drew.
-        begun: Of each world that has begun another episode, by its number in the shard: how this one began,
-            and its stage.
+        memory: The memory of its actor after the fragment.
+        ended: For each ending of the fragment, the stage of the episode, and its drawn values.
+        begun: For each world that has begun another episode, by its number in the shard, the start of this
+            episode, and its stage.
         seconds: Time by the clock that the fragment took, and the part of it in the worlds.
     """
 
@@ -395,7 +396,8 @@ class ShardPool(Protocol):
     """The shards of a training, wherever they run."""
 
     def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
-        """Bring the worlds of each shard to the end of these episodes; the observations of each shard."""
+        """Bring the worlds of each shard to the end of these episodes. Returns the observations of each
+        shard."""
 
     def collect(
         self,
@@ -403,21 +405,21 @@ class ShardPool(Protocol):
         memories: Sequence[Mapping[str, Array]],
         episodes: Sequence[Sequence[RunningEpisode]],
     ) -> Callable[[], list[Harvest]]:
-        """Ask for the harvest of each shard, from `episodes` on, which are those after the last harvest; the
-        result waits for it."""
+        """Request the harvest of each shard, from `episodes` on, which are those after the last harvest. The
+        returned function waits for the result."""
 
     def evaluate(
         self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]
     ) -> list[Evaluated]:
-        """The part of each shard in an evaluation; `episodes` are those after the last harvest, and do not
-        change."""
+        """Return the part of each shard in an evaluation. `episodes` are those after the last harvest, and do
+        not change."""
 
 
 class ShardListener(Protocol):
-    """The training, which counts what shards have collected."""
+    """The training, as a listener that counts the experience of shards."""
 
     def present(self) -> tuple[int, int, int]:
-        """Steps so far, the number of the next episode, and the number of the present stage of the
+        """Return the steps so far, the number of the next episode, and the number of the present stage of the
         curriculum."""
 
     def on_row(self) -> None:
@@ -438,7 +440,7 @@ class ShardedCollector:
         pool: The shards.
         seeds: The seed of the first episode of each world; worlds belong to shards in the order of their
             numbers.
-        stages: The stage that each world is in; it is kept up to date.
+        stages: The stage of each world, which is kept up to date.
         sizes: The number of worlds of each shard.
         agents: The agents of a world in this process, which computes the rewards of hindsight.
         listener: The training.
@@ -467,18 +469,18 @@ class ShardedCollector:
         self._replay: Iterator[WorldsStep] = iter(())
 
     def _anew(self, seeds: Sequence[int]) -> None:
-        """Let new episodes begin."""
+        """Begin new episodes."""
         self.episodes = [
             RunningEpisode(seed, np.array([]), stage) for seed, stage in zip(seeds, self._stages, strict=True)
         ]
 
     def _by_shard(self, items: Any, width: int = 1) -> list[Any]:
-        """Items of worlds, or of rows with `width` rows for each world, for each shard."""
+        """Return items of worlds, or of rows with `width` rows for each world, for each shard."""
         ends = np.cumsum(self._sizes) * width
         return [items[end - size * width : end] for size, end in zip(self._sizes, ends, strict=True)]
 
     def begin(self) -> Any:
-        """The observations that the agents act on next; the first episodes begin if none has."""
+        """Return the observations on which the agents act next. The first episodes begin if none has."""
         if self._observations is None:
             self._observations = self._begun()
         return self._observations
@@ -490,7 +492,7 @@ class ShardedCollector:
     def fetch(
         self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
     ) -> Fragment:
-        """The next `steps` of every row, which `step_all` then counts one by one."""
+        """Fetch the next `steps` of every row, which `step_all` then counts one by one."""
         began = perf_counter()
         answer = self._asked or self._ask(actor, steps, with_masks, lesson)
         harvests, self._asked, self.stale = answer(), None, {}
@@ -509,7 +511,7 @@ class ShardedCollector:
         return fragment
 
     def ask_ahead(self, actor: PolicyActor, steps: int, *, with_masks: bool = False) -> None:
-        """Ask for the next fragment, which `fetch` then returns, with the present weights. Workers collect it
+        """Request the next fragment, which `fetch` then returns, with the present weights. Workers collect it
         during the next update."""
         parameters = actor.parameters().items()
         self.stale = {name: value.copy() for name, value in parameters if isinstance(value, np.ndarray)}
@@ -539,7 +541,7 @@ class ShardedCollector:
         self.times.transfer += max(0.0, seconds - longest)
 
     def evaluate(self, actor: PolicyActor, seeds: Sequence[int], stage: str | None) -> list[Episode]:
-        """An episode of the policy from each seed, in the order of the seeds."""
+        """Play an episode of the policy from each seed, in the order of the seeds."""
         order = EvaluationOrder(actor.parameters(), seeds, stage)
         episodes_by_number: dict[int, Episode] = {}
         for answer in self._pool.evaluate(order, self._by_shard(self.episodes)):
@@ -548,7 +550,7 @@ class ShardedCollector:
         return [episodes_by_number[number] for number in range(len(seeds))]
 
     def _note_episodes(self, fragment: Fragment, harvests: Sequence[Harvest]) -> None:
-        """Keep how the running episode of each world began, and its actions."""
+        """Keep the start of the running episode of each world, and its actions."""
         begun = [
             harvest.begun.get(world)
             for harvest, size in zip(harvests, self._sizes, strict=True)
@@ -575,7 +577,7 @@ class ShardedCollector:
     def _steps(
         self, fragment: Fragment, details: Sequence[tuple[int, Mapping[str, Any]]]
     ) -> Iterator[WorldsStep]:
-        """The steps of a fragment in their order; each is counted when it is asked for."""
+        """Yield the steps of a fragment in their order. Each is counted when it is read."""
         endings = iter([*zip(fragment.endings, details, strict=True)])
         upcoming = next(endings, None)
         for number in range(len(fragment.rewards)):
@@ -597,7 +599,7 @@ class ShardedCollector:
             )
 
     def step_all(self, actions: Any) -> WorldsStep:
-        """The next step of the fragment that was fetched; the worlds have acted already."""
+        """Return the next step of the fragment that was fetched. The worlds have acted already."""
         return next(self._replay)
 
     def collect(
@@ -609,7 +611,7 @@ class ShardedCollector:
         with_masks: bool = False,
         lesson: Lesson | None = None,
     ) -> Fragment | None:
-        """As of a `Collector`; the actor is a `PolicyActor`."""
+        """Collect a fragment with a `PolicyActor`; see `Collector.collect`."""
         fragment = self.fetch(cast(PolicyActor, actor), steps, with_masks=with_masks, lesson=lesson)
         return fragment if all(on_step(step) for step in self._replay) else None
 
@@ -628,7 +630,7 @@ class ShardedCollector:
 
 
 def _details(harvests: Sequence[Harvest]) -> list[tuple[int, Mapping[str, Any]]]:
-    """Stage and drawn values of each ending, in the order of the endings of the joined fragment."""
+    """Return stage and drawn values of each ending, in the order of the endings of the joined fragment."""
     details = [
         (number, shard, ending.row, detail)
         for shard, harvest in enumerate(harvests)

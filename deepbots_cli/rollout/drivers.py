@@ -1,4 +1,4 @@
-"""Drivers that need no policy: by the word that a person writes, or of given actions."""
+"""Drivers without a policy: by the name that a person writes, or with given actions."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
 RANDOM, ZERO, HAND, POLICY, RECORDED, ROBOT = "random", "zero", "you", "policy", "recording", "robot"
-"""Names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first option
-of each choice."""
+"""The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
+option of each choice."""
 
 
 def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
-    """`random`, `zero`, a script of the scenario, or actions such as `forward,backward`, which are repeated
-    without end.
+    """Return the driver of a name: `random`, `zero`, a script of the scenario, or actions such as
+    `forward,backward`, which are repeated without end.
 
     Raises:
-        UsageError: It is none of these.
+        UsageError: The name is none of these.
     """
     if name == RANDOM:
         return random_driver(world)
@@ -68,18 +68,18 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
 
 
 def random_driver(world: gym.Env[Any, Any]) -> Driver:
-    """Random actions; the reset seeds the action space."""
+    """Return a driver with random actions. The reset seeds the action space."""
     sample = world.action_space.sample
     return Driver(lambda _: sample())
 
 
 def constant_driver(action: Any) -> Driver:
-    """The same action in every step."""
+    """Return a driver with the same action in every step."""
     return Driver(lambda _: action)
 
 
 def sequence_driver(actions: Iterable[Any]) -> Driver:
-    """Actions in their order, one in each step.
+    """Return a driver with actions in their order, one in each step.
 
     Raises:
         UsageError: From `act`, when no action is left.
@@ -95,7 +95,8 @@ def sequence_driver(actions: Iterable[Any]) -> Driver:
 
 
 def repeated_actions(world: gym.Env[Any, Any], text: str) -> Driver:
-    """The actions in `text`, repeated without end. Commas separate actions, colons the parts of one action.
+    """Return a driver with the actions in `text`, repeated without end. Commas separate actions, colons the
+    parts of one action.
 
     A part is the name or the index of an option, or a number from -1 to 1 for a range. `forward*8` is eight
     steps of the same action. In place of an action, the name of a script lets the script act. All copies of a
@@ -112,7 +113,7 @@ _MAX_DIGITS = 6
 
 
 def _read_repeated(world: gym.Env[Any, Any], word: str) -> tuple[Callable[[], Any], int]:
-    """What gives the action of each step, and the number of steps."""
+    """Return a function for the action of each step, and the number of steps."""
     text, star, times = word.partition("*")
     if star and not (times.isdecimal() and len(times) <= _MAX_DIGITS and int(times)):
         raise UsageError(
@@ -141,7 +142,7 @@ def _read_action(world: gym.Env[Any, Any], text: str) -> Any:
 
 
 def _slots(part: Choices | ActionRange) -> Sequence[Choices | ActionRange]:
-    """The part, repeated once per number that it takes in an action."""
+    """Return the part, repeated once per number that it takes in an action."""
     return [part] * (max(1, len(part.components)) if isinstance(part, ActionRange) else 1)
 
 
@@ -169,8 +170,8 @@ def _read_part(part: Choices | ActionRange, word: str) -> float:
 
 
 def zero_action(space: gym.Space[Any]) -> Any:
-    """The middle of every range, and the first option of every choice."""
-    import gymnasium as gym  # here, since the module of a command is imported without a simulator too
+    """Return the middle of every range, and the first option of every choice."""
+    import gymnasium as gym  # the module of a command is imported without a simulator too
     import numpy as np
 
     if isinstance(space, gym.spaces.Dict):
@@ -179,8 +180,8 @@ def zero_action(space: gym.Space[Any]) -> Any:
 
 
 def action_from_values(env: Supervisor, values: Mapping[str, float]) -> Any:
-    """The action with these values by the names of action fields: the index of an option, or a number from -1
-    to 1; others are 0."""
+    """Return the action with these values by the names of action fields: the index of an option, or a number
+    from -1 to 1; others are 0."""
     choices, ranges = [], []
     for part in env.scenario.agent.action:
         if isinstance(part, Choices):

@@ -1,5 +1,5 @@
-"""One episode: `steps` yields a `Step` for the reset and for each step of the environment, `result_of` adds
-them up.
+"""An episode: `steps` yields a `Step` for the reset and for each step of the environment, and `result_of`
+adds them up.
 
 for step in steps(environment, random_driver(environment), Start(seed=3)):
     print(step.number, step.reward)
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     import gymnasium as gym
 
 OnEpisode = Callable[[int, int], None]
-"""Called after each episode with the number of those that are done, and of all."""
+"""Called after each episode with the number of completed episodes, and of all."""
 
 
 class Start(NamedTuple):
-    """How an episode begins.
+    """The start of an episode.
 
     Attributes:
         seed: The seed of the reset; None continues the random generators.
@@ -40,18 +40,19 @@ class Start(NamedTuple):
 
     @classmethod
     def of_evaluation(cls, root: int, number: int, options: Mapping[str, Any] | None = None) -> Start:
-        """The start of episode `number`, from 0, of an evaluation with the seed `root`."""
+        """Return the start of episode `number`, from 0, of an evaluation with the seed `root`."""
+        # Commands that only read runs work without gymnasium.
         from deepbots_cli.runtime.streams import (
             derive_seed,
-        )  # here, since commands that only read runs work without gymnasium
+        )
 
         return cls(derive_seed(root, "evaluation", number), options, number)
 
 
 class Driver:
-    """Who acts in an episode: returns an action for each observation.
+    """Acts in an episode: returns an action for each observation.
 
-    `note` says in words what a person should know about it.
+    `note` is a text about the driver for the user.
     """
 
     note = ""
@@ -63,7 +64,7 @@ class Driver:
         """Called before the reset of an episode."""
 
     def act(self, observation: Any) -> Any:
-        """The next action, in the action space."""
+        """Return the next action, in the action space."""
         return self._act(observation)
 
 
@@ -84,13 +85,11 @@ class Step(NamedTuple):
         return self.terminated or self.truncated
 
 
-def steps(
-    world: gym.Env[Any, Any], driver: Driver, start: Start = Start()
-) -> Iterator[Step]:  # it is immutable
+def steps(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Iterator[Step]:
     """Run an episode; the caller may stop at any step.
 
     Raises:
-        DeepbotsError: As the environment.
+        DeepbotsError: The environment raised it.
     """
     if start.state is not None:
         set_random_state(world, start.state)
@@ -111,13 +110,13 @@ def play(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Ep
     """Run an episode to its end.
 
     Raises:
-        DeepbotsError: As `result_of`.
+        DeepbotsError: A reward is not finite, or the environment raised it.
     """
     return result_of(steps(world, driver, start), start.seed)
 
 
 def random_state(world: gym.Env[Any, Any]) -> dict[str, Any]:
-    """The states of all random generators of a world, as JSON can hold them."""
+    """Return the states of all random generators of a world, in a form for JSON."""
     if world.has_wrapper_attr("random_state"):
         state: dict[str, Any] = world.get_wrapper_attr("random_state")()
         return state
@@ -137,7 +136,7 @@ def set_random_state(world: gym.Env[Any, Any], state: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class Episode:
-    """One finished episode; `terms` are the reward terms, summed over it.
+    """A finished episode; `terms` are the reward terms, summed over it.
 
     For an episode of an evaluation, `seed` is the seed of its reset, and `drawn` contains the drawn values in
     SI units by their path in the scenario, such as `parameters.mark` (see `Supervisor.reset`).
@@ -163,14 +162,14 @@ class EpisodeAccumulator:
         self._drawn: Mapping[str, float | str] = {}
 
     def begin(self, seed: int | None, info: Mapping[str, Any]) -> None:
-        """Note how the episode begins: the seed of the reset, and the info that it returned."""
+        """Begin an episode with the seed of the reset, and the info that it returned."""
         self._seed, self._drawn = seed, info.get("drawn", {})
 
     def add(self, reward: float, info: Mapping[str, Any]) -> None:
         """Count one step.
 
         Raises:
-            DeepbotsError: The reward is not finite; names the terms at fault.
+            DeepbotsError: The reward is not finite; the message names the terms at fault.
         """
         terms = info.get("reward_terms", {})
         if not math.isfinite(reward):
@@ -187,7 +186,7 @@ class EpisodeAccumulator:
             sums[name] = sums.get(name, 0.0) + value
 
     def close(self, info: Mapping[str, Any]) -> Episode:
-        """The finished episode, given the info of its last step; the next one begins."""
+        """Return the finished episode, given the info of its last step. The next one begins."""
         success, ended_by = bool(info.get("is_success", False)), info.get("ended_by")
         episode = Episode(self._return, self._length, success, ended_by, self._terms, self._seed, self._drawn)
         self._return, self._length, self._terms, self._seed, self._drawn = 0.0, 0, {}, None, {}
@@ -198,7 +197,7 @@ def result_of(steps: Iterable[Step], seed: int | None = None) -> Episode:
     """Add up the steps of an episode, from its reset on; `ended_by` is None if they stop before its end.
 
     Raises:
-        DeepbotsError: A reward is not finite, or as the environment.
+        DeepbotsError: A reward is not finite, or the environment raised it.
     """
     accumulator = EpisodeAccumulator()
     for step in steps:

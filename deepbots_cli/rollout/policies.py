@@ -1,4 +1,4 @@
-"""Episodes of a policy, in several worlds at a time with results that do not depend on how many.
+"""Episodes of a policy, in several worlds at a time, with results that do not depend on the number of worlds.
 
 The rounding of a matrix product depends on the number of rows and on the index of a row, and a rounding error
 can change an action. Therefore every forward pass has `FORWARD_BATCH_SIZE` rows, and episode k always uses
@@ -32,13 +32,13 @@ from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 
 FORWARD_BATCH_SIZE = 8
-"""A forward pass of a small policy takes about 0.1 ms for any number of rows up to 16; more worlds than 8
-gain little."""
+"""The number of rows of a forward pass. A pass of a small policy takes about 0.1 ms for any number of rows up
+to 16; more worlds than 8 gain little."""
 
 NumberedEpisode = tuple[int, Episode]
 """A finished episode of an evaluation, with its number from 0."""
 StopCondition = Callable[[Sequence[Episode]], bool]
-"""Whether the first episodes of an evaluation are enough."""
+"""Returns whether the first episodes of an evaluation are enough."""
 
 
 class Predictor(Protocol):
@@ -64,7 +64,8 @@ def play_episodes(
     deterministic: bool,
     numbers: Sequence[int],
 ) -> Iterator[NumberedEpisode]:
-    """The episodes with these `numbers`, each from its seed, in the order in which they end.
+    """Play the episodes with these `numbers`, each from its seed. They are yielded in the order in which they
+    end.
 
     Runs up to `FORWARD_BATCH_SIZE` worlds at a time; a policy that samples, or a world with several agents,
     uses only one. An episode depends on its seed and its number only, so it is the same for any number of
@@ -100,7 +101,8 @@ def in_order(
     on_episode: OnEpisode | None = None,
     until: StopCondition | None = None,
 ) -> list[Episode]:
-    """The episodes in the order of `numbers`; the last one is the first for which `until` returns True."""
+    """Return the episodes in the order of `numbers`; the last one is the first for which `until` returns
+    True."""
     done: dict[int, Episode] = {}
     episodes: list[Episode] = []
     for number, episode in finished:
@@ -115,15 +117,15 @@ def in_order(
 
 
 def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int]) -> Iterator[NumberedEpisode]:
-    """The episodes of `play_episodes` in a batch of worlds, with the likeliest actions; there are at least as
-    many seeds as worlds.
+    """Play the episodes of `play_episodes` in a batch of worlds, with the likeliest actions; there are at
+    least as many seeds as worlds.
 
-    World i sits in row i mod `FORWARD_BATCH_SIZE` of one of several forward passes, and goes through episodes
-    that sit in the same row of `play_episodes`. With copies of a robot each world has a forward pass of its
-    own, with a row for each copy.
+    World i has row i mod `FORWARD_BATCH_SIZE` of one of several forward passes, and plays the episodes of the
+    same row in `play_episodes`. With copies of a robot each world has its own forward pass, with a row for
+    each copy.
 
     Raises:
-        DeepbotsError: A world fails; `play_episodes` says where.
+        DeepbotsError: A world fails; `play_episodes` reports its place.
     """
     count, width = len(worlds.singles), worlds.copies
     size = 1 if has_copies(worlds.singles[0]) else FORWARD_BATCH_SIZE
@@ -230,10 +232,10 @@ def _seed_sampling(seed: int) -> None:
 
 
 class ForwardPass:
-    """The observations of one forward pass; rows of worlds that do not run keep what they last held.
+    """The observations of one forward pass. Rows of worlds that do not run keep their last values.
 
-    If the policy takes action masks, `masks` holds which of the `choices` of each row are allowed. A
-    recurrent policy has a `memory` for each row, which it forgets where `starts` says that an episode begins.
+    If the policy takes action masks, `masks` has which of the `choices` of each row are allowed. A recurrent
+    policy has a `memory` for each row, which is reset where `starts` is true because an episode begins.
     """
 
     def __init__(self, space: gym.Space[Any], choices: int | None, size: int = FORWARD_BATCH_SIZE) -> None:
@@ -247,7 +249,7 @@ class ForwardPass:
         )
 
     def predict(self, policy: Predictor, *, deterministic: bool) -> Any:
-        """An action for each row."""
+        """Return an action for each row."""
         actions, self.memory = policy.predict(
             self.observations, self.memory, self.starts, deterministic, self.masks
         )
@@ -255,7 +257,7 @@ class ForwardPass:
         return actions
 
     def put_all(self, observations: Any, worlds: slice, masks: Array | None) -> None:
-        """Take the rows of these worlds of a batch, the first as the first row."""
+        """Put the rows of these worlds of a batch, from the first row on."""
         count = worlds.stop - worlds.start
         if self.masks is not None and masks is not None:
             self.masks[:count] = masks[worlds]
@@ -276,7 +278,8 @@ class ForwardPass:
 
 
 def _choices(world: gym.Env[Any, Any]) -> int | None:
-    """How many options the agent has, over all parts of its action; None where the world forbids none."""
+    """Return the number of options of the agent, over all parts of its action; None if the world forbids
+    none."""
     if not world.has_wrapper_attr("action_masks"):
         return None
     space: Any = world.action_space
@@ -288,7 +291,7 @@ def _zeros(space: gym.Space[Any], rows: int) -> Array:
 
 
 class EvaluationLane:
-    """One world that goes through its episodes `numbers`, in one row of a forward pass."""
+    """A world that plays its episodes `numbers`, in one row of a forward pass."""
 
     def __init__(
         self, world: gym.Env[Any, Any], row: int, numbers: Iterable[int], seeds: Sequence[int]
@@ -300,7 +303,7 @@ class EvaluationLane:
         self._steps: Iterator[Step] = iter(())
 
     def begin(self, forward: ForwardPass) -> bool:
-        """Start the next episode; whether there was one."""
+        """Start the next episode, and return whether there was one."""
         number = next(self._numbers, None)
         if number is None:
             return False
@@ -314,7 +317,7 @@ class EvaluationLane:
         return True
 
     def step(self, action: Any, forward: ForwardPass) -> Episode | None:
-        """The episode, if this step was its last."""
+        """Make a step. Returns the episode, if this step was its last."""
         self._action = action
         step = next(self._steps)
         self._accumulator.add(step.reward, step.info)

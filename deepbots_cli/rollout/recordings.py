@@ -23,25 +23,23 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import read_at_most
 
 FORMAT = 1
-_MAX_FILE, _MAX_RECORD, _MAX_CONTENT = (
-    1 << 28,
-    1 << 26,
-    1 << 29,
-)  # bytes: of a file, of one record, and of all of them unpacked
+# The largest sizes of a file, of one record, and of all records unpacked, in bytes.
+_MAX_FILE, _MAX_RECORD, _MAX_CONTENT = 1 << 28, 1 << 26, 1 << 29
 _MAX_INPUTS = 1000
 _RECORD_OVERHEAD_BYTES = 100
-"""Bytes that a record takes in memory besides its content: a chunk of empty ones is a bomb too."""
+"""The number of bytes that a record takes in memory besides its content, because even a chunk of empty
+records can exhaust the memory."""
 Payloads = Mapping[str, bytes]
 
 
 class RecordingError(UsageError):
-    """A recording cannot be read: it is none, cut short, damaged, or of another version."""
+    """The error for a recording that cannot be read: it is no recording, cut short, damaged, or of another
+    version."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedEpisode:
-    """One episode of a recording: its number, the seed of its reset, and the topics of each step, as
-    bytes."""
+    """An episode of a recording: its number, the seed of its reset, and the topics of each step, as bytes."""
 
     number: int
     seed: int
@@ -50,7 +48,7 @@ class RecordedEpisode:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording as it was read; `folder` holds its scenario, as long as the recording is in use."""
+    """A recording that was read; `folder` has its scenario, as long as the recording is in use."""
 
     path: Path
     metadata: Mapping[str, str]
@@ -59,10 +57,10 @@ class Recording:
 
     @staticmethod
     def read(path: Path) -> Recording:
-        """Read a file, and unpack its scenario into a folder of its own.
+        """Read a file, and unpack its scenario into a new folder.
 
         Raises:
-            RecordingError: It cannot be read; says why in one sentence.
+            RecordingError: The file cannot be read; the message has the reason.
             MissingExtraError: mcap is not installed.
         """
         if path.exists() and not (path.is_file() or path.is_dir()):  # opening a pipe waits for ever
@@ -99,10 +97,10 @@ class Recording:
         return recording
 
     def episode(self, number: int) -> RecordedEpisode:
-        """The episode of this number.
+        """Return the episode of this number.
 
         Raises:
-            UsageError: There is none; says which there are.
+            UsageError: There is none; the message lists the episodes.
         """
         numbered = next((episode for episode in self.episodes if episode.number == number), None)
         if numbered is None:
@@ -115,7 +113,7 @@ class Recording:
 def _content(
     path: Path, data: bytes
 ) -> tuple[Mapping[str, str] | None, dict[str, bytes], list[dict[str, bytes]]]:
-    """Metadata, attached files, and the topics of each step."""
+    """Return metadata, attached files, and the topics of each step."""
     try:
         from mcap import records
         from mcap.exceptions import McapError
@@ -170,7 +168,7 @@ def _content(
 
 
 def scenario_folder(path: Path, files: Mapping[str, bytes]) -> Path:
-    """A new folder with the scenario that is attached to the file `path`.
+    """Return a new folder with the scenario that is attached to the file `path`.
 
     Raises:
         RecordingError: A file and a folder have the same name.
@@ -190,17 +188,17 @@ def scenario_folder(path: Path, files: Mapping[str, bytes]) -> Path:
 
 
 def safe_name(name: str) -> str:
-    """The name of an attached file.
+    """Return the name of an attached file.
 
     Raises:
-        ValueError: It leads elsewhere.
+        ValueError: The name leads outside of the folder.
     """
     parts = PurePosixPath(name).parts
     if name != "resolved.yaml" and (
         parts[:1] != ("inputs",) or ".." in parts or "\\" in name or "\0" in name or len(name) > 500
     ):
         raise ValueError(name)
-    if any(len(part.encode()) > 255 for part in parts):  # which most file systems refuse
+    if any(len(part.encode()) > 255 for part in parts):  # most file systems refuse longer names
         raise ValueError(name)
     return name
 
@@ -220,7 +218,7 @@ def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[RecordedEpisode
 
 @contextmanager
 def damaged(path: Path) -> Iterator[None]:
-    """A block that reads a recording raises a RecordingError where the content is damaged."""
+    """Context in which damaged content of a recording raises a RecordingError."""
     try:
         yield
     except (
@@ -237,10 +235,10 @@ def damaged(path: Path) -> Iterator[None]:
 
 
 def actions(recording: Recording, recorded: RecordedEpisode, space: Any) -> Iterator[Any]:
-    """The actions of an episode, in the action space.
+    """Yield the actions of an episode, in the action space.
 
     Raises:
-        RecordingError: One cannot be read.
+        RecordingError: An action cannot be read.
     """
     for step in recorded.steps[1:]:
         with damaged(recording.path):

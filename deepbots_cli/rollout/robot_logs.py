@@ -24,16 +24,16 @@ MAX_STEPS = 500_000
 
 
 class LoggedStep(msgspec.Struct, frozen=True):
-    """A command, and what the policy knew.
+    """A command, and the inputs of the policy for it.
 
     Attributes:
-        time: In s since the episode began.
-        inputs: The values by input, in C order; none in the safe posture, in which the policy is not asked.
+        time: The time since the episode began, in s.
+        inputs: The values by input, in C order; empty in the safe posture, in which the policy does not act.
         ages: The age of each value in s.
-        commands: By output.
-        answer: Time in s from the newest value to the command; 0 for a command that answers no new value.
+        commands: The commands by output.
+        answer: The time in s from the newest value to the command; 0 for a command that answers no new value.
         posture: `policy` or `safe`.
-        events: What happened since the step before, a sentence each.
+        events: The events since the step before, a sentence each.
     """
 
     time: float
@@ -47,7 +47,7 @@ class LoggedStep(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class LoggedEpisode:
-    """An episode of a log. Its start is unknown: a simulation begins it with `seed`."""
+    """An episode of a log. Its start is unknown, so a simulation begins it with `seed`."""
 
     number: int
     steps: Sequence[LoggedStep]
@@ -56,7 +56,7 @@ class LoggedEpisode:
 
 @dataclass(frozen=True, eq=False)
 class RobotLog:
-    """A log as it was read; `folder` holds the scenario, as long as the log is in use."""
+    """A log that was read; `folder` has the scenario, as long as the log is in use."""
 
     path: Path
     metadata: Mapping[str, str]
@@ -66,11 +66,10 @@ class RobotLog:
 
     @staticmethod
     def read(path: Path) -> RobotLog:
-        """Read a log, also one of a process that was killed, and unpack its scenario into a folder of its
-        own.
+        """Read a log, even one of a process that was killed, and unpack its scenario into a new folder.
 
         Raises:
-            RecordingError: It cannot be read, has no step, or no scenario; says why in one sentence.
+            RecordingError: It cannot be read, has no step, or no scenario; the message has the reason.
             MissingExtraError: deepbots-robot or mcap is not installed.
         """
         try:
@@ -104,10 +103,10 @@ class RobotLog:
         return log
 
     def episode(self, number: int) -> LoggedEpisode:
-        """The episode of this number.
+        """Return the episode of this number.
 
         Raises:
-            UsageError: There is none; says which there are.
+            UsageError: There is none; the message lists the episodes.
         """
         numbered = next((episode for episode in self.episodes if episode.number == number), None)
         if numbered is None:
@@ -118,7 +117,7 @@ class RobotLog:
 
 
 def is_robot_log(path: Path) -> bool:
-    """Whether a file is the log of `deepbots serve`, and no recording of a simulation."""
+    """Return whether a file is the log of `deepbots serve`, and no recording of a simulation."""
     try:
         from mcap import records
         from mcap.stream_reader import StreamReader
@@ -135,7 +134,7 @@ def is_robot_log(path: Path) -> bool:
 
 
 def _episodes(messages: Iterator[tuple[str, float, dict[str, Any]]]) -> Iterator[LoggedEpisode]:
-    """The episodes with a step. They have the numbers of the log, or their places where a number comes
+    """Yield the episodes with a step. They have the numbers of the log, or their places if a number occurs
     twice."""
     episodes: list[tuple[int, list[LoggedStep]]] = []
     begun, events, count = 0.0, list[str](), 0

@@ -1,5 +1,4 @@
-"""`Source.open`: which scenario is meant by what a person or a program names. Nothing else in the package
-answers this.
+"""The one place that resolves a name, path or object to a scenario: `Source.open`.
 
     cartpole, cartpole.yaml, a `Scenario`    a scenario
     runs/cartpole-0-1                        a run: a folder with run.json
@@ -9,8 +8,8 @@ answers this.
     runs/cartpole-0-1/models/agent/best.zip  a checkpoint: a model in the folder of a run
     cartpole-0-0.mcap                        a recording
 
-A run, a group, a study and an open recording keep their scenario as `resolved.yaml` in a folder that holds
-all files that it reads.
+A run, a group, a study and an open recording keep their scenario as `resolved.yaml` in a folder with all
+files that it reads.
 """
 
 from __future__ import annotations
@@ -38,12 +37,12 @@ MODELS_FOLDER = "models"
 _MAX_ABOVE = 4
 _MAX_LISTED = 8
 _MAX_RUNS = 500
-"""Folders that are looked at for runs."""
+"""The largest number of folders that are searched for runs."""
 RECORDING_SUFFIX = ".mcap"
 
 
 class SourceKind(Enum):
-    """What a source is; the value is its name in messages."""
+    """The kind of a source; the value is its name in messages."""
 
     SCENARIO = "a scenario"
     RUN = "a run"
@@ -55,15 +54,15 @@ class SourceKind(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What was named, before anything of it is read.
+    """A scenario, run, group, study, checkpoint or recording, identified but not yet read.
 
     Attributes:
-        kind: What it is.
-        name: How to call it.
+        kind: The kind of source.
+        name: The name for messages.
         path: The file, or the folder of a run or a group; that of its run for a checkpoint.
         scenario: The file of its scenario, or the scenario itself; None for a recording, whose scenario is in
             it.
-        permissions: What its scenario may use.
+        permissions: The permissions of its scenario.
         project: The folder that its scenario may read from; None for the nearest one above it that looks like
             a project.
         model: The name of the model, of a checkpoint.
@@ -84,7 +83,7 @@ class Source:
         permissions: Permissions = Permissions(),
         *kinds: SourceKind,
     ) -> Source:
-        """What `source` names, which must be one of `kinds` if any are given; `permissions` are those of a
+        """Resolve `source`, which must be one of `kinds` if any are given. `permissions` are those of a
         scenario that is named.
 
         Raises:
@@ -136,13 +135,12 @@ class Source:
                 raise error(
                     f"{name} is a robot file, not a scenario; `deepbots inspect {name}` describes it, {new}"
                 )
-            shipped_path = (
-                None if path.is_file() else shipped.scenario_path(name)
-            )  # a folder of the same name does not hide it
+            # A folder that is named like a shipped scenario must not hide it.
+            shipped_path = None if path.is_file() else shipped.scenario_path(name)
             if shipped_path is not None:
                 return cls(SourceKind.SCENARIO, shipped_path.name, shipped_path, shipped_path, permissions)
             if path.is_dir():
-                any(path.iterdir())  # which fails where it may not be entered
+                any(path.iterdir())  # this fails for a folder that may not be entered
                 raise error(
                     f"{name} is not a run, a group or a scenario: it is a folder without {RECORD_NAME} or"
                     f" {GROUP_RECORD_NAME}"
@@ -167,20 +165,21 @@ class Source:
     def kept(
         cls, folder: Path, permissions: Permissions = Permissions(), kind: SourceKind = SourceKind.RUN
     ) -> Source:
-        """What keeps its scenario in a folder, which is the whole project of this scenario.
+        """Open a folder that has a scenario with all its files, and is the project of this scenario.
 
-        The scenario may name Python functions: making a world asks whether they may run.
+        Python functions that the scenario names are not run before a world is made, which checks
+        `permissions.code`.
         """
         return cls(kind, str(folder), folder, folder / RESOLVED_NAME, permissions, folder)
 
     def document(
         self, *, overrides: Sequence[str] = (), drafts: Drafts = NO_DRAFTS, tests: bool = False
     ) -> Document:
-        """The text of its scenario.
+        """Read the text of the scenario.
 
         Args:
             overrides: Assignments `path=value`, as for `--set`.
-            drafts: What to read in the place of files, by their absolute paths.
+            drafts: Texts to read instead of files, by their absolute paths.
             tests: Whether to read `tests` and `tune` also with `overrides`, which may change what these
                 sections name.
 
@@ -206,12 +205,12 @@ class Source:
     def checked(
         self, *, overrides: Sequence[str] = (), drafts: Drafts = NO_DRAFTS, tests: bool = False
     ) -> CheckedScenario:
-        """Its scenario, read and checked; arguments and errors are those of `document`."""
+        """Read and check the scenario; arguments and errors are those of `document`."""
         return check(self.document(overrides=overrides, drafts=drafts, tests=tests))
 
 
 def folder_kind(path: Path) -> SourceKind | None:
-    """Whether a folder is that of a run, of a group or of a study; None for any other path."""
+    """Return whether a folder is that of a run, of a group or of a study; None for any other path."""
     names = (
         (GROUP_RECORD_NAME, SourceKind.GROUP),
         (RECORD_NAME, SourceKind.RUN),
@@ -224,7 +223,7 @@ def folder_kind(path: Path) -> SourceKind | None:
 
 
 def _name_for(path: Path) -> str:
-    """The name of a new scenario for a robot file."""
+    """Return the name of a new scenario for a robot file."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem) or "mine"
 
 
@@ -238,7 +237,7 @@ def _hint(path: Path) -> str:
     if elsewhere := _elsewhere(path, here):
         return f"did you mean {elsewhere}? The current folder is {here}"
     names = shipped.scenario_names()
-    if path.stem in names and len(path.parts) == 1:  # as in `cartpole.yaml`
+    if path.stem in names and len(path.parts) == 1:  # for example, `cartpole.yaml`
         return (
             f"the shipped scenario is called `{path.stem}`; `deepbots new {path.stem} --from {path.stem}`"
             f" copies it to {path.stem}.yaml"
@@ -257,7 +256,7 @@ def _hint(path: Path) -> str:
 
 
 def _runs_there(here: Path) -> str:
-    """The runs in the folder `runs` of a folder, the newest first."""
+    """Return the runs in the folder `runs` of a folder, the newest first."""
     try:
         folders = [
             Path(entry.path) for entry in islice(os.scandir(here / "runs"), _MAX_RUNS) if entry.is_dir()
@@ -285,7 +284,7 @@ def _is_path_of_run(path: Path) -> bool:
 
 
 def _elsewhere(path: Path, here: Path) -> str | None:
-    """Where the named file lies: in a folder above, or below this one."""
+    """Return the path of the named file in a folder above, or below this one."""
     if path.is_absolute() or not (path.suffix or _is_path_of_run(path)):
         return None
     with_runs = Path("runs") / path
@@ -293,9 +292,8 @@ def _elsewhere(path: Path, here: Path) -> str | None:
         for name in (path, with_runs):
             if (above / name).exists():
                 return os.path.relpath(above / name, here)
-    inside = (
-        path.relative_to(here.name) if path.parts[0] == here.name and len(path.parts) > 1 else None
-    )  # as `hw/mine.yaml` in hw
+    # A path such as `hw/mine.yaml` in the folder hw.
+    inside = path.relative_to(here.name) if path.parts[0] == here.name and len(path.parts) > 1 else None
     if inside is not None and inside.exists():
         return str(inside)
     near = None if _is_path_of_run(path) else files.find_in(here, path.name, depth=1)
@@ -303,7 +301,7 @@ def _elsewhere(path: Path, here: Path) -> str | None:
 
 
 def _scenario_files(here: Path, path: Path) -> str:
-    """The scenario files of a folder, the nearest in name first."""
+    """Return the scenario files of a folder, the nearest in name first."""
     names = sorted(file.name for file in here.glob("*.y*ml"))
     by_stem = {Path(name).stem: name for name in names}
     near = nearest_word(path.stem, by_stem)

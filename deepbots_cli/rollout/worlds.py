@@ -1,4 +1,5 @@
-"""Worlds that go on side by side, a row for each agent: single ones, stepped in turn, or batches on arrays.
+"""Worlds that run side by side, with a row for each agent: single ones, stepped in turn, or batches on
+arrays.
 
 When an episode of a world ends, its next one begins within the same step. A step of a light world costs tens
 of microseconds, less than handing it to another process would.
@@ -23,7 +24,7 @@ from deepbots_cli.runtime.spaces import by_part
 
 Array = NDArray[Any]
 Outcome = tuple[Any, float, bool, bool, dict[str, Any]]
-"""Of a step, as Gymnasium returns it: observation, reward, terminated, truncated, info."""
+"""The result of a step, as Gymnasium returns it: observation, reward, terminated, truncated, info."""
 
 
 class Ending(NamedTuple):
@@ -36,7 +37,7 @@ class Ending(NamedTuple):
 
 
 class WorldsStep(NamedTuple):
-    """A step of all rows; observations are those that the agents act on next. A batch has infos of ended
+    """A step of all rows. The observations are those on which the agents act next. A batch has infos of ended
     episodes only."""
 
     observations: Any
@@ -47,7 +48,7 @@ class WorldsStep(NamedTuple):
 
 
 class HistoryRecorder(gym.Wrapper[Any, Any, Any, Any]):
-    """A world with the `history` of its running episode, enough to bring it back."""
+    """A world with the `history` of its running episode, from which the episode can be repeated."""
 
     def __init__(self, world: gym.Env[Any, Any]) -> None:
         super().__init__(world)
@@ -65,7 +66,7 @@ class HistoryRecorder(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class Worlds:
-    """Single worlds, stepped in turn; world i starts from `seeds[i]` at the first reset and runs on from
+    """Single worlds, stepped in turn. World i starts from `seeds[i]` at the first reset and continues from
     there.
 
     There is a row for each agent: one per world, or one for each copy of a robot in a world with several. An
@@ -102,9 +103,9 @@ class Worlds:
         self.observation_space, self.action_space = first[0].observation_space, first[0].action_space
         self._accumulators = [EpisodeAccumulator() for _ in range(self.rows)]
         self.drawn: list[Mapping[str, Any]] = [{} for _ in self.worlds]
-        """What the running episode of each world drew, by name."""
+        """The values that the running episode of each world drew, by name."""
         self.observations: Any = None
-        """Those that the agents act on next; None before the first reset."""
+        """The observations on which the agents act next; None before the first reset."""
         self._keys = (
             list(self.observation_space.spaces)
             if isinstance(self.observation_space, gym.spaces.Dict)
@@ -112,8 +113,8 @@ class Worlds:
         )
 
     def _agents_of(self, world: gym.Env[Any, Any]) -> list[Any]:
-        """The agents of a world, one per row. A world with a single agent is its own agent, so that its
-        wrappers act too."""
+        """Return the agents of a world, one per row. A world with a single agent is its own agent, so that
+        its wrappers act too."""
         return list(world.get_wrapper_attr("agents").values()) if self._is_team else [world]
 
     @property
@@ -122,18 +123,18 @@ class Worlds:
         return [agent for world in self.worlds for agent in self._agents_of(world)]
 
     def action_masks(self) -> Array | None:
-        """Which options are allowed in each row; None where the worlds do not say."""
+        """Return which options are allowed in each row; None if the worlds have no masks."""
         agents = self.agents
         if not agents[0].has_wrapper_attr("action_masks"):
             return None
         return np.stack([agent.get_wrapper_attr("action_masks")() for agent in agents])
 
     def scripted(self, name: str) -> Array:
-        """What a script of the scenario would do next in each world, in the action space."""
+        """Return the next action of a script of the scenario in each world, in the action space."""
         return np.stack([np.asarray(world.get_wrapper_attr("script")(name)) for world in self.worlds])
 
     def reset(self) -> Any:
-        """Begin the first episodes, or once more from the seeds; the observations."""
+        """Begin the first episodes, or once more from the seeds. Returns the observations."""
         return self.repeat([EpisodeHistory(seed, []) for seed in self.starts])
 
     def step_all(self, actions: Any) -> WorldsStep:
@@ -172,7 +173,7 @@ class Worlds:
         )
 
     def _act(self, index: int, action: Any) -> tuple[list[Outcome], bool]:
-        """A step of a world: the outcome of each row, and whether the episode is over."""
+        """Make a step of a world. Returns the outcome of each row, and whether the episode is over."""
         world = self.worlds[index]
         observation, reward, terminated, truncated, info = world.step(action)
         done = terminated or truncated
@@ -193,7 +194,7 @@ class Worlds:
         return self._begin(index, seed)
 
     def _begin(self, index: int, seed: int | None) -> list[Any]:
-        """Begin an episode; the observation of each row."""
+        """Begin an episode. Returns the observation of each row."""
         world = self.worlds[index]
         observation, info = world.reset(seed=seed)
         self.drawn[index] = info.get("drawn", {})
@@ -207,16 +208,16 @@ class Worlds:
         return {key: np.array([observation[key] for observation in observations]) for key in self._keys}
 
     def histories(self) -> list[EpisodeHistory]:
-        """The running episode of each world, enough to bring it back."""
+        """Return the running episode of each world, from which it can be repeated."""
         return [world.history for world in self.worlds]
 
     def start_of(self, world: int) -> int | dict[str, Any]:
-        """How the running episode of a world began, as in its history."""
+        """Return the start of the running episode of a world, as in its history."""
         return self.worlds[world].history.start
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> Any:
-        """Bring the worlds back to the moment at which `histories` were taken; the observations, which are
-        the same if the physics is."""
+        """Bring the worlds back to the moment at which `histories` were taken. Returns the observations,
+        which are the same if the physics is."""
         self._accumulators = [EpisodeAccumulator() for _ in self._accumulators]
         observations: list[Any] = []
         for index, history in enumerate(histories):
@@ -239,7 +240,7 @@ class Worlds:
 
 
 def _own(info: dict[str, Any], ended: bool) -> dict[str, Any]:
-    """The info of the last step of an agent, whose own episode has `ended` or that of another copy."""
+    """Return the info of the last step of an agent, whose own episode has `ended` or that of another copy."""
     return info if ended else {**info, "ended_by": "another_copy"}
 
 
@@ -248,14 +249,14 @@ def _recorded(world: gym.Env[Any, Any]) -> HistoryRecorder:
 
 
 def has_copies(world: gym.Env[Any, Any]) -> bool:
-    """Whether the agents of the world are copies of a robot, and not the world itself."""
+    """Return whether the agents of the world are copies of a robot, and not the world itself."""
     return (
         world.has_wrapper_attr("agents") and world.unwrapped not in world.get_wrapper_attr("agents").values()
     )
 
 
 def observation_digest(observations: Any) -> str:
-    """SHA-256 of observations, to the bit."""
+    """Return the SHA-256 of observations, to the bit."""
     parts = (
         [observations[key] for key in sorted(observations)]
         if isinstance(observations, dict)
@@ -268,8 +269,8 @@ def observation_digest(observations: Any) -> str:
 
 
 class BatchEpisodes:
-    """The running episodes of a batch, which it adds up as `EpisodeAccumulator` does for a single world;
-    worlds may rest.
+    """The running episodes of a batch, which it adds up as `EpisodeAccumulator` does for a single world.
+    Worlds may be paused.
 
     With `of_agents`, there is an episode for each copy of a robot, in the row of the batch, else one for each
     world.
@@ -280,14 +281,14 @@ class BatchEpisodes:
         self.clear()
 
     def clear(self) -> None:
-        """All episodes begin."""
+        """Begin all episodes."""
         count = self.batch.count if self._of_agents else len(self.resting)
         self.resting[:] = False
         self.returns, self._lengths = np.zeros(count), np.zeros(count, int)
         self._terms = np.zeros((len(self.batch.TERMS), count))
 
     def step_all(self, actions: Any) -> BatchStep:
-        """Act in the worlds that do not rest."""
+        """Act in the worlds that are not paused."""
         outcome = self.batch.advance(actions, self.resting if self.resting.any() else None)
         outcome = outcome if self._of_agents else self.batch.rows.step_by_world(outcome)
         self.add(
@@ -310,7 +311,7 @@ class BatchEpisodes:
         seed: int | None = None,
         drawn: Mapping[str, Any] | None = None,
     ) -> Episode:
-        """The finished episode of a row, given the info of its last step; the next one begins."""
+        """Return the finished episode of a row, given the info of its last step. The next one begins."""
         terms = dict(zip(self.batch.TERMS, self._terms[:, row].tolist(), strict=True))
         total, length = float(self.returns[row]), int(self._lengths[row])
         self.returns[row], self._lengths[row], self._terms[:, row] = 0.0, 0, 0.0
@@ -332,18 +333,18 @@ class LossRecorder(Protocol):
 
 
 class BatchWorlds(Worlds):
-    """The worlds of a batch, a row for each agent as in `Worlds`; world i starts from `seeds[i]` at the first
-    reset and runs on from there.
+    """The worlds of a batch, with a row for each agent as in `Worlds`. World i starts from `seeds[i]` at the
+    first reset and continues from there.
 
     In a curriculum, each world enters the next stage when its episode ends. There is a batch for each stage
-    that worlds are in; the others rest in it.
+    of a world, in which the other worlds are paused.
 
     Args:
         build: Makes the worlds of a stage, by its number; they are closed with this.
         seeds: The seed of each.
         stages: The stage of each, which `next_seed` may change.
         on_step, on_episode: As for `Worlds`.
-        next_seed: Called before a world begins another episode; gives a seed if it begins one of another
+        next_seed: Called before a world begins another episode; returns a seed if it begins one of another
             stage.
         recorder: Keeps the episodes of worlds that fail.
     """
@@ -366,13 +367,13 @@ class BatchWorlds(Worlds):
         super().__init__(first.singles, seeds, on_step=on_step, on_episode=on_episode)
 
     def _batch_of(self, stage: int) -> BatchSupervisor:
-        """The worlds of a stage, built when one of them is first needed."""
+        """Return the worlds of a stage, built when one of them is first needed."""
         if stage not in self._batches:
             self._batches[stage] = BatchEpisodes(self._build(stage), of_agents=True)
         return self._batches[stage].batch
 
     def _in(self, stage: int) -> Array:
-        """The worlds that are in a stage, as truth values."""
+        """Return the worlds that are in a stage, as truth values."""
         return np.array([own == stage for own in self.stages])
 
     def _rows_in(self, stage: int) -> Array:
@@ -387,13 +388,13 @@ class BatchWorlds(Worlds):
         return self._begun()
 
     def _begun(self) -> Any:
-        """Note what each world drew, in its stage; the observations."""
+        """Keep the values that each world drew, in its stage. Returns the observations."""
         self.drawn = [self._batch_of(stage).singles[world].drawn() for world, stage in enumerate(self.stages)]
         self.observations = self._observe()
         return self.observations
 
     def _observe(self) -> Any:
-        """Of each world in its stage."""
+        """Return the observations of each world in its stage."""
         (_, first), *others = self._batches.items()
         seen = first.batch.observations()
         for stage, episodes in others:
@@ -452,7 +453,8 @@ class BatchWorlds(Worlds):
 
     @contextmanager
     def _recording_failures(self, stage: int) -> Iterator[None]:
-        """Within, an error of the batch becomes that of the episode which fails, if this is found."""
+        """Context in which an error of the batch becomes that of the episode which fails, if this is
+        found."""
         try:
             yield
         except UsageError:
@@ -466,8 +468,8 @@ class BatchWorlds(Worlds):
             raise
 
     def _begin_in(self, stage: int, beginning: Sequence[tuple[int, int | None]]) -> None:
-        """Let worlds begin an episode in a stage; the first ones that enter it find the others at rest
-        there."""
+        """Begin an episode of worlds in a stage. When the first ones enter it, the others are paused in
+        it."""
         is_new, worlds = stage not in self._batches, self._batch_of(stage)
         with self._recording_failures(stage):
             if is_new:

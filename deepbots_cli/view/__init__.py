@@ -1,23 +1,24 @@
-"""Everything that is seen: a page in the browser, pictures, clips and recordings, made of the same frames;
-and plots of trainings.
+"""The graphical output: a page in the browser, pictures, clips and recordings, made of the same frames; and
+plots of trainings.
 
-frames.py      what is drawn of an environment at one moment, read by the engine port
-episodes.py    what is opened, who acts, and the frames of an episode
-batch.py       a batch of worlds, of which one is shown
-players.py     which player shows what is opened
-scene.py       the world in viser's scene, and the cameras of the browsers
-manual_input.py driving by keys, gamepad, buttons and sliders
-server.py      viser's web server behind checks
+frames.py           the drawn values of an environment at one moment, read by the engine port
+episodes.py         the opened source, the driver, and the frames of an episode
+batch.py            a batch of worlds, of which one is shown
+players.py          the choice of the player for a source
+scene.py            the world in viser's scene, and the cameras of the browsers
+manual_input.py     driving by keys, gamepad, buttons and sliders
+server.py           viser's web server behind checks
 viser_internals.py  the private members of viser that deepbots uses
-page.py        the page: what is opened and read again, and the loop that steps and draws
-playback.py    the worlds of the page in time: players, episodes, steps
-panel.py       the panel of the page and its tabs; its tables and notices are in panel_html.py
-pictures.py    PNG pictures, MP4 and GIF clips, and offline pages
-recordings.py  episodes as MCAP files: what is written and read
-logs.py        playing the log of a robot
-replay.py      playing a recording, and running it again to compare
-trajectories.py what moves in an episode, and where it went
-plots.py       learning curves of runs
+page.py             the page, its reloads, and the loop that steps and draws
+playback.py         the worlds of the page in time: players, episodes, steps
+panel.py            the panel of the page and its tabs
+panel_html.py       the tables and notices of the panel
+pictures.py         PNG pictures, MP4 and GIF clips, and offline pages
+recordings.py       episodes as MCAP files, written and read
+logs.py             playing the log of a robot
+replay.py           playing a recording, and running it again to compare
+trajectories.py     the moving parts of an episode, and their paths
+plots.py            learning curves of runs
 
 viser is in the extra `view`; pictures and clips other than offline pages do without it.
 """

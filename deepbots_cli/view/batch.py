@@ -26,8 +26,8 @@ from deepbots_cli.view.frames import AgentFrame, FrameReader, ReceivedMessage, W
 class BatchPlayer(Player):
     """Steps a batch of worlds, and reads frames of one of them, `world`.
 
-    World k begins as episode `episode + k` of an evaluation does, and lives the episode of a single world. A
-    world whose episode has ended rests until the next episodes begin.
+    World k plays episode `episode + k` of an evaluation, with the same result as in a single world. After its
+    episode it is not stepped until the next episodes begin.
     """
 
     def _make(self, program: Program) -> Supervisor:
@@ -44,10 +44,10 @@ class BatchPlayer(Player):
         return self._readers[self.world]
 
     def set_driver(self, name: str) -> None:
-        """Let another driver act from the next step on, in all worlds.
+        """Set the driver that acts in all worlds from the next step on.
 
         Raises:
-            UsageError: It is a script, which reads what only a single world computes.
+            UsageError: The driver is a script, which reads values that only a single world computes.
         """
         if name == POLICY and self.opened.run is not None:
             self.driver = RunDriver(self.opened.run, self.env, self.batch)
@@ -64,7 +64,7 @@ class BatchPlayer(Player):
         self.driver_name = name
 
     def choose(self, world: int) -> WorldFrame:
-        """Show another world of the batch; its newest frame."""
+        """Show another world of the batch. Returns its newest frame."""
         self._turn_to(world)
         return self._read()
 
@@ -76,12 +76,12 @@ class BatchPlayer(Player):
         self._seeds = [derive_seed(seed, "evaluation", episode + world) for world in range(self.worlds)]
         self._running = BatchEpisodes(self.batch, of_agents=True)
         self._endings: dict[int, dict[str, Any]] = {}
-        """How the episodes of worlds have ended, as fields of a frame."""
+        """The endings of the episodes of worlds, as fields of a frame."""
         self._rewards = np.zeros(self.batch.count)
         self._terms = np.zeros((len(self.batch.TERMS), self.batch.count))
         self.action = None
         self.driver.begin(Start())
-        self._turn_to(self.world)  # before the reset, whose messages its reader keeps
+        self._turn_to(self.world)  # the reader keeps the messages of the reset
         self.observation = self.batch.reset(self._seeds, dict(self.opened.shown.start))
         return self._read()
 
@@ -108,7 +108,7 @@ class BatchPlayer(Player):
 
     @property
     def note(self) -> str:
-        """How many worlds run, and how others have ended."""
+        """The number of running worlds, and how others have ended."""
         running = self.worlds - len(self._endings)
         ended = Counter(str(ending["ended_by"]) for ending in self._endings.values())
         counts = [f"running {running}"] * (running > 0) + [
@@ -121,16 +121,14 @@ class BatchPlayer(Player):
         self.batch.close()
 
     def _read(self) -> WorldFrame:
-        """The frame of the world: poses, rays and contacts of its own, and what the batch holds as a column
-        per number."""
+        """Read the frame of the world: its poses, rays and contacts, and the columns of the batch."""
         batch, world = self.batch, self.world
         action = None if self.action is None else batch.rows.by_world(self.action)
         frame = self.reader.read(
             value_of_row(batch.rows.by_world(self.observation), world), value_of_row(action, world)
         )
-        if step := int(
-            batch.step_count[world * batch.copies]
-        ):  # before the first step, the single world has all of it
+        # Before the first step, the single world has all values.
+        if step := int(batch.step_count[world * batch.copies]):
             frame = replace(
                 frame,
                 step=step,
@@ -144,7 +142,7 @@ class BatchPlayer(Player):
         return frame
 
     def _row(self, name: str) -> int:
-        """The row of an agent or robot of the world, given its name there."""
+        """Return the row of an agent or robot of the world, given its name there."""
         return self.world * self.batch.copies + int(name.partition("#")[2] or 1) - 1
 
     def _agent(self, agent: AgentFrame, row: int) -> AgentFrame:
@@ -166,7 +164,8 @@ class BatchPlayer(Player):
         return tuple(map(float, reading[:, self._row(name)]))
 
     def _message(self, key: str, message: ReceivedMessage) -> ReceivedMessage:
-        """The newest message; one that may be late or lost passed through the channel of the single world."""
+        """Return the newest message. A message that may be late or lost passed through the channel of the
+        single world."""
         name, _, direction = key.partition("/")
         channel = self.batch.channels[name.partition("#")[0], direction]
         if not isinstance(channel, BatchChannel):

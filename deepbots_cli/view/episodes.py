@@ -1,5 +1,4 @@
-"""Episodes to show: what is opened (a scenario or a run), who acts, and the frames of an episode step by
-step."""
+"""Episodes to show: the opened scenario or run, the driver, and the frames of an episode step by step."""
 
 from __future__ import annotations
 
@@ -40,12 +39,12 @@ from deepbots_cli.runtime.paths import Ways
 from deepbots_cli.view.frames import FrameReader, WorldFrame
 
 SHOWN_KINDS = (SourceKind.SCENARIO, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
-_TAIL_BYTES = 20_000  # of a log, which hold its last episode
+_TAIL_BYTES = 20_000  # bytes at the end of a log that contain its last episode
 
 
 @dataclass(frozen=True)
 class Showing:
-    """A scenario, a run or a recording to show, and how."""
+    """A scenario, a run or a recording to show, with the options for showing it."""
 
     reference: str
     overrides: Sequence[str] = ()
@@ -54,17 +53,17 @@ class Showing:
     case: str | None = None
     stage: str | None = None
     worlds: int = 0
-    """Of a batch; 0 for a single world."""
+    """The number of worlds of a batch; 0 for a single world."""
     start: Mapping[str, Any] = field(default_factory=dict, hash=False)
     """The `options` of every reset."""
     model: ModelName = "best"
-    """Of a run that has ended, which model acts; while it is trained, the newest one does. A model that
+    """The model that acts for a run that has ended; while a run is trained, the newest one acts. A model that
     `reference` names acts always."""
     deterministic: bool = True
     """Whether the policy takes its likeliest action, or samples."""
 
     def open(self) -> ShowingState:
-        """Compile it; findings are returned and not raised.
+        """Compile the source; findings are returned and not raised.
 
         Raises:
             UsageError: There is no such file, run, case or stage.
@@ -124,9 +123,9 @@ class Showing:
 
 @dataclass(frozen=True, eq=False)
 class ShowingState:
-    """What is shown as it is now.
+    """The present state of the shown source.
 
-    `program` is None where `findings` at error level leave nothing to run; `files` are those that were read.
+    `program` is None if `findings` have the level error; `files` are the files that were read.
     """
 
     program: Program | None
@@ -141,7 +140,7 @@ class ShowingState:
 
     @property
     def drivers(self) -> tuple[str, ...]:
-        """What may act, the default first."""
+        """The possible drivers, the default first."""
         if isinstance(self.recording, RobotLog):
             return (ROBOT,)
         if self.recording is not None:
@@ -154,7 +153,7 @@ class ShowingState:
         return (*([POLICY] if self.run else []), *scripts, RANDOM, ZERO, HAND)
 
     def checked(self) -> api.Compiled:
-        """The compiled scenario.
+        """Return the compiled scenario.
 
         Raises:
             ScenarioError: It has errors.
@@ -177,7 +176,7 @@ class RunDriver(Driver):
         model: ModelName = "best",
         deterministic: bool = True,
     ) -> None:
-        """In a `batch`, one forward pass acts in all worlds."""
+        """Load the policy. In a `batch`, one forward pass acts in all worlds."""
         try:
             from deepbots_cli.learning import evaluation
             from deepbots_cli.learning.learner import steps_of
@@ -229,7 +228,8 @@ class RunDriver(Driver):
             raise RunError(f"{self._run.path} has no model yet; continue its training, or show its scenario")
 
     def _stage(self) -> str:
-        """The stage of the curriculum that the training is in, as its newest episodes say."""
+        """Return a text about the stage of the curriculum of the training, according to its newest
+        episodes."""
         rows = read_log_tail(self._run.monitor, _TAIL_BYTES)
         return f", the training is in stage {rows[-1]['stage']}" if rows and rows[-1].get("stage") else ""
 
@@ -238,13 +238,13 @@ class RunDriver(Driver):
 
 
 class Player:
-    """One environment, who drives it, and its newest frame.
+    """An environment, its driver, and its newest frame.
 
-    Episode k of a seed begins as episode k of an evaluation with this seed does.
+    Episode k of a seed has the start of episode k of an evaluation with this seed.
     """
 
     world, worlds = 0, 1
-    """The world that is shown, and how many there are."""
+    """The world that is shown, and the number of worlds."""
 
     def __init__(self, opened: ShowingState, driver: str | None = None) -> None:
         """Make the environment and begin nothing.
@@ -258,13 +258,13 @@ class Player:
         self.env = self._make(opened.program)
         self.program = self.env.scenario
         self.manual_values: Mapping[str, float] = {}
-        """What a person commands, as `action_from_values` takes it."""
+        """The commands of a person, in the format of `action_from_values`."""
         self.driver = self._make_driver(self.env, HAND)
         self.observation: Any = None
         self.action: Any = None
-        """What the last step of the environment returned and took."""
+        """The result and the action of the last step of the environment."""
         self.actions: list[Any] = []
-        """Those of the episode."""
+        """The actions of the episode."""
         self._steps: Iterator[Step] = iter(())
         self._by_hand = False
         try:
@@ -286,7 +286,7 @@ class Player:
         return FrameReader(self.env, self.opened.checked().units)
 
     def set_driver(self, name: str) -> None:
-        """Let another driver act from the next step on.
+        """Set the driver that acts from the next step on.
 
         Raises:
             UsageError: There is no such script, or no policy.
@@ -310,11 +310,11 @@ class Player:
         )
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
-        """Reset to an episode; its first frame."""
+        """Reset to an episode. Returns its first frame."""
         return self.start(Start.of_evaluation(seed, episode, self.opened.shown.start))
 
     def start(self, start: Start) -> WorldFrame:
-        """Reset to an episode; its first frame."""
+        """Reset to an episode. Returns its first frame."""
         self.seed, self.actions = start.seed or 0, []
         self.driver.begin(start)
         self._steps = steps(self.env, Driver(self._act), start)
@@ -334,12 +334,12 @@ class Player:
         return self.frame
 
     def next_episode(self, episode: int) -> int:
-        """The number of the next episode."""
+        """Return the number of the next episode."""
         return episode + 1
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
-        """The frame after the next step of an episode that has not ended; `by_hand` lets a person act instead
-        of the driver."""
+        """Make the next step of an episode that has not ended, and return its frame. With `by_hand`, a person
+        acts instead of the driver."""
         self._by_hand = by_hand
         frame = self._next_frame()
         self.actions.append(self.action)
@@ -347,15 +347,15 @@ class Player:
 
     @property
     def note(self) -> str:
-        """What a person should know, in words."""
+        """A note for the user."""
         return self.driver.note
 
     def view(self, width: int, height: int) -> View:
-        """The view that holds the scene, or follows the robot."""
+        """Return the view of the whole scene, or the one that follows the robot."""
         return self.env.view(width, height)
 
     def render(self, view: View) -> Any:
-        """A picture of the world in the newest frame: uint8 (height, width, 3).
+        """Return a picture of the world in the newest frame: uint8 (height, width, 3).
 
         Raises:
             EngineError: The engine cannot draw.
@@ -369,12 +369,12 @@ class Player:
         return engine.render(view)
 
     def shortest_paths(self) -> list[list[tuple[float, float]]]:
-        """The shortest paths (points in m) whose lengths the scenario reads with `path_distance`."""
+        """Return the shortest paths (points in m) whose lengths the scenario reads with `path_distance`."""
         planners = (getattr(agent, "ways", None) for agent in self.env.agents.values())
         return [points for ways in planners if isinstance(ways, Ways) for points in ways.last_read_paths()]
 
     def episode(self, seed: int, episode: int, steps: int | None = None) -> Iterator[WorldFrame]:
-        """The frames of an episode, at most those of so many steps."""
+        """Yield the frames of an episode, at most those of `steps` steps."""
         yield self.begin(seed, episode)
         while self.frame.ended_by is None and (steps is None or self.frame.step < steps):
             yield self.step()

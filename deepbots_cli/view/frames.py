@@ -1,8 +1,8 @@
-"""Frames: what is drawn and plotted of an environment at one moment.
+"""Frames: the drawn and plotted values of an environment at one moment.
 
 `FrameReader` binds the readers of the engine port once, and reads a `WorldFrame` after a reset and after each
-step. It calls nothing but readers, so an episode is the same with and without it. `FrameLayout` holds what
-does not change in an episode.
+step. It calls only readers, so an episode is the same with and without it. `FrameLayout` has the values that
+do not change in an episode.
 """
 
 from __future__ import annotations
@@ -31,15 +31,14 @@ from deepbots_cli.runtime.messages import Channel, FieldCodec, LossyChannel
 from deepbots_cli.runtime.placement import Arrangement
 
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8a8a8a", "#a58b00")
-"""Of Okabe and Ito, which color-blind people can tell apart; gray for black."""
+"""The colors of Okabe and Ito, which color-blind people can distinguish; gray replaces black."""
 
 Image = NDArray[np.uint8]
 LinkName = tuple[str, str]
 """A body and one of its links; the root link of an object has the name of the object."""
 
-_DOWNWARD = frames.quaternion(
-    0.0, np.pi / 2, 0.0
-)  # turns x to -z: the direction in which a reflectance sensor looks
+# Turns x to -z, the direction of a reflectance sensor.
+_DOWNWARD = frames.quaternion(0.0, np.pi / 2, 0.0)
 
 
 class PlottedField(NamedTuple):
@@ -56,14 +55,14 @@ class PlottedField(NamedTuple):
     shown: Unit | None = None
 
     def text(self, value: float) -> str:
-        """The value in words: the name of an option, or a number with its unit."""
+        """Return the value in words: the name of an option, or a number with its unit."""
         if self.options:
             return self.options[round(value)]
         return f"{self.to_shown(value):.3g}{self._shown_unit and f' {self._shown_unit}'}"
 
     @property
     def label(self) -> str:
-        """`yaw (deg)`: the name with the unit of `to_shown`."""
+        """The name with the unit of `to_shown`, such as `yaw (deg)`."""
         return f"{self.name}{self._shown_unit and f' ({self._shown_unit})'}"
 
     @property
@@ -72,11 +71,11 @@ class PlottedField(NamedTuple):
         return "" if text == ONE.text else text
 
     def to_shown(self, value: float) -> float:
-        """A value in SI units in the unit in which it is shown."""
+        """Return a value in SI units in the unit in which it is shown."""
         return value if self.shown is None else self.shown.from_si(value)
 
     def from_shown(self, value: float) -> float:
-        """The SI value of a value in the unit in which it is shown."""
+        """Return the SI value of a value in the unit in which it is shown."""
         return value if self.shown is None else self.shown.to_si(value)
 
 
@@ -91,10 +90,10 @@ class SensorRays(NamedTuple):
     upright: bool = False
 
     def lines(self, frame: WorldFrame, key: str) -> NDArray[np.float32]:
-        """Each ray from its start to where it is no longer free: x, y, z (world frame) and red, green, blue
-        of both ends, shape (n, 2, 6).
+        """Return each ray from its start to the end of its free part: x, y, z (world frame) and red, green,
+        blue of both ends, shape (n, 2, 6).
 
-        Rays are green where nothing is near, and red where something is.
+        Free rays are green, and rays that end near the sensor are red.
         """
         free, (origin, turn) = np.array(frame.rays[key])[:, None], frame.links[self.part]
         turn = frames.leveled(turn) if self.upright else turn
@@ -111,8 +110,8 @@ class SensorRays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrameLayout:
-    """What does not change: the fields of an agent, the robots as they are in the world, the rays by
-    `robot.sensor`, and the fields of messages by `robot/direction`."""
+    """The constant parts of an environment: the fields of an agent, the robots, the rays by `robot.sensor`,
+    and the fields of messages by `robot/direction`."""
 
     observation: tuple[PlottedField, ...]
     action: tuple[PlottedField, ...]
@@ -121,11 +120,11 @@ class FrameLayout:
     sensor_rays: Mapping[str, SensorRays]
     messages: Mapping[str, tuple[PlottedField, ...]]
     of_robot: tuple[str, ...] = ()
-    """Of the log of a robot, which has no reward: the groups of its values that are always plotted."""
+    """The groups of values of the log of a robot that are always plotted; such a log has no reward."""
 
     def goal_point(self, agent: AgentFrame, word: str) -> Triple | None:
-        """The `achieved` or `desired` goal as a point (m, world frame), on the ground where it has no z; None
-        where it is no position."""
+        """Return the `achieved` or `desired` goal as a point (m, world frame), on the ground if it has no z;
+        None if it is no position."""
         places = [place for place, field in enumerate(self.observation) if field.group == word]
         axes = [self.observation[place].name for place in places if self.observation[place].unit == "m"]
         if axes not in ([f"{word}.x", f"{word}.y"], [f"{word}.x", f"{word}.y", f"{word}.z"]):
@@ -136,11 +135,11 @@ class FrameLayout:
 
 @dataclass(frozen=True, eq=False)
 class AgentFrame:
-    """One agent at one moment.
+    """The values of an agent at one moment.
 
-    `observation` holds the newest value of each field in its unit, followed by the achieved and the desired
-    goal. `action` is None after a reset. `allowed` says of each option of each choice, in a row, whether it
-    may be chosen next; empty where all may.
+    `observation` has the newest value of each field in its unit, followed by the achieved and the desired
+    goal. `action` is None after a reset. `allowed` has, for each option of each choice in a row, whether it
+    may be chosen next; empty if all may.
     """
 
     observation: tuple[float, ...]
@@ -152,10 +151,10 @@ class AgentFrame:
 
 
 class ReceivedMessage(NamedTuple):
-    """The message that its receiver goes by: a value for each field, None for a picture and before the first
+    """The message that its receiver uses: a value for each field, None for a picture and before the first
     message.
 
-    `age` (s) is the time since it was made, and `received` whether it came in this step.
+    `age` (s) is the time since it was created, and `received` is true if it arrived in this step.
     """
 
     values: tuple[float | None, ...]
@@ -167,12 +166,12 @@ class ReceivedMessage(NamedTuple):
 class WorldFrame:
     """The world at one moment, in SI units and the world frame; quaternions are (x, y, z, w).
 
-    `links` holds the pose of every link of a body that is present, `joints` the positions of the moving
-    joints of each robot, `rays` how far (m) each ray is free, `readings` what each sensor last delivered,
-    `forces` the sum of normal forces (N) on each link that touches something, and `pushes` the forces (N) of
+    `links` has the pose of every link of a body that is present, `joints` the positions of the moving joints
+    of each robot, `rays` the free length (m) of each ray, `readings` the last values of each sensor, `forces`
+    the sum of normal forces (N) on each link that touches something, and `pushes` the forces (N) of
     disturbances that act now. `variants` are the forms of bodies with variants. `messages` are by
-    `robot/to_robot` and `robot/from_robot`. `cameras` hold the newest image of each camera, by
-    `robot.sensor`: uint8 (rows, columns, 1 or 3). `drawn` are the values that the episode drew, in SI units.
+    `robot/to_robot` and `robot/from_robot`. `cameras` has the newest image of each camera, by `robot.sensor`:
+    uint8 (rows, columns, 1 or 3). `drawn` are the values that the episode drew, in SI units.
     """
 
     step: int
@@ -194,7 +193,7 @@ class WorldFrame:
 
     @property
     def ending(self) -> str:
-        """How the episode ended, in words; empty while it goes on."""
+        """The ending of the episode in words; empty while it runs."""
         if self.ended_by is None:
             return ""
         if self.is_success:
@@ -203,7 +202,7 @@ class WorldFrame:
 
 
 def observation_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ...]:
-    """The numbers of the newest observation, then those of the goal."""
+    """Return the numbers of the newest observation, then those of the goal."""
     agent = program.agent
     named = [
         PlottedField(n.full_name, n.name, 0.0 if n.is_truth else n.low, 1.0 if n.is_truth else n.high, n.unit)
@@ -220,7 +219,7 @@ def observation_fields(program: Program, units: ShownUnits) -> tuple[PlottedFiel
 
 
 def action_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ...]:
-    """A field for each choice and for each component of a range, choices and ranges in file order."""
+    """Return a field for each choice and for each component of a range, choices and ranges in file order."""
     fields = []
     for part in program.agent.action:
         if isinstance(part, Choices):
@@ -236,7 +235,7 @@ def action_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ..
 
 
 class MessageRecorder:
-    """In the place of the `FieldCodec` of a channel, remembers what was received last."""
+    """A wrapper of the `FieldCodec` of a channel that keeps the last received message."""
 
     def __init__(self, wire: FieldCodec, units: ShownUnits) -> None:
         self._wire, self.layout, self.silence, self.encode = wire, wire.layout, wire.silence, wire.encode
@@ -261,9 +260,9 @@ class MessageRecorder:
         return self._values
 
     def message(self, channel: Channel | LossyChannel, *, after_reset: bool) -> ReceivedMessage:
-        """The newest message; those that come from now on count for the next frame."""
+        """Return the newest message. Messages that arrive later belong to the next frame."""
         if after_reset and not self._received:
-            self._values = (None,) * len(self.fields)  # and not those of the episode before
+            self._values = (None,) * len(self.fields)  # the values of the episode before are dropped
         flat = [
             part for value in self._values for part in (value if isinstance(value, list | tuple) else [value])
         ]
@@ -276,10 +275,10 @@ class MessageRecorder:
 
 
 class FrameReader:
-    """Reads frames of one environment, one after each reset and each step: it adds up the returns."""
+    """Reads frames of one environment, one after each reset and each step, because it adds up the returns."""
 
     def __init__(self, env: Supervisor, units: ShownUnits | None = None) -> None:
-        """Bind the readers; `units` are those of the file, in which fields are shown."""
+        """Bind the readers. `units` are those of the file, in which fields are shown."""
         self.env, units = env, units or ShownUnits()
         program, engine, world = env.scenario, env.engine, env.world
         models = {robot.name: robot.model for robot in world.robots}
@@ -345,23 +344,24 @@ class FrameReader:
         self._returns: dict[str, float] = {}
 
     def _called(self, body: str, agent: str) -> str:
-        """What a body of an agent is called: a copy of a robot has the name of its agent."""
+        """Return the name of a body of an agent. A copy of a robot has the name of its agent."""
         copies = self.env.scenario.agent.copies
         return agent if copies and copies.robot == body else body
 
     def _recorded_channels(
         self, units: ShownUnits
     ) -> Iterator[tuple[str, tuple[Channel | LossyChannel, MessageRecorder]]]:
-        """The channels by robot and direction, from now on with the messages that they decode."""
+        """Yield the channels by robot and direction. From now on, they keep the messages that they
+        decode."""
         for copy, agent in self.env.agents.items():
             for (name, direction), channel in agent.channels.items():
-                assert channel.wire is not None  # only those of tests have none
+                assert channel.wire is not None  # only channels of tests have none
                 recorder = MessageRecorder(channel.wire, units)
                 channel.wire = cast("FieldCodec", recorder)
                 yield f"{self._called(name, copy)}/{direction}", (channel, recorder)
 
     def _pushed_links(self, models: Mapping[str, RobotModel]) -> Iterator[tuple[LinkName, Push]]:
-        """The links that disturbances push; without a link, the root of a robot or an object."""
+        """Yield the links that disturbances push; without a link, the root of a robot or an object."""
         for name, agent in self.env.agents.items():
             for disturbance in self.env.scenario.disturbances:
                 push = getattr(agent, generated.push(disturbance.name), None)
@@ -371,8 +371,8 @@ class FrameReader:
                     yield (body, disturbance.link or root), push
 
     def read(self, observation: Any, action: Any = None) -> WorldFrame:
-        """The frame of this moment, given the observation that `reset` or `step` returned and the action of
-        the step."""
+        """Return the frame of this moment, given the observation that `reset` or `step` returned and the
+        action of the step."""
         env = self.env
         bodies = [getattr(agent, "bodies", None) for agent in env.agents.values()]
         arrangement = next((arranged for arranged in bodies if isinstance(arranged, Arrangement)), None)
@@ -419,11 +419,11 @@ class FrameReader:
         )
 
     def links(self) -> dict[LinkName, Frame]:
-        """The pose of every link and object, also of absent ones."""
+        """Return the pose of every link and object, including absent ones."""
         return {part: read() for part, read in self._poses.items()}
 
     def joints(self) -> dict[str, tuple[float, ...]]:
-        """The positions of the moving joints of each robot."""
+        """Return the positions of the moving joints of each robot."""
         return {name: tuple(float(state[0]) for state in read()) for name, read in self._joints.items()}
 
     def _agent(self, agent: Supervisor, seen: Any, done: Any, episode_return: float) -> AgentFrame:
@@ -449,7 +449,7 @@ class FrameReader:
         )
 
     def _action(self, agent: Supervisor, action: Any) -> tuple[float, ...]:
-        """One number for each action field."""
+        """Return one number for each action field."""
         parts = action if isinstance(action, dict) else {"choices": action, "ranges": action}
         choices = iter(np.atleast_1d(np.asarray(parts["choices"])).tolist())
         ranges = iter(np.atleast_1d(np.asarray(parts["ranges"], np.float64)).tolist())
@@ -462,14 +462,15 @@ class FrameReader:
 
 
 def value_of_row(value: Any, row: int) -> Any:
-    """The part of one agent or world of the observation or action of all; None stays None."""
+    """Return the part of one agent or world of the observation or action of all; None stays None."""
     if isinstance(value, dict):
         return {key: part[row] for key, part in value.items()}
     return None if value is None else value[row]
 
 
 def _beams(part: LinkName, sensor: Sensor) -> tuple[SensorRays, Sequence[Frame]]:
-    """The rays of a sensor as arrays and as frames along x; those of a reflectance sensor look down."""
+    """Return the rays of a sensor as arrays and as frames along x. The rays of a reflectance sensor point
+    down."""
     assert sensor.beams is not None
     mount = frames.frame(sensor.mount)
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
@@ -481,4 +482,4 @@ def _beams(part: LinkName, sensor: Sensor) -> tuple[SensorRays, Sequence[Frame]]
     return SensorRays(part, starts, directions, reach, sensor.beams.upright), rays
 
 
-_REFLECTANCE_REACH_M = 0.1  # m; a reflectance sensor has no reach of its own
+_REFLECTANCE_REACH_M = 0.1  # a reflectance sensor has no reach

@@ -1,5 +1,5 @@
-"""Playing the log of a robot: joint positions and poses that it reported move its model, and all that it
-reported is plotted."""
+"""Plays the log of a robot: reported joint positions and poses move its model, and all reported values are
+plotted."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from deepbots_robot.model import Input, Output
 
 POSTURE, TIMES = "posture: 0 policy, 1 safe", "ages and answer time (ms)"
-"""What is always plotted of a log."""
+"""The groups that are always plotted for a log."""
 _SAFE = "safe"
-_MAX_PLACE = 1e6  # m or rad, of what is drawn
-_MAX_NUMBERS = 2048  # of an input that is plotted
+_MAX_PLACE = 1e6  # m or rad; the largest drawn value
+_MAX_NUMBERS = 2048  # the largest number of components of a plotted input
 
 Values = Mapping[str, Sequence[float]]
 
@@ -43,8 +43,8 @@ class _Column(NamedTuple):
 
 
 class LogPlayer(ReplayPlayer):
-    """Plays a log. The world is that of the scenario at the start of an episode, except for what the robot
-    reported."""
+    """Plays a log. The world is that of the scenario at the start of an episode, except for the values that
+    the robot reported."""
 
     def __init__(self, opened: ShowingState) -> None:
         """Make the environment.
@@ -93,7 +93,7 @@ class LogPlayer(ReplayPlayer):
         return reader
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
-        """The first frame of an episode of the log; `seed` means nothing."""
+        """Return the first frame of an episode of the log; `seed` has no meaning."""
         self._recorded = logged = self.log.episode(self._numbers[0] if episode == 0 else episode)
         self._rows = logged.steps
         observation, _ = self.env.reset(seed=self._recorded.seed)
@@ -102,7 +102,7 @@ class LogPlayer(ReplayPlayer):
 
     @property
     def note(self) -> str:
-        """What happened last, and what is drawn."""
+        """The last event, and the drawn values."""
         last = next((event for step in self._rows[self._place :: -1] for event in step.events[::-1]), "")
         drawn = (
             f"the log moves {', '.join(self._drawn)}"
@@ -151,12 +151,12 @@ class LogPlayer(ReplayPlayer):
     # The world
 
     def _moves(self, entry: Input) -> bool:
-        """Whether the input says where a part of the world is."""
+        """Return whether the input gives the position of a part of the world."""
         return _quantity(entry) == "joint_position" or self._body(entry) is not None
 
     def _body(self, entry: Input) -> str | None:
-        """The robot or object whose origin the input gives; None for another quantity or another place on
-        it."""
+        """Return the robot or object whose origin the input gives; None for another quantity or another place
+        on it."""
         if _quantity(entry) not in ("position", "orientation"):
             return None
         roots = {robot.name: robot.model.root for robot in self.env.world.robots if not robot.fixed_base}
@@ -172,7 +172,7 @@ class LogPlayer(ReplayPlayer):
         return body if body in roots or body in objects else None
 
     def _move(self, inputs: Values) -> None:
-        """Place what the robot reported; all else is as at the start."""
+        """Move the parts that the robot reported; all else is as at the start."""
         engine = self.env.engine
         joints: dict[tuple[str, str], float] = {}
         poses: dict[str, Frame] = {}
@@ -210,8 +210,8 @@ class LogPlayer(ReplayPlayer):
 def _columns(
     entries: Sequence[Input | Output], rows: Sequence[Values], units: ShownUnits
 ) -> Iterator[_Column]:
-    """The numbers of inputs or outputs but for pictures, each with its range, or that of its values where it
-    has none."""
+    """Yield the numbers of inputs or outputs except for pictures, each with its range, or that of its values
+    if it has none."""
     for entry in entries:
         if len(entry.shape) > 1 or entry.shape[0] > _MAX_NUMBERS:
             continue
@@ -229,7 +229,8 @@ def _columns(
 
 
 def _quantity(entry: Input) -> str:
-    """The function of the language that has the value of an input; the kind of its sensor for one without."""
+    """Return the function of the language that has the value of an input; the kind of its sensor for one
+    without."""
     kind = SENSORS.get(entry.sensor or "")
     return (kind.world_function if kind is not None else None) or entry.sensor or ""
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Keys = frozenset[str]
 Axes = tuple[float, ...]
-_STEERING_TIME = 0.3  # s of the episode, in which the effect of a key on the yaw is measured
+_STEERING_TIME = 0.3  # the time of an episode in which the effect of a key on the yaw is measured, in s
 RELEASE_TIMEOUT_S = 0.25  # s; keys and gamepads are sent 20 times a second while they are held
 
 
@@ -56,12 +56,12 @@ KEYS = sorted(
 
 
 class ManualInput:
-    """What a person commands: sliders and buttons as a base, in the units of the fields, from which keys and
-    gamepads push to the ends of ranges while they are held."""
+    """The commands of a person: sliders and buttons as a base, in the units of the fields, from which keys
+    and gamepads push to the ends of ranges while they are held."""
 
     def __init__(self, fields: Sequence[PlottedField], *, turns_left: bool = False) -> None:
-        """`turns_left` says that a larger value of the range of A and D turns the robot to the left, so that
-        A pushes it up."""
+        """Create the input. With `turns_left`, a larger value of the range of A and D turns the robot to the
+        left, so A increases it."""
         self._ranges = {field.name: field for field in fields if not field.options}
         ahead, aside, *others = _RANGE_BINDINGS
         if turns_left:
@@ -75,7 +75,8 @@ class ManualInput:
         self.base_values = {field.name: _rest_value(field) for field in fields}
 
     def hold(self, keys: Keys, axes: Axes) -> None:
-        """Take what is held now; nothing is once no message came for `RELEASE_TIMEOUT_S`."""
+        """Take the keys and axes that are held now. They are released if no message arrives for
+        `RELEASE_TIMEOUT_S`."""
         self._held = (keys, axes, time.monotonic())
 
     @property
@@ -84,7 +85,8 @@ class ManualInput:
         return bool(keys or any(axes)) and time.monotonic() - at < RELEASE_TIMEOUT_S
 
     def values(self) -> dict[str, float]:
-        """By the names of action fields: an option by its index, or a number from -1 to 1."""
+        """Return the values by the names of action fields: an option by its index, or a number from -1 to
+        1."""
         values = dict(self.base_values)
         keys, axes, _ = self._held if self.is_held else (frozenset[str](), (), 0.0)
         for name, bindings in self.bindings.items():
@@ -105,7 +107,7 @@ class ManualInput:
         for field in self._choices:
             wanted = next((option for codes, option in self._keys_of(field) if keys & {*codes}), None)
             if wanted is not None:
-                idle = _option(field, _IDLE_WORDS)  # released, it goes back to doing nothing
+                idle = _option(field, _IDLE_WORDS)  # a released key chooses the option that does nothing
                 values[field.name], self.base_values[field.name] = (
                     float(wanted),
                     float(wanted if idle is None else idle),
@@ -113,8 +115,8 @@ class ManualInput:
         return values
 
     def _keys_of(self, field: PlottedField) -> list[tuple[tuple[str, ...], int]]:
-        """Keys and the option that they choose: digits for the first choice, directions for options that are
-        called so."""
+        """Return keys and the option that they choose: digits for the first choice, directions for options
+        with such names."""
         digits = [
             ((digit,), number)
             for number, digit in enumerate(_DIGITS[: len(field.options)])
@@ -125,13 +127,12 @@ class ManualInput:
         ]
 
     def help(self) -> str:
-        """Which keys drive what, in a line."""
+        """Return a line with the keys and their effects."""
         parts = []
         for name, bindings in self.bindings.items():
             for more, less, *_ in bindings:
-                effects = sorted(
-                    [(more, "more"), (less, "less")], key=lambda effect: "KeyA" not in effect[0]
-                )  # from left to right
+                # The keys are listed from left to right.
+                effects = sorted([(more, "more"), (less, "less")], key=lambda effect: "KeyA" not in effect[0])
                 parts += [f"{' / '.join(map(_key_name, keys))}: {word} {name}" for keys, word in effects]
         for field in self._choices:
             parts += [f"{codes[0][-1]}: {field.options[option]}" for codes, option in self._keys_of(field)]
@@ -139,7 +140,8 @@ class ManualInput:
 
 
 def turns_left(player: Player, seed: int, episode: int) -> bool:
-    """Whether a larger value of the range of A and D turns the robot to the left; begins the episode anew."""
+    """Return whether a larger value of the range of A and D turns the robot to the left. This begins the
+    episode anew."""
     robot = next(iter(player.env.world.robots), None)
     ranges = [field.name for field in player.reader.layout.action if not field.options][:2]
     if robot is None or not ranges:
@@ -159,13 +161,13 @@ def _key_name(code: str) -> str:
 
 
 def _rest_value(field: PlottedField) -> float:
-    """What nobody commands: an option that does nothing, or else the first; 0 where the range holds it, or
-    else its middle."""
+    """Return the value without a command: an option that does nothing, or else the first; 0 if it is in the
+    range, or else its middle."""
     if field.options:
         return float(_option(field, _IDLE_WORDS) or 0)
     return 0.0 if field.low <= 0.0 <= field.high else (field.low + field.high) / 2
 
 
 def _option(field: PlottedField, words: Sequence[str]) -> int | None:
-    """The option of a choice that has one of these names."""
+    """Return the option of a choice that has one of these names."""
     return next((field.options.index(word) for word in words if word in field.options), None)

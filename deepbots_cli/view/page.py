@@ -1,7 +1,7 @@
 """The page: one world or two in the browser, with a panel. One thread owns the environments, steps them and
 draws 30 times a second.
 
-What people click arrives in threads of viser, and is queued for this one.
+Callbacks of the controls run in threads of viser, and queue their work for this thread.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ FRAME_RATE = 30
 FRAMES_PER_TEXT = 6
 """Texts and plots change in every sixth picture."""
 _WATCH_INTERVAL_S = 0.25  # s
-_DEBOUNCE_S = 0.3  # s without a change, after which the value of a parameter counts
+_DEBOUNCE_S = 0.3  # the time in s without a change after which the value of a parameter is applied
 
 
 class Page:
-    """A page of a scenario, a run or a recording; `address` is where it is, `run` serves it until it is
+    """A page of a scenario, a run or a recording. `address` is its URL, and `run` serves it until it is
     interrupted.
 
     `playback` has the worlds, the episode and the time.
@@ -49,7 +49,7 @@ class Page:
     panel: Panel
     """The panel beside the worlds, once a scenario without errors has been opened."""
     banner: Any
-    """A text (HTML) of the GUI: how the episode stands, or what is wrong with the scenario."""
+    """A text (HTML) of the GUI: the state of the episode, or the errors of the scenario."""
 
     def __init__(
         self,
@@ -67,9 +67,10 @@ class Page:
         output: Path | None = None,
         frame_rate: int = FRAME_RATE,
     ) -> None:
-        """Compile the source and start the server; `playing` makes a page to drive by hand, with a score.
+        """Compile the source and start the server. With `playing`, the page is for driving by hand, with a
+        score.
 
-        With `compare`, both worlds stand side by side, and begin each episode from the same seed. Of a batch,
+        With `compare`, both worlds are side by side, and begin each episode from the same seed. For a batch,
         `world` is shown. With `playing`, the episodes that a person drives are recorded in `output`. The page
         gets `frame_rate` pictures per second.
 
@@ -132,7 +133,7 @@ class Page:
         return self.playback.driven
 
     def play(self, playing: bool) -> None:
-        """Go on, or pause."""
+        """Continue, or pause."""
         self.playback.play(playing)
 
     def step_once(self) -> None:
@@ -144,14 +145,14 @@ class Page:
         self.playback.seek(place)
 
     def change_parameter(self, name: str, text: str) -> None:
-        """Change a parameter of the scenario; the world begins anew once no further change comes."""
+        """Change a parameter of the scenario. The world begins anew once no further change arrives."""
         self._changed[name], self._changed_at = text, time.monotonic()
 
     # What is shown
 
     def _show(self, opened: ShowingState) -> None:
-        """Show a source as it is now: its world from the beginning of the present episode, or else its
-        findings over the world before."""
+        """Show the present state of a source: its world from the beginning of the present episode, or else
+        its findings over the world before."""
         if opened.program is None:
             findings = html.escape(render(opened.findings, "full", width=46))
             style = "white-space:pre-wrap;font-size:0.75em;line-height:1.35"
@@ -187,7 +188,7 @@ class Page:
         playback.show_first_frame()
 
     def _build(self, players: Sequence[Player]) -> None:
-        """Show worlds side by side; the panel stays as it is where it fits."""
+        """Show worlds side by side. The panel stays as it is if it fits."""
         scene, playback, player = self.server.scene, self.playback, players[0]
         controls = (
             [
@@ -233,7 +234,7 @@ class Page:
         self.banner = self.panel.banner
 
     def _clear(self) -> None:
-        """An empty scene, and an empty panel beside it."""
+        """Show an empty scene, and an empty panel beside it."""
         self.server.gui.reset()
         self.server.scene.reset()
         self.server.gui.main_panel.dock_right()
@@ -250,7 +251,7 @@ class Page:
             self.panel.update_texts()
 
     def _run_or_stop(self, act: Callable[[], None]) -> None:
-        """Do something, whose error ends the episode and is shown."""
+        """Call a function. An error ends the episode and is shown."""
         try:
             act()
         except (DeepbotsError, OSError) as error:
@@ -268,7 +269,8 @@ class Page:
     # Serving
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Serve the page until `until` says so, or Ctrl-C; time goes on while a browser shows the page."""
+        """Serve the page until `until` returns True, or Ctrl-C. Time advances while a browser shows the
+        page."""
         period, drawn, due, checked = 1 / self._frame_rate, 0, time.perf_counter(), time.monotonic()
         while not until():
             while not self._tasks.empty():
@@ -278,7 +280,8 @@ class Page:
                 if (now := file_stamps(self._files)) != self._file_stamps:
                     self._run_or_stop(self._reload)
                     before = {file: now[file] for file in self._files if file in now}
-                    self._file_stamps = file_stamps(self._files) | before  # not what came meanwhile
+                    # Changes that came meanwhile are not included, so they are read next.
+                    self._file_stamps = file_stamps(self._files) | before
             if self._changed_at and time.monotonic() - self._changed_at > _DEBOUNCE_S:
                 self._changed_at = 0.0
                 self._run_or_stop(self._reload)

@@ -1,6 +1,6 @@
 """The panel of the page: the state of the episode, controls of time, and tabs.
 
-What people do there is passed to `queue`, which the page's thread runs.
+Callbacks run in viser's threads, so each puts its work into `queue`, which the thread of the page empties.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from deepbots_cli.view.replay import ReplayPlayer
 if TYPE_CHECKING:
     import viser
 
-_TRAINING_INTERVAL_S = 20.0  # s, after which the logs of a training are read again
+_TRAINING_INTERVAL_S = 20.0  # the shortest time between two reads of the logs of a running training
 _MAX_SERIES = 8
 _NUMBER_WITH_UNIT = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*"
 )
-"""A number with its unit."""
+"""Matches `0.5`, `15 deg`, `80%`; groups: number, unit after a blank, unit without one."""
 
 PlottedValue = Callable[[AgentFrame], float]
-"""A number that is plotted."""
+"""Reads the number to plot from the frame of an agent."""
 Queue = Callable[[Callable[[], None]], None]
 
 
@@ -47,7 +47,7 @@ class ChosenAgent(NamedTuple):
     name: str
 
     def of(self, frame: WorldFrame) -> AgentFrame:
-        """The agent in a frame, or the first agent of a world without it."""
+        """Return the agent in a frame, or the first agent of a world without it."""
         return frame.agents.get(self.name) or next(iter(frame.agents.values()))
 
 
@@ -55,7 +55,7 @@ class Panel:
     """The panel of the worlds that a playback shows.
 
     Attributes:
-        banner: How the episode stands, or an error (HTML).
+        banner: The state of the episode, or an error (HTML).
         values: Reward terms, action, observation and messages of the chosen agent (HTML).
         slider: The step of a recording; None for other sources.
         plots, training, show: Tabs; `training` is None for other sources than runs.
@@ -64,8 +64,8 @@ class Panel:
     def __init__(
         self, gui: viser.GuiApi, playback: Playback, queue: Queue, on_parameter: Callable[[str, str], None]
     ) -> None:
-        """Add the controls. `queue` runs what people do in the thread of the page; `on_parameter` takes a
-        name and its new value."""
+        """Add the controls. `queue` runs the work of a control in the thread of the page; `on_parameter`
+        takes a name and its new value."""
         self._gui, self._playback, self._queue = gui, playback, queue
         worlds, player = playback.worlds, playback.worlds[0].player
         self._agents = {
@@ -85,9 +85,8 @@ class Panel:
         if not isinstance(player, ReplayPlayer):
             drive = {"Drive": partial(add_drive, gui, playback, queue)}
             tabs = drive | tabs if playback.by_hand else tabs | drive
-        if (
-            player.opened.parameters and len(worlds) == 1 and playback.driven is None
-        ):  # a recording has one scenario
+        # A recording has fixed parameters.
+        if player.opened.parameters and len(worlds) == 1 and playback.driven is None:
             tabs["Parameters"] = partial(add_parameters, gui, player.opened.parameters, on_parameter)
         if player.opened.run is not None:
             tabs["Training"] = partial(TrainingTab, gui, player.opened.run)
@@ -142,7 +141,8 @@ class Panel:
         if self.slider is None:
             seed = gui.add_number("seed", playback.seed, min=0, step=1)
             seed.on_update(lambda _: queue(lambda: playback.set_seed(int(seed.value))))
-        names = tuple(dict.fromkeys((*player.opened.drivers, player.driver_name)))  # which may be actions
+        # The name of the driver may be `actions`.
+        names = tuple(dict.fromkeys((*player.opened.drivers, player.driver_name)))
         if len(names) > 1 and len(playback.worlds) == 1:
             driver = gui.add_dropdown("driver", names, initial_value=player.driver_name)
             driver.on_update(lambda _: queue(lambda: playback.set_driver(driver.value)))
@@ -154,7 +154,7 @@ class Panel:
         self._agent = self._agents[name]
 
     def _scrub(self, event: Any) -> None:
-        if event.client_id is not None:  # and not the page itself, which moves the slider along
+        if event.client_id is not None:  # the page itself also moves the slider
             self._queue(lambda: self._playback.seek(int(event.target.value)))
 
     # What is shown
@@ -199,7 +199,7 @@ class Panel:
             self.slider.value = min(player.frame.step, self.slider.max)
 
     def _state(self, number: int) -> str:
-        """How a world stands."""
+        """Return the notice with the state of a world."""
         playback, world = self._playback, self._playback.worlds[number]
         player, frame = world.player, world.player.frame
         agent = self._agent.of(frame)
@@ -234,7 +234,7 @@ class Panel:
 
 
 def _enlarged(image: Image) -> Image:
-    """An image with pixels that are large enough to be seen."""
+    """Return an image with pixels that are large enough to be seen."""
     factor = max(1, 240 // max(image.shape[:2]))
     large = image.repeat(factor, axis=0).repeat(factor, axis=1)
     return large if large.shape[2] == 3 else large.repeat(3, axis=2)
@@ -253,8 +253,8 @@ class Plot(NamedTuple):
 
 
 class PlotsTab:
-    """Plots of the return, of the reward terms, and of a field that a person chooses; of the log of a robot,
-    of its own fields."""
+    """Plots of the return, of the reward terms, and of a field that a person chooses. For the log of a robot,
+    its own fields are plotted."""
 
     def __init__(
         self, gui: viser.GuiApi, worlds: Sequence[ShownWorld], agent: ChosenAgent, queue: Queue
@@ -295,7 +295,7 @@ class PlotsTab:
         plot()
 
     def _add_fields(self, fields: Sequence[tuple[PlottedField, PlottedValue]]) -> Plot:
-        """An empty plot of the first of these numbers, over their range."""
+        """Add an empty plot of the first of these numbers, over their range."""
         limits = (
             min(field.to_shown(field.low) for field, _ in fields),
             max(field.to_shown(field.high) for field, _ in fields),
@@ -315,7 +315,7 @@ class PlotsTab:
         worlds: Sequence[int] | None = None,
         limits: tuple[float, float] | None = None,
     ) -> Plot:
-        """An empty plot with a named line for each value of each world."""
+        """Add an empty plot with a named line for each value of each world."""
         lines = [
             {"label": name, "stroke": color, "width": 1.5} for name, color in zip(names, COLORS, strict=False)
         ]
@@ -324,7 +324,7 @@ class PlotsTab:
             margin = 0.03 * (limits[1] - limits[0]) or 1.0
             scales["y"] = {"range": (limits[0] - margin, limits[1] + margin)}
         series: Any = ({"label": "step"}, *lines)
-        room = (12, 8, 0, 0)  # px, above for the uppermost number
+        room = (12, 8, 0, 0)  # px; above, for the uppermost number
         handle = self._gui.add_uplot(
             (np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room
         )
@@ -364,7 +364,7 @@ class TrainingTab:
         self.read(run)
 
     def read(self, run: Run) -> None:
-        """Read the logs, while the training goes on at most every 20 s."""
+        """Read the logs; while the training runs, at most once in `_TRAINING_INTERVAL_S`."""
         if time.monotonic() - self._read_at < _TRAINING_INTERVAL_S:
             return
         self._read_at = math.inf
@@ -385,7 +385,7 @@ class TrainingTab:
 
 
 class ShowTab:
-    """What is drawn, and how the camera and time behave."""
+    """The parts that are drawn, and the settings of camera and time."""
 
     def __init__(self, gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
         self._playback, first = playback, playback.worlds[0]
@@ -405,7 +405,7 @@ class ShowTab:
         dark.on_update(lambda _: set_theme(gui, dark=dark.value))
 
     def apply(self) -> None:
-        """Let new scenes show what is switched on."""
+        """Apply the switches to new scenes."""
         for what, box in self._switches.items():
             self._set_visible(what, box.value)
 
@@ -415,15 +415,14 @@ class ShowTab:
 
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
-    gui.configure_theme(
-        show_logo=False, show_share_button=False, dark_mode=dark
-    )  # sharing sends the scene to a public host
+    # viser's share button uploads the scene to a public host.
+    gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
 
 
 def add_parameters(
     gui: viser.GuiApi, parameters: Mapping[str, str], on_change: Callable[[str, str], None]
 ) -> None:
-    """A slider for each number, and a text for each other value."""
+    """Add a slider for each number, and a text for each other value."""
     for name, text in parameters.items():
         number = _NUMBER_WITH_UNIT.fullmatch(text)
         if number is None:
@@ -444,7 +443,7 @@ def add_parameters(
 
 
 def add_drive(gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
-    """Buttons and sliders for the action, beside the keys that drive."""
+    """Add buttons and sliders for the action, beside the keys that drive."""
     hand = playback.manual_input
 
     def command(name: str, value: float) -> None:
@@ -475,7 +474,7 @@ def add_drive(gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
 
 
 def _record(playback: Playback, client: Any) -> None:
-    """Record the episode so far, and notify the browser that asked for it."""
+    """Record the episode so far, and notify the browser that requested it."""
     path = playback.record()
     if client is None:
         return

@@ -1,4 +1,4 @@
-"""What the panel of the page says, as HTML. Names come from scenarios, and are escaped."""
+"""The texts of the panel of the page, as HTML. Names come from scenarios, and are escaped."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def table(rows: Iterable[str]) -> str:
 
 
 def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
-    """Reward terms, action and observation; of the log of a robot, commands and what the policy knew."""
+    """Yield rows of the reward terms, action and observation; for the log of a robot, of the commands and the
+    inputs of the policy."""
     if not layout.of_robot:
         yield _head("reward terms of this step")
         yield from (
@@ -49,8 +50,8 @@ def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
 def training_rows(
     stages: Sequence[tuple[str, float]], evaluations: Sequence[Mapping[str, Any]], *, success: bool
 ) -> Iterator[str]:
-    """The stages of a curriculum with the timesteps at their beginning, and the evaluations of a training,
-    the newest first."""
+    """Yield rows of the stages of a curriculum with the timesteps at their beginning, and of the evaluations
+    of a training, the newest first."""
     if stages:
         yield _head("stages of the curriculum, and their first timestep")
         yield from (
@@ -64,8 +65,8 @@ def training_rows(
 
 
 def message_rows(layout: FrameLayout, frame: WorldFrame, others: Collection[str]) -> Iterator[str]:
-    """The message that each receiver goes by, with its age, but for those of the `others` among copies of a
-    robot."""
+    """Yield rows of the message that each receiver uses, with its age, except for those of the `others` among
+    copies of a robot."""
     for key, message in frame.messages.items():
         robot, _, direction = key.partition("/")
         if robot in others:
@@ -97,15 +98,14 @@ def _head(text: str) -> str:
 
 
 def _row(name: str, value: str, bar: str = "") -> str:
-    parts = (
-        html.escape(name).replace(".", ".<wbr>").replace("_", "_<wbr>")
-    )  # a long name breaks, and leaves room for the bar
+    # A long name is broken into lines, so that there is room for the bar.
+    parts = html.escape(name).replace(".", ".<wbr>").replace("_", "_<wbr>")
     cells = f"<td style='overflow-wrap:anywhere'>{parts}</td><td style='{_NUMBER}'>{html.escape(value)}</td>"
     return f"<tr>{cells}<td style='width:35%'>{bar}</td></tr>"
 
 
 def _wide_row(name: str, value: str) -> str:
-    """A row without a bar, which leaves the words whole."""
+    """Return a row without a bar, which leaves room for long words."""
     return (
         f"<tr><td>{html.escape(name)}</td><td colspan='2'"
         f" style='text-align:right'>{html.escape(value)}</td></tr>"
@@ -113,7 +113,7 @@ def _wide_row(name: str, value: str) -> str:
 
 
 def _bar(field: PlottedField, value: float) -> str:
-    """A number with a mark where it is in its range."""
+    """Return a number with a mark at its place in its range."""
     share = (value - field.low) / (field.high - field.low) if field.high > field.low else 0.5
     at = 100 * min(1.0, max(0.0, share if math.isfinite(share) else 0.5))
     color = "#0072B2" if -1e-6 <= share <= 1 + 1e-6 else "#D55E00"

@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 SUFFIXES = (".mp4", ".gif", ".html")
 _GIF_FRAME_RATE, _MP4_FRAME_RATE, _PAGE_FRAME_RATE = 12.5, 30.0, 20.0  # pictures per second
 _GIF_COLORS = 96
-_GIF_SHADE = 8  # of 256: shades that are closer count as one color
-_SUPERSAMPLING = 2  # pictures are drawn so many times as large, and reduced
-_FOLLOWED_ROOM = 1.2  # times the reach of a robot from its origin, on each side of it
-_LABEL_SPACING_PX = 18  # px between two labels
-_MIN_HALF_SIDE_M = 0.02  # m; half the side of the smallest view from above
+_GIF_SHADE = 8  # of 256; shades that are closer are one color
+_SUPERSAMPLING = 2  # the factor by which pictures are drawn larger before they are reduced
+_FOLLOWED_ROOM = 1.2  # the factor on the reach of a robot from its origin, on each side
+_LABEL_SPACING_PX = 18  # the distance of two labels
+_MIN_HALF_SIDE_M = 0.02  # half the side of the smallest view from above
 _MARGIN_ABOVE = 1.15  # the room around a path that is seen from above, as a factor
-_MIN_CLIMB = 0.5  # of its longer side; a path that climbs more is seen from the side
-_MAX_OBJECT_SHARE = 3.0  # of all else that is shown; a larger object is ground, of which a part is enough
+_MIN_CLIMB = 0.5  # share of the longer side; a path that climbs more is shown from the side
+_MAX_OBJECT_SHARE = 3.0  # share of all other parts; a larger object is ground, which is shown in part
 _WHITE, _GOAL = (255, 255, 255, 255), (40, 40, 40, 255)
 
 Point = tuple[float, float]
@@ -50,9 +50,9 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """From where a picture is taken: `eye` and `target` (m) are None for a view that shows the whole scene.
+    """The viewpoint of a picture: `eye` and `target` (m) are None for a view that shows the whole scene.
 
-    With `follow`, the name of a robot, the camera moves with this robot and shows what is near it.
+    With `follow`, the name of a robot, the camera moves with this robot and shows its surroundings.
     """
 
     width: int = 640
@@ -61,10 +61,10 @@ class Viewpoint:
     target: Triple | None = None
     follow: str | None = None
     samples: int = 2
-    """The pictures of a clip are drawn so many times as large, and reduced."""
+    """The factor by which the pictures of a clip are drawn larger before they are reduced."""
 
     def view(self, usual: View) -> View:
-        """The view, given the one without `eye` and `target`."""
+        """Return the view, given the one without `eye` and `target`."""
         if self.eye is None and self.target is None:
             return usual
         target = self.target or usual.target
@@ -73,7 +73,7 @@ class Viewpoint:
         )
 
     def now(self, player: Player, usual: View) -> View:
-        """The view of the newest frame, given the one of the whole scene.
+        """Return the view of the newest frame, given the one of the whole scene.
 
         Raises:
             UsageError: There is no robot to follow of this name.
@@ -92,12 +92,12 @@ class Viewpoint:
 
 
 def check_target(path: Path, suffixes: Sequence[str], *, force: bool) -> None:
-    """Find out before an episode is run whether `path` can be written, and overwrites no file unless `force`.
+    """Check before an episode is run that `path` can be written, and that no file is overwritten unless
+    `force`.
 
     Raises:
-        UsageError: Its name has another suffix, it exists, or its directory cannot be written to.
-        MissingExtraError: A video is wanted and imageio is not installed, or an offline page and viser is
-            not.
+        UsageError: The name has another suffix, the file exists, or its directory cannot be written to.
+            MissingExtraError: imageio is not installed for a video, or viser for an offline page.
     """
     kind = path.suffix.lower()
     if kind not in suffixes:
@@ -122,14 +122,14 @@ def render_picture(
     rays: bool = False,
     path: Sequence[WorldFrame] = (),
 ) -> Picture:
-    """A picture of the world as it is now.
+    """Draw a picture of the present world.
 
     Args:
         labels: Whether to name the links of robots, each with the joint that moves it. Without `eye`, the
             view is on the robots.
-        rays: Whether to draw the rays of sensors, colored by what they read.
-        path: Frames of an episode. Paints the paths of what moves in it (`trajectories`). Without `eye`, the
-            view is from above, or from the side of a path that climbs.
+        rays: Whether to draw the rays of sensors, colored by their readings.
+        path: Frames of an episode. The paths of its moving parts are painted (`trajectories`). Without `eye`,
+            the view is from above, or from the side of a path that climbs.
     """
     from PIL import Image, ImageDraw
 
@@ -171,12 +171,12 @@ def render_picture(
 
 
 def projection(view: View) -> Callable[[Triple], Point | None]:
-    """The pixel (from the upper left corner) of a point in the world; None behind the camera."""
+    """Return a function from a point in the world to its pixel, from the upper left corner; None behind the
+    camera."""
     ahead = np.subtract(view.target, view.eye) / math.dist(view.target, view.eye)
     left = np.cross((0.0, 0.0, 1.0), ahead)
-    left = (
-        np.array((0.0, 1.0, 0.0)) if np.linalg.norm(left) < 1e-9 else left / np.linalg.norm(left)
-    )  # straight down, up is x
+    # In a view straight down, x is upwards.
+    left = np.array((0.0, 1.0, 0.0)) if np.linalg.norm(left) < 1e-9 else left / np.linalg.norm(left)
     up = np.cross(ahead, left)
     scale = view.height / 2 / math.tan(view.fov / 2)
 
@@ -207,8 +207,8 @@ def _on_robots(player: Player, shot: Viewpoint) -> View:
 
 @dataclass(frozen=True, eq=False)
 class PaintedPath:
-    """What is painted of an episode: where the parts that move were, shape (n, 3), and the goals, by the
-    names of the legend."""
+    """The painted part of an episode: the positions of the parts that move, shape (n, 3), and the goals, by
+    the names of the legend."""
 
     moving: Mapping[str, NDArray[np.float64]]
     goals: Mapping[str, NDArray[np.float64]]
@@ -230,8 +230,8 @@ class PaintedPath:
         )
 
     def view(self, world: WorldModel, shot: Viewpoint) -> View:
-        """A view of the path, robots, arena, lines and objects nearby: from above, x upwards, or from the
-        side of a path that climbs."""
+        """Return a view of the path, robots, arena, lines and objects nearby: from above, x upwards, or from
+        the side of a path that climbs."""
         ways = np.concatenate(
             [points[~np.isnan(points[:, 0])] for points in (*self.moving.values(), *self.goals.values())]
         )
@@ -257,9 +257,10 @@ class PaintedPath:
         middle = ((x + x_end) / 2, (y + y_end) / 2, 0.0)
         tall = math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _MARGIN_ABOVE
         away = np.maximum(np.maximum(high - middle, np.subtract(middle, low)), _MIN_HALF_SIDE_M)
+        # x is upwards in the picture, so the height of the picture limits the extent along x.
         height = float(
             (np.maximum(away[:, 0], away[:, 1] * shot.height / shot.width) / tall + high[:, 2]).max()
-        )  # x is upwards
+        )
         return View((middle[0], middle[1], height), middle, shot.width, shot.height)
 
 
@@ -287,8 +288,8 @@ def _rgba(number: int, opacity: int = 255) -> tuple[int, int, int, int]:
 
 
 def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], shown: PaintedPath) -> None:
-    """Each path, paler where it is older, with a ring at the start and a disc at the end; goals as crosses,
-    their ways in dots."""
+    """Paint each path, paler where it is older, with a ring at the start and a disc at the end; goals as
+    crosses, with their paths in dots."""
     radius = 5 * _SUPERSAMPLING
     for points in shown.goals.values():
         pixels = _pixels(project, points)
@@ -309,7 +310,7 @@ def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], show
         if not pixels:
             continue
         full = np.array(_rgba(number))
-        draw.line(pixels, fill=(255, 255, 255, 150), width=6 * _SUPERSAMPLING)  # seen on any ground
+        draw.line(pixels, fill=(255, 255, 255, 150), width=6 * _SUPERSAMPLING)  # visible on any ground
         for step, ends in enumerate(pairwise(pixels)):
             share = 0.4 + 0.6 * step / len(pixels)
             draw.line(
@@ -332,7 +333,7 @@ def _pixels(project: Callable[[Triple], Point | None], points: NDArray[np.float6
 
 
 def _spaced(pixels: Sequence[Point], distance: float) -> Iterator[Point]:
-    """Pixels that are at least so far from the one before."""
+    """Yield pixels that are at least so far from the one before."""
     last = None
     for pixel in pixels:
         if last is None or math.dist(last, pixel) >= distance:
@@ -341,7 +342,8 @@ def _spaced(pixels: Sequence[Point], distance: float) -> Iterator[Point]:
 
 
 def _write_legend(draw: ImageDraw, shown: PaintedPath) -> None:
-    """The names of what moves and of the goals, each beside its color; none where a single thing moves."""
+    """Write the names of the moving parts and of the goals, each beside its color; nothing if a single part
+    moves."""
     entries = [(name, _rgba(number)) for number, name in enumerate(shown.moving)] + [
         (name, _GOAL) for name in shown.goals
     ]
@@ -354,7 +356,7 @@ def _write_legend(draw: ImageDraw, shown: PaintedPath) -> None:
 def _paint_labels(
     draw: ImageDraw, project: Callable[[Triple], Point | None], player: Player, shot: Viewpoint
 ) -> None:
-    """Links, each with the joint that moves it, in two columns with lines to their origins."""
+    """Paint links, each with the joint that moves it, in two columns with lines to their origins."""
     columns: tuple[list[tuple[Point, str]], list[tuple[Point, str]]] = ([], [])
     for robot in player.env.world.robots[:1]:
         joints = {joint.child: joint.name for joint in robot.model.joints if joint.type != "fixed"}
@@ -404,13 +406,13 @@ def write_clip(
     rate: float = _MP4_FRAME_RATE,
     on_frame: Callable[[WorldFrame], object] = lambda frame: None,
 ) -> WorldFrame:
-    """Write an episode, or its first `seconds`, as MP4, GIF or an offline page, by the suffix of `path`; the
-    last frame.
+    """Write an episode, or its first `seconds`, as MP4, GIF or an offline page, by the suffix of `path`.
+    Returns the last frame.
 
     Args:
         speed: Seconds of the episode per second of the clip.
         rate: The largest number of pictures per second of an MP4.
-        on_frame: Is called before each picture of an MP4 or a GIF.
+        on_frame: Called before each picture of an MP4 or a GIF.
 
     Raises:
         EngineError: The engine cannot draw.
@@ -436,8 +438,8 @@ def _pictures(
     rate: float,
     on_frame: Callable[[WorldFrame], object],
 ) -> tuple[Iterator[Any], float]:
-    """Pictures at most `rate` times a second, and how many there are in a second: every so many steps, at
-    most each."""
+    """Return pictures at most `rate` times a second, and their number in a second. At most one picture is
+    drawn per step."""
     every = max(1, math.ceil(speed / player.program.period / rate - 1e-9))
 
     def taken() -> Iterator[Any]:
@@ -468,7 +470,8 @@ def _write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
 
 
 def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
-    """One palette for all pictures, without dithering: what does not change is not stored again."""
+    """Write a GIF with one palette for all pictures and without dithering, so that unchanged pixels are not
+    stored again."""
     from PIL import Image
 
     images = [Image.fromarray(image) for image in pictures]
@@ -497,7 +500,7 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
 
 
 def _write_page(player: Player, path: Path, shown: Iterator[WorldFrame], speed: float) -> None:
-    """A page that turns and scrubs without a server: viser's recording of its scene."""
+    """Write a page that turns and scrubs without a server: viser's recording of its scene."""
     from deepbots_cli.view import server
     from deepbots_cli.view.scene import WorldScene, aim_camera
 

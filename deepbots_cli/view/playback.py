@@ -1,4 +1,4 @@
-"""The worlds of a page in time: their players, the present episode, and how fast it goes on."""
+"""The worlds of a page in time: their players, the present episode, and its speed."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from deepbots_cli.view.recordings import DrivenEpisodes, record
 from deepbots_cli.view.replay import ReplayPlayer
 from deepbots_cli.view.scene import WorldScene
 
-MAX_PLOTTED_STEPS = 600  # steps in a plot
+MAX_PLOTTED_STEPS = 600  # the largest number of steps in a plot
 MAX_STEPPING_S = 0.1
-"""Seconds; a world that is slower than real time still answers."""
+"""The longest time of stepping in s, so that a world that is slower than real time still reacts."""
 MAX_RECORDINGS = 100
-"""What one page writes: a person drives for hours until then, and a program that presses the button does not
-fill the disk."""
-_PAUSE_AT_END_S = 1.5  # s of real time between the end of an episode and the next
+"""The largest number of recordings of one page. A person drives for hours until then, and a program that
+presses the button does not fill the disk."""
+_PAUSE_AT_END_S = 1.5  # the real time in s between the end of an episode and the next one
 
 
 @dataclass(eq=False)
 class ShownWorld:
-    """One world of the page: its player, its scene, and the frames that are plotted.
+    """A world of the page: its player, its scene, and the plotted frames.
 
-    `title` names the world where there are two. `elapsed_s` is the time (s) since its last step.
+    `title` names the world if there are two. `elapsed_s` is the time (s) since its last step.
     """
 
     player: Player
@@ -58,15 +58,15 @@ class ShownWorld:
 
 
 class Playback:
-    """Which episode the worlds of a page are in, at which step, and whether time goes on.
+    """The state of the worlds of a page: the episode, its step, and whether time advances.
 
     Attributes:
-        worlds: What is shown; empty until a scenario without errors is opened.
+        worlds: The shown worlds; empty until a scenario without errors is opened.
         rival: A player that drives the same episodes unseen, for comparison with a person.
         driver: The name of the driver that was chosen, None for the default.
-        manual_input: What a person commands.
+        manual_input: The commands of a person.
         driven: The recording of the episodes that a person drives.
-        seed, episode: Which episode is shown.
+        seed, episode: The shown episode.
         batch_world: The world of a batch that is shown.
         paused: Whether time stands still.
         waiting: Whether an episode waits for the first key of the person who drives.
@@ -87,8 +87,8 @@ class Playback:
         on_begin: Callable[[], None],
         on_change: Callable[[], None],
     ) -> None:
-        """`by_hand` is for a person who drives; `on_begin` is called with each episode, `on_change` with
-        other changes of the state."""
+        """Create the state. `by_hand` is for a person who drives; `on_begin` is called with each episode,
+        `on_change` with other changes of the state."""
         self.worlds: list[ShownWorld] = []
         self.rival: Player | None = None
         self.driver, self.by_hand = driver, by_hand
@@ -119,7 +119,7 @@ class Playback:
     # Episodes
 
     def begin(self, further: int = 0) -> None:
-        """Begin the present episode anew, or one further on."""
+        """Begin the present episode anew, or a later one."""
         if self.player is None:
             return
         if further:
@@ -157,7 +157,8 @@ class Playback:
         self.show_first_frame()
 
     def record(self) -> Path | None:
-        """Write the episode so far as a recording: the same actions from the same seed are the same episode.
+        """Write the episode so far as a recording. It is repeated, because the same actions from the same
+        seed are the same episode.
 
         Returns:
             The file, or None after `MAX_RECORDINGS` of them.
@@ -178,7 +179,7 @@ class Playback:
     # Time
 
     def play(self, playing: bool) -> None:
-        """Go on, or pause."""
+        """Continue, or pause."""
         self.paused, self.waiting = not playing, False
         if self.worlds:
             self._on_change()

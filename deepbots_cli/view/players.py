@@ -1,4 +1,4 @@
-"""The player of what is shown: of one world or a batch, of a recording, or of the log of a robot."""
+"""Players of one world or a batch, of a recording, or of the log of a robot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deepbots_cli.view.replay import ReplayPlayer
 
 
 def open_player(opened: ShowingState, driver: str | None = None) -> Player:
-    """A player of what is shown.
+    """Open a player of a shown source.
 
     Raises:
         ScenarioError, EngineError, UsageError: As for `Player`.
@@ -29,7 +29,7 @@ def open_player(opened: ShowingState, driver: str | None = None) -> Player:
 
 
 def closing_player(shown: Showing, driver: str | None) -> closing[Player]:
-    """A player of what is shown without a page, to be used in a `with` statement.
+    """Open a player of a shown source without a page, to be used in a `with` statement.
 
     Raises:
         ScenarioError: The scenario has errors.

@@ -32,28 +32,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUFFIXES = (".png", ".svg")
-_MAX_CURVE_POINTS = 200  # of a curve
-_MAX_MEANS = 20_000  # of a curve in a stage: with all of a million episodes, those of 20 endings take 400 MB
-_MAX_COLORED_ENDINGS = 20  # that have a color of their own
-_MAX_STAGES = 100  # that are marked
+_MAX_CURVE_POINTS = 200  # points of a curve
+# Per curve and stage. Without a limit, the means of 20 endings over a million episodes take 400 MB.
+_MAX_MEANS = 20_000
+_MAX_COLORED_ENDINGS = 20  # endings with their own color
+_MAX_STAGES = 100  # stages with a mark
 _LINE_STYLES = ("-", "--", "-.", ":")
 _MARKS = ("o", "s", "^", "v", "P", "X")
-_PANEL_WIDTH, _LETTER_WIDTH = 4.3, 0.068  # inches: of a panel, and of a letter in its legend
-_ROW_HEIGHT = 9  # points; of the names of stages above a panel
-_MAX_LINE, _MAX_TITLE_LINE = 58, 64  # letters of a name below a panel, and of its title
+_PANEL_WIDTH, _LETTER_WIDTH = 4.3, 0.068  # the width of a panel, and of a letter in its legend, in inches
+_ROW_HEIGHT = 9  # the height of the names of stages above a panel, in points
+_MAX_LINE, _MAX_TITLE_LINE = 58, 64  # the length of a name below a panel, and of its title, in letters
 THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
-"""Background, text and grid."""
+"""The colors of background, text and grid."""
 _EPISODE_COLUMNS = [
     *((name, float) for name in ("steps", "returns", "lengths", "successes")),
     *((name, object) for name in ("endings", "stages", "drawn")),
 ]
-_MAX_DRAWN, _MAX_DRAWN_LETTERS = 2_500, 1 << 23  # episodes whose drawn values are kept
+# The limits of the kept drawn values, in episodes and in letters.
+_MAX_DRAWN, _MAX_DRAWN_LETTERS = (
+    2_500,
+    1 << 23,
+)
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 
 
 class StageStart(NamedTuple):
-    """A stage of a curriculum, and after how many timesteps of the training it began."""
+    """A stage of a curriculum, and the number of timesteps of the training after which it began."""
 
     name: str
     steps: float
@@ -61,16 +66,16 @@ class StageStart(NamedTuple):
 
 @dataclass
 class TrainingLog:
-    """What is known of one training: curves; reward terms and shares of endings by name. `group` is the
+    """The curves and results of one training. Reward terms and shares of endings are by name. `group` is the
     scenario with its digest, and whether a recording teaches; `settings` are the values that `--set` changed,
-    and `name` is what its line is called.
+    and `name` is the name of its line.
 
-    `stages` are those of a curriculum that have begun. A curve has a nan where one of them begins: the next
-    stage is another task. `model_steps` are the steps after which the model of `evaluation` was saved, None
-    where this is not known. `evaluation_stages` are those in which the policy acted in `evaluations`, empty
-    for none. `teacher` is that of `teacher_of`, and `lessons` are its curves: `agreement`, `weight` of the
-    imitation loss, `driven_worlds` (their share), and its own `mean_return` and `success_rate`, of a script
-    from the starts of the evaluations.
+    `stages` are the stages of a curriculum that have begun. A curve has a nan where one of them begins,
+    because the next stage is another task. `model_steps` are the steps after which the model of `evaluation`
+    was saved, None if they are unknown. `evaluation_stages` are the stages in which the policy acted in
+    `evaluations`, empty for none. `teacher` is the result of `teacher_of`, and `lessons` are its curves:
+    `agreement`, `weight` of the imitation loss, `driven_worlds` (their share), and its own `mean_return` and
+    `success_rate`, of a script from the starts of the evaluations.
     """
 
     path: Path
@@ -99,7 +104,7 @@ def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLo
         window: The number of episodes that returns and successes are averaged over.
 
     Raises:
-        RunError: One is neither, is damaged, or holds no episode yet.
+        RunError: A path is neither, is damaged, or has no episode yet.
         MissingExtraError: TensorBoard is not installed.
     """
     logs = [
@@ -140,7 +145,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
         raise RunError(f"{path} contains no finished episode yet; plot it later")
     log.stages = stage_starts(record, episodes)
     log.returns = _averaged(episodes, episodes.returns, window, log.stages)
-    endings = episodes.endings  # as objects: as texts of numpy, each would take the memory of the longest
+    endings = episodes.endings  # as objects, because each text of numpy would take the memory of the longest
     common = [name for name, _ in Counter(endings).most_common(_MAX_COLORED_ENDINGS)]
     shares = {name or "unknown": endings == name for name in common} | {"others": ~np.isin(endings, common)}
     log.endings = {
@@ -180,7 +185,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
 
 
 def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
-    """When the stages of a training began: from its record, or else, while it goes on, with their first
+    """Return when the stages of a training began: from its record, or else, while it runs, with their first
     episode in `episodes`."""
     done = (
         {stage.name: float(max(0, min(stage.steps, 2**63))) for stage in record.result.stages}
@@ -197,7 +202,7 @@ def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
 
 
 def _read_tensorboard(path: Path) -> TrainingLog:
-    """What the learner writes."""
+    """Read the scalars that the learner writes."""
     if not path.is_dir():
         raise RunError(f"{path} is neither a run nor a folder of TensorBoard files")
     scalars = scalars_of(path)
@@ -216,8 +221,8 @@ def _read_tensorboard(path: Path) -> TrainingLog:
 
 
 def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
-    """The episodes of a training and its evaluations, both in order; a last line that is half written is left
-    out.
+    """Return the episodes of a training and its evaluations, both in order. A last line that is half written
+    is left out.
 
     Episodes are a record array with the timesteps at their end (`steps`), `returns`, `lengths`, `successes`
     (1 or 0), `endings`, `stages` of the curriculum ("" without one), and `drawn`, the drawn values of the
@@ -251,10 +256,10 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:
-    """The scalars of the TensorBoard files in a folder and those below, by tag.
+    """Return the scalars of the TensorBoard files in a folder and those below, by tag.
 
     Raises:
-        RunError: One is no regular file.
+        RunError: A file is not a regular file.
         MissingExtraError: TensorBoard is not installed.
     """
     files = sorted(path.glob("**/events.out.tfevents.*"))
@@ -282,8 +287,8 @@ def scalars_of(path: Path) -> dict[str, Curve]:
 
 
 def _averaged(episodes: Any, values: NDArray[np.float64], window: int, stages: Sequence[StageStart]) -> Curve:
-    """Means over so many episodes up to each, of each stage by itself; in a long stage, up to thousands of
-    them."""
+    """Return means over so many episodes up to each, for each stage by itself; in a long stage, up to
+    thousands of them."""
     pieces = []
     for start, following in zip(
         stages or [StageStart("", 0.0)], [*stages[1:], StageStart("", np.inf)], strict=True
@@ -305,7 +310,7 @@ def _averaged(episodes: Any, values: NDArray[np.float64], window: int, stages: S
 
 
 def _with_breaks(curve: Curve, stages: Sequence[StageStart]) -> Curve:
-    """A curve with a nan where each stage but the first begins."""
+    """Return a curve with a nan where each stage but the first begins."""
     at, values = curve
     for start in stages[1:]:
         place = int(np.searchsorted(at, start.steps, side="right"))
@@ -317,18 +322,18 @@ def _with_breaks(curve: Curve, stages: Sequence[StageStart]) -> Curve:
 def import_matplotlib() -> None:
     """Import matplotlib with its default settings.
 
-    It reads the file `matplotlibrc` of the current folder, which may be a stranger's: such a file can make it
-    run LaTeX.
+    By default it reads the file `matplotlibrc` of the current folder. This file may be a stranger's, and can
+    make it run LaTeX.
     """
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # what it does not know in such a file
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # unknown entries in such a file are not reported
     import matplotlib
 
     matplotlib.rcdefaults()
 
 
 def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
-    """A figure of trainings: those of one scenario are one line, the mean of its seeds, with a band from the
-    lowest to the highest seed.
+    """Draw a figure of trainings. Those of one scenario are one line, the mean of its seeds, with a band from
+    the lowest to the highest seed.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -392,7 +397,8 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
 def _plot_group(
     returns: Axes, successes: Axes, members: Sequence[TrainingLog], number: int, *, is_only: bool
 ) -> None:
-    """Returns and success rates of the trainings of a scenario, which is the only one or has this number."""
+    """Plot returns and success rates of the trainings of a scenario, which is the only one or has this
+    number."""
     name, color = members[0].name, COLORS[number]
     label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
     style: dict[str, Any] = {
@@ -420,7 +426,7 @@ def _remove_right(row: Any) -> None:
 
 
 def term_styles(logs: Sequence[TrainingLog]) -> dict[str, dict[str, Any]]:
-    """The style of the line of each reward term, the same wherever it is drawn."""
+    """Return the style of the line of each reward term, the same wherever it is drawn."""
     terms = sorted({term for log in logs for term in log.terms})
     return {
         term: {
@@ -433,8 +439,8 @@ def term_styles(logs: Sequence[TrainingLog]) -> dict[str, dict[str, Any]]:
 
 
 def ending_colors(logs: Sequence[TrainingLog]) -> dict[str, str]:
-    """The color of each ending, the same wherever it is drawn; the most frequent endings come first, and
-    paler colors after the eighth."""
+    """Return the color of each ending, the same wherever it is drawn. The most frequent endings come first,
+    and colors are paler after the eighth."""
     shares = Counter[str]()
     for log in logs:
         shares.update({name: float(np.nanmean(curve[1])) for name, curve in log.endings.items()})
@@ -450,7 +456,7 @@ def _paler(color: str, rounds: int) -> str:
 
 
 def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:
-    """The mean of curves as far as all go, between the lowest and the highest."""
+    """Plot the mean of curves as far as all go, between the lowest and the highest."""
     curves = [(steps, values) for steps, values in curves if len(steps)]
     if not curves:
         return
@@ -466,7 +472,7 @@ def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) ->
 def plot_evaluations(
     panel: Axes, logs: Sequence[TrainingLog], color: str, label: str = "", *, successes: bool = False
 ) -> None:
-    """The evaluations during trainings: a dot each, and a mark of its own for each stage of a curriculum,
+    """Plot the evaluations during trainings: a dot each, and a different mark for each stage of a curriculum,
     which the legend names."""
     names = list(dict.fromkeys(start.name for log in logs for start in log.stages))
     evaluated = [
@@ -484,7 +490,7 @@ def plot_evaluations(
 
 
 def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingLog, color: str) -> None:
-    """A diamond at the step of the evaluated model, in the panel of returns and of success rates."""
+    """Plot a diamond at the step of the evaluated model, in the panel of returns and of success rates."""
     evaluation = log.evaluation
     if evaluation is None or log.returns is None:
         return
@@ -503,8 +509,7 @@ DECLINE_COLOR = "#c0392b"
 
 
 def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog) -> None:
-    """Where a training fell apart: a line at the fall, and how far it fell, in the panel of the measure of
-    the task."""
+    """Plot a line at the fall of a training, and its size, in the panel of the measure of the task."""
     fall = log.decline
     panel = successes if fall is not None and fall.measure == "success_rate" else returns
     if fall is None or panel is None:
@@ -513,9 +518,8 @@ def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog)
     best, last = (
         f"{value:.0%}" if is_rate else f"{value:.4g}" for value in (fall.best_value, fall.last_value)
     )
-    is_late = (
-        log.returns is not None and fall.since_steps > 0.7 * log.returns[0][-1]
-    )  # the text has no room at its right
+    # A late line has no room for the text at its right.
+    is_late = log.returns is not None and fall.since_steps > 0.7 * log.returns[0][-1]
     panel.axvline(fall.since_steps, color=DECLINE_COLOR, linewidth=1.2, linestyle="--")
     panel.annotate(
         f"got worse: {best} to {last}",
@@ -530,7 +534,7 @@ def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog)
 
 
 def plot_teacher(panel: Axes, logs: Sequence[TrainingLog], name: str, color: str, label: str) -> None:
-    """The score of the teacher, a dotted line for each training: `name` is `mean_return` or
+    """Plot the score of the teacher, a dotted line for each training: `name` is `mean_return` or
     `success_rate`."""
     for log in logs:
         if name in log.lessons:
@@ -541,7 +545,7 @@ def plot_teacher(panel: Axes, logs: Sequence[TrainingLog], name: str, color: str
 
 
 def plot_lessons(panel: Axes, logs: Sequence[TrainingLog]) -> None:
-    """What a teacher does: agreement, weight and driven worlds, means over seeds."""
+    """Plot the agreement, weight and driven worlds of a teacher, means over seeds."""
     names = {"agreement": "agreement", "weight": "loss weight", "driven_worlds": "driven worlds"}
     for number, (name, label) in enumerate(names.items()):
         style = {"color": COLORS[number], "linestyle": _LINE_STYLES[number], "label": label}
@@ -550,7 +554,8 @@ def plot_lessons(panel: Axes, logs: Sequence[TrainingLog]) -> None:
 
 
 def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:
-    """Timesteps at equal distances, as far as all curves go, and those at which a curve has a break."""
+    """Return timesteps at equal distances, as far as all curves go, and those at which a curve has a
+    break."""
     first, last = max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves)
     last = max(last, curves[0][0][0] + 1)
     breaks = np.concatenate([steps[np.isnan(values)] for steps, values in curves])
@@ -558,7 +563,8 @@ def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:
 
 
 def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colors: Mapping[str, str]) -> None:
-    """How episodes end, as moving shares, means over seeds; `colors` are those of `ending_colors`."""
+    """Plot the endings of episodes, as moving shares, means over seeds; `colors` are those of
+    `ending_colors`."""
     curves = [curve for log in logs for curve in log.endings.values()]
     if not curves:
         return
@@ -583,10 +589,10 @@ def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colors: Mapping[str, 
 
 
 def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str) -> tuple[int, list[str]]:
-    """A line where each stage of a curriculum began, and its name above the panel, or its number where the
-    name has no room.
+    """Mark the beginning of each stage of a curriculum by a line, and its name above the panel, or its number
+    if the name does not fit.
 
-    Each group of trainings has a row of names. Returns the number of rows, and what the numbers mean.
+    Each group of trainings has a row of names. Returns the number of rows, and the meaning of the numbers.
     """
     (low, high), width = panel.get_xlim(), _PANEL_WIDTH
     rows, key = 0, list[str]()
@@ -636,6 +642,7 @@ def style_panel(
     ground, text, grid = THEMES[theme]
     panel.set_facecolor(ground)
     rows, key = mark_stages(panel, stages, theme)
+    # A `$` in a name would begin a formula.
     panel.set_title(
         textwrap.fill(title, _MAX_TITLE_LINE),
         fontsize=10,
@@ -643,7 +650,7 @@ def style_panel(
         loc="left",
         pad=6 + _ROW_HEIGHT * rows,
         parse_math=False,
-    )  # a name may hold a $
+    )
     below, beside = axes or (f"timesteps; stage {', '.join(key)}" if key else "timesteps", "")
     panel.set_xlabel(textwrap.fill(below, _MAX_LINE), fontsize=9, color=text, parse_math=False)
     panel.set_ylabel(beside, fontsize=9, color=text)
@@ -659,7 +666,8 @@ def style_panel(
 
 
 def _legend_below(panel: Axes, theme: str) -> float:
-    """A legend under the names of the axis; its height in inches. Long names take several lines."""
+    """Add a legend under the names of the axis, and return its height in inches. Long names take several
+    lines."""
     from matplotlib.transforms import ScaledTranslation
 
     handles, names = panel.get_legend_handles_labels()
@@ -669,9 +677,8 @@ def _legend_below(panel: Axes, theme: str) -> float:
     longest = max(len(line) for name in names for line in name.splitlines())
     columns = max(1, min(len(names), int(_PANEL_WIDTH / (0.5 + _LETTER_WIDTH * longest))))
     lines = max(name.count("\n") + 1 for name in names) * math.ceil(len(names) / columns)
-    room = 0.42 + 0.14 * panel.get_xlabel().count(
-        "\n"
-    )  # inches below the panel for numbers and name of the axis
+    # The room in inches below the panel for the numbers and the name of the axis.
+    room = 0.42 + 0.14 * panel.get_xlabel().count("\n")
     figure: Any = panel.figure
     place = panel.transAxes + ScaledTranslation(0.0, -room, figure.dpi_scale_trans)
     box = panel.legend(

@@ -2,12 +2,12 @@
 
     metadata `deepbots`           format, versions, engine, seed, driver, case and stage
     attachments                   resolved.yaml and inputs/: the scenario, from which a recording is compiled
-                                  when it is opened
+        when it is opened
     /episode                      its number and its seed
     /tf                           foxglove.FrameTransforms: the pose of every link
     /scan/ROBOT.SENSOR            foxglove.LaserScan, or foxglove.PointCloud where the rays are no fan
     /image/ROBOT.SENSOR           foxglove.CompressedImage
-    /message/ROBOT/DIRECTION      the message that its receiver goes by
+    /message/ROBOT/DIRECTION the message that its receiver uses
     /agent/NAME                   observation, action, reward, reward terms
     /world                        drawn values, joints, rays, readings, contacts, pushes, the ending
     /step                         the action in the action space, and hashes of the state
@@ -54,13 +54,13 @@ from deepbots_cli.view.frames import (
 )
 
 NS_PER_S = 1_000_000_000
-"""In ns, in which MCAP counts time."""
+"""Nanoseconds per second, because MCAP counts time in ns."""
 MAX_DRIVEN_BYTES = 1 << 28
-"""Of all steps of `DrivenEpisodes` before compression, so that the recording stays below the limits of those
-that are read. Half an hour of CartPole, or two hours of FindBall."""
-_MESSAGE_OVERHEAD_BYTES = 100  # in memory, as for a recording that is read
+"""The largest size of all steps of `DrivenEpisodes` before compression, so that the recording stays below the
+limits for reading. It is half an hour of CartPole, or two hours of FindBall."""
+_MESSAGE_OVERHEAD_BYTES = 100  # bytes in memory, as for a recording that is read
 _MAX_SIDE = 1024
-_MAX_NUMBER = 1e9  # of a position in m, and of the time in s: one more cannot be drawn
+_MAX_NUMBER = 1e9  # for positions in m and times in s; larger ones cannot be drawn
 _decode = msgspec.json.decode
 RecordedStep = tuple[int, Payloads]
 """The time of a step in ns, and its topics."""
@@ -82,7 +82,7 @@ def _stamp(time: int) -> dict[str, int]:
 
 
 def _packed(value: Any) -> dict[str, Any]:
-    """An action, or a part of one, to the bit."""
+    """Return an action, or a part of one, to the bit."""
     array = np.asarray(value)
     return {
         "dtype": str(array.dtype),
@@ -99,7 +99,7 @@ def _hash(*parts: bytes) -> str:
 
 
 def observation_hash(observation: Any) -> str:
-    """What `/step` keeps of an observation."""
+    """Return the hash of an observation in `/step`."""
     parts = observation.values() if isinstance(observation, dict) else [observation]
     return _hash(*(np.asarray(part).tobytes() for part in parts))
 
@@ -119,7 +119,7 @@ class TopicEncoder:
         self._scans = {key: _fan(beams) for key, beams in player.reader.layout.sensor_rays.items()}
 
     def encode(self, time: int, number: int, seed: int) -> dict[str, bytes]:
-        """The topics of the newest frame, encoded; `time` in ns."""
+        """Return the topics of the newest frame, encoded; `time` in ns."""
         player = self._player
         frame, layout, stamp = player.frame, player.reader.layout, _stamp(time)
         topics: dict[str, Any] = {} if frame.step else {"/episode": {"episode": number, "seed": seed}}
@@ -201,8 +201,8 @@ def _numbered(groups: Mapping[str, Sequence[float]]) -> dict[str, dict[str, floa
 
 
 def _fan(beams: SensorRays) -> tuple[Frame, float] | None:
-    """The frame of rays that lie in a plane at equal angles, the first along x, and the angle (rad) between
-    two; None for others."""
+    """Return the frame of rays that lie in a plane at equal angles, the first along x, and the angle (rad)
+    between two; None for others."""
     starts, ways = beams.starts, beams.directions
     if len(ways) < 3 or not np.allclose(starts, starts[0]):
         return None
@@ -228,7 +228,7 @@ def _scan(
     turned: Quaternion,
     stamp: Any,
 ) -> dict[str, Any]:
-    """A scan in the frame of its link, which is `turned` in the world."""
+    """Return a scan in the frame of its link, which is `turned` in the world."""
     head = {"timestamp": stamp, "frame_id": "/".join(beams.part)}
     if fan is not None:
         pose, step = fan
@@ -242,9 +242,8 @@ def _scan(
         }
     level = ((0.0, 0.0, 0.0), frames.multiply(frames.inverse(turned), frames.leveled(turned)))
     points = (beams.starts + np.array(free)[:, None] * beams.directions).astype("<f4")
-    fields = [
-        {"name": axis, "offset": 4 * place, "type": 7} for place, axis in enumerate("xyz")
-    ]  # 7: FLOAT32
+    # The type 7 is FLOAT32.
+    fields = [{"name": axis, "offset": 4 * place, "type": 7} for place, axis in enumerate("xyz")]
     return {
         **head,
         "pose": _pose(level if beams.upright else frames.IDENTITY_FRAME),
@@ -273,7 +272,7 @@ def _type_of(topic: str, content: Mapping[str, Any]) -> str:
 
 
 def _schema_of(value: Any, key: str = "") -> dict[str, Any]:
-    """The JSON Schema of what such a value is."""
+    """Return the JSON Schema of a value."""
     if isinstance(value, dict):
         return {
             "type": "object",
@@ -310,7 +309,7 @@ class RecordingWriter:
             self.mcap.add_attachment(0, 0, name, "application/octet-stream", content)
 
     def encoded(self, number: int) -> RecordedStep:
-        """The newest frame of the player, as a step of the episode that is written next."""
+        """Return the newest frame of the player, as a step of the episode that is written next."""
         time = self._begun + round(self._player.frame.time * NS_PER_S)
         return time, self._encoder.encode(time, number, self._player.seed)
 
@@ -337,7 +336,7 @@ def record(
     *,
     steps: int | None = None,
 ) -> list[WorldFrame]:
-    """Record episodes of a seed in a new file; the last frame of each.
+    """Record episodes of a seed in a new file. Yields the last frame of each.
 
     Args:
         path: Replaced whole, at the end.
@@ -363,11 +362,12 @@ class DrivenEpisodes:
     them.
 
     They are numbered from 0 in the order in which they ended, since a person may drive one start twice.
-    `ends` holds their last frames. The encoded episodes stay in memory, up to `MAX_DRIVEN_BYTES`.
+    `ends` has their last frames. The encoded episodes stay in memory, up to `MAX_DRIVEN_BYTES`.
     """
 
     def __init__(self, player: Player, path: Path, seed: int) -> None:
-        """Write nothing yet: a recording has at least one episode.
+        """Check that episodes can be written. Nothing is written yet, because a recording has at least one
+        episode.
 
         Raises:
             MissingExtraError: mcap is not installed.
@@ -420,9 +420,8 @@ class DrivenEpisodes:
         """
         if not self._has_unsaved:
             return
-        mcap, stream = deepcopy(
-            (self._writer.mcap, self._stream)
-        )  # an MCAP file that is finished takes no more episodes
+        # A copy is finished, because a finished MCAP file takes no more episodes.
+        mcap, stream = deepcopy((self._writer.mcap, self._stream))
         mcap.finish()
         with atomic_write(self.path) as draft:
             draft.write_bytes(stream.getbuffer())
@@ -430,7 +429,7 @@ class DrivenEpisodes:
 
     @property
     def note(self) -> str:
-        """What the person should know, in a line."""
+        """A note for the person who drives, in a line."""
         kept = f"{len(self.ends)} episode{'s' * (len(self.ends) != 1)} recorded in {self.path.name}"
         if self.is_full:
             return f"{kept}; it takes no more, since the next one goes beyond {MAX_DRIVEN_BYTES >> 20} MiB"
@@ -458,7 +457,7 @@ def _metadata(player: Player, seed: int, digest: str) -> dict[str, str]:
 
 
 def versions() -> dict[str, str]:
-    """Of what an episode depends on."""
+    """Return the versions of everything on which an episode depends."""
     installed = {
         "deepbots": deepbots_cli.__version__,
         "platform": platform.platform(),
@@ -474,18 +473,18 @@ def versions() -> dict[str, str]:
 
 
 def _floats(values: Mapping[str, Any], names: Sequence[str] | None = None) -> tuple[float, ...]:
-    """The numbers of an object, which must have these names."""
+    """Return the numbers of an object, which must have these names."""
     if names is not None and list(values) != list(names):
         raise ValueError(list(values))
     return tuple(math.nan if value is None else float(value) for value in values.values())
 
 
 def read_frame(topics: Payloads, layout: FrameLayout) -> WorldFrame:
-    """A step as a frame.
+    """Read a step as a frame.
 
     Raises:
         msgspec.MsgspecError, LookupError, TypeError, ValueError, AttributeError, OSError, OverflowError,
-        RecursionError: It is not as `TopicEncoder` describes one.
+        RecursionError: The step is not as `TopicEncoder` describes one.
     """
     world = _decode(topics["/world"])
     if not 0 <= float(world["time"]) <= _MAX_NUMBER:
@@ -525,7 +524,7 @@ def read_frame(topics: Payloads, layout: FrameLayout) -> WorldFrame:
 
 
 def _link_frames(topics: Payloads, layout: FrameLayout) -> dict[LinkName, Frame]:
-    """The frames of all links, which must be those of the robots at least."""
+    """Return the frames of all links, which must include those of the robots."""
     links = dict[LinkName, Frame]()
     for each in _decode(topics["/tf"])["transforms"]:
         links[_link(each["child_frame_id"])] = cast(

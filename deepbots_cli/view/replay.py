@@ -21,8 +21,8 @@ from deepbots_cli.view.recordings import NS_PER_S, TopicEncoder, read_frame, ver
 
 
 class ReplayPlayer(Player):
-    """Plays a recording: frames come from the file, and the environment holds the world that they are drawn
-    in."""
+    """Plays a recording: frames come from the file, and the environment provides the world in which they are
+    drawn."""
 
     _recorded: RecordedEpisode | LoggedEpisode
 
@@ -39,17 +39,17 @@ class ReplayPlayer(Player):
         super().__init__(opened, RECORDED)
 
     def set_driver(self, name: str) -> None:
-        """Nothing: a recording has its actions."""
+        """Do nothing, because a recording has its actions."""
         self.driver_name = name
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
-        """The first frame of an episode of the recording; `seed` is that of the recording."""
+        """Return the first frame of an episode of the recording; `seed` is that of the recording."""
         self._recorded = self.recording.episode(self._numbers[0] if episode == 0 else episode)
-        self.env.reset(seed=self._recorded.seed)  # colors and light, which frames do not hold
+        self.env.reset(seed=self._recorded.seed)  # colors and light are not part of frames
         return self.seek(0)
 
     def next_episode(self, episode: int) -> int:
-        """The number of the next episode; after the last comes the first."""
+        """Return the number of the next episode; after the last comes the first."""
         return self._numbers[(self._numbers.index(self._recorded.number) + 1) % len(self._numbers)]
 
     @property
@@ -67,14 +67,14 @@ class ReplayPlayer(Player):
         return self.seek(self._place + 1)
 
     def last_frames(self, count: int) -> list[WorldFrame]:
-        """At most so many frames up to the present one."""
+        """Return at most so many frames up to the present one."""
         return [
             self._read(self._recorded.number, place)
             for place in range(max(0, self._place + 1 - count), self._place + 1)
         ]
 
     def shortest_paths(self) -> list[list[tuple[float, float]]]:
-        """Nothing: frames do not hold them."""
+        """Return nothing, because frames have no paths."""
         return []
 
     def view(self, width: int, height: int) -> View:
@@ -107,7 +107,8 @@ class ReplayPlayer(Player):
 
 
 class Divergence(NamedTuple):
-    """Where a replay first differs: `recorded` and `now` are texts, and empty where only hashes are known."""
+    """The first difference of a replay. `recorded` and `now` are texts, and empty if only hashes are
+    known."""
 
     episode: int
     step: int
@@ -117,7 +118,7 @@ class Divergence(NamedTuple):
 
 
 def observation_hash_at(recording: Recording, recorded: RecordedEpisode, place: int) -> str:
-    """The hash of the observation after so many steps."""
+    """Return the hash of the observation after so many steps."""
     with damaged(recording.path):
         return msgspec.convert(msgspec.json.decode(recorded.steps[place]["/step"])["observation"], str)
 
@@ -129,8 +130,8 @@ def verify(
     *,
     tolerance: float = 0.0,
 ) -> Divergence | None:
-    """Run the episodes of a recording again, with its seeds and actions, and compare every step; None where
-    all are the same.
+    """Run the episodes of a recording again, with its seeds and actions, and compare every step. None if all
+    are the same.
 
     Args:
         on_episode: Called after each episode with the number of episodes that are done.
@@ -180,7 +181,7 @@ def verify(
 
 
 def version_changes(recording: Recording) -> list[str]:
-    """Versions that differ from those of the recording, a sentence each."""
+    """Return the versions that differ from those of the recording, a sentence each."""
     return [
         f"{name} was {old} when this was recorded, and is {new} now"
         for name, new in versions().items()
@@ -189,7 +190,7 @@ def version_changes(recording: Recording) -> list[str]:
 
 
 def _topic_rank(topic: str) -> int:
-    """What comes first in a step."""
+    """Return the rank of a topic in a step."""
     kind = "/to_robot" if topic.endswith("/to_robot") else topic.split("/")[1]
     return ("episode", "/to_robot", "world", "tf", "scan", "message", "agent", "step", "image").index(kind)
 
@@ -199,7 +200,8 @@ _EXACT_PARTS = {"/step": ("hash", "velocities", "observation", "images", "random
 
 
 def _difference(where: str, recorded: Any, now: Any, tolerance: float) -> tuple[str, str, str] | None:
-    """The first part of a topic that differs, by its path, with its values; None where all are the same."""
+    """Return the first part of a topic that differs, by its path, with its values; None if all are the
+    same."""
     if isinstance(recorded, dict) and isinstance(now, dict):
         parts = [
             (

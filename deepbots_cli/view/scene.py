@@ -1,7 +1,7 @@
-"""The world in viser's scene: bodies are made once, and moved as frames say.
+"""The world in viser's scene. Bodies are created once, and move with each frame.
 
 Geometry is put below the frames of links, and only those frames move: a busy browser shows new poses at once
-and new geometry late. Links that fixed joints hold together are one node.
+and new geometry late. Links that are connected by fixed joints are one node.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
 GROUND_COLOR: Color = (0.95, 0.955, 0.965, 1.0)
 _DEFAULT_COLOR: Color = (0.72, 0.74, 0.78, 1.0)
-_MAX_CELLS = 120  # of a terrain along either side
-_MAX_PATH = 2000  # points
+_MAX_CELLS = 120  # the largest number of cells of a terrain along a side
+_MAX_PATH = 2000  # the largest number of points
 _MIN_BRIGHTNESS = 0.55  # the brightness of the lowest place of a terrain
-_EDGE_ANGLE = math.radians(35)  # edges that are sharper are drawn as edges
+_EDGE_ANGLE = math.radians(35)  # sharper edges are drawn
 
 Points = NDArray[np.float32]
 
@@ -48,18 +48,18 @@ Points = NDArray[np.float32]
 
 @lru_cache(maxsize=128)
 def triangles(mesh: Mesh) -> Any:
-    """The triangles of a mesh file, scaled, in m. They are kept: a world that begins again has the same
-    meshes, of which each takes 0.5 s.
+    """Return the triangles of a mesh file, scaled, in m. They are cached, because a world that begins again
+    has the same meshes, and each takes 0.5 s.
 
     Raises:
-        EngineError: The file has gone or changed, or cannot be read.
+        EngineError: The file was removed or changed, or cannot be read.
     """
     import trimesh
 
     data, kind = read_verified(mesh), Path(mesh.path).suffix[1:].lower()
     try:
         loaded = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True).to_mesh()
-    except Exception as error:  # the readers of trimesh raise many kinds
+    except Exception as error:  # the readers of trimesh raise many kinds of exceptions
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
     unit = re.search(rb'<unit[^>]*meter="([0-9.eE+-]+)"', data[:20_000]) if kind == "dae" else None
     loaded.apply_scale(np.asarray(mesh.scale) * (float(unit[1]) if unit else 1.0))
@@ -68,16 +68,16 @@ def triangles(mesh: Mesh) -> Any:
 
 
 def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
-    """For each link the first link of the links that fixed joints hold together, and the pose of the link in
-    the frame of that one."""
+    """Return, for each link, the first link of its group that fixed joints connect, and the pose of the link
+    in the frame of this first link."""
     held = {joint.child for joint in model.joints if joint.type == "fixed"}
     heads = [link.name for link in model.links if link.name not in held]
     return {link: (head, pose) for head in heads for link, pose in objects.rigid_group(model, head).items()}
 
 
 def stroke_triangles(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
-    """A painted line as triangles just above the ground: a rectangle for each piece, longer by half a width
-    at both ends."""
+    """Return a painted line as triangles just above the ground: a rectangle for each piece, longer by half a
+    width at both ends."""
     corners, half = [], line.width / 2
     for (x, y), (x_end, y_end) in line.pieces:
         length = math.hypot(x_end - x, y_end - y) or 1.0
@@ -96,7 +96,7 @@ def stroke_triangles(line: Line, height: float) -> tuple[Points, NDArray[np.int3
 
 
 def _contour(relief: geometry.HeightGrid, above: float) -> Points:
-    """Line segments (n, 2, 3) along every fifth row and column of a relief, a little above it."""
+    """Return line segments (n, 2, 3) along every fifth row and column of a relief, a little above it."""
     rows, columns = relief.heights.shape
     points = relief.triangles()[0].reshape(rows, columns, 3) + np.array([0.0, 0.0, above])
     parts = [
@@ -106,7 +106,7 @@ def _contour(relief: geometry.HeightGrid, above: float) -> Points:
 
 
 def shaded_mesh(vertices: Any, faces: Any, color: Color) -> Any:
-    """A surface that is darker where it is lower: light alone hardly shows a hollow that is seen from
+    """Return a surface that is darker where it is lower, because light alone hardly shows a hollow from
     above."""
     import trimesh
 
@@ -126,8 +126,8 @@ def _rgb(color: Color) -> tuple[int, int, int]:
 
 
 def aim_camera(server: viser.ViserServer, view: View) -> float:
-    """Light the scene, and look at it from a view until a person moves the camera; how far away (m) that
-    is."""
+    """Light the scene, and look at it from a view until a person moves the camera. Returns the distance in
+    m."""
     camera, size = server.initial_camera, math.dist(view.eye, view.target)
     camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
     camera.near, camera.far = max(0.002, size / 200), 60 * size
@@ -140,7 +140,7 @@ class SceneCameras:
     """Fits the camera of each browser to the scene when it is opened or resized."""
 
     def __init__(self, server: viser.ViserServer, queue: Callable[[Callable[[], None]], None]) -> None:
-        """`queue` runs a function in the thread of the page."""
+        """Follow the clients of a server. `queue` runs a function in the thread of the page."""
         self._server = server
         self._boxes: Sequence[tuple[Triple, Triple]] = ()
         self._fitted: dict[int, dict[tuple[int, int], Triple]] = {}
@@ -150,7 +150,7 @@ class SceneCameras:
         server.on_client_disconnect(lambda client: self._fitted.pop(client.client_id, None))
 
     def aim(self, boxes: Sequence[tuple[Triple, Triple]]) -> float:
-        """Look at the scene within these boxes (lowest and highest corner, m); how far away (m) that is."""
+        """Look at the scene within these boxes (lowest and highest corner, m). Returns the distance in m."""
         self._boxes = boxes
         return aim_camera(self._server, view_around(boxes, 480, 400))  # a usual window beside the panel
 
@@ -174,8 +174,8 @@ class SceneCameras:
 
 
 class WorldScene:
-    """One world below the node `root`. `set_frame` gives it a frame, `draw` shows the world between the last
-    two frames."""
+    """A world below the node `root`. `set_frame` sets the newest frame, and `draw` shows the world between
+    the last two frames."""
 
     def __init__(
         self,
@@ -187,8 +187,8 @@ class WorldScene:
         root: str = "/world",
         place: Triple = ZERO_VECTOR,
     ) -> None:
-        """`size` is the distance (m) from which the world is seen; marks are as large as it asks for. `place`
-        is where its origin is."""
+        """Create the nodes of a world. `size` is the distance (m) from which the world is seen, which
+        determines the size of marks. `place` is the place of its origin."""
         self._scene, self._layout, self._root, self._size, self._place = scene, layout, root, size, place
         self._anchor = scene.add_frame(root, show_axes=False, position=place)
         self.follows = False
@@ -200,8 +200,8 @@ class WorldScene:
         self._goals: dict[tuple[str, str], Any] = {}
         shown, hidden = ("rays", "contacts", "goal", "shortest path"), ("path", "names", "axes")
         self.visible_parts = dict.fromkeys(shown, True) | dict.fromkeys(hidden, False)
-        """What a person may show and hide. `shortest path` is that of `path_distance`, `path` the robot's or
-        its end link's."""
+        """The parts that a person can show and hide. `shortest path` is that of `path_distance`, `path` that
+        of the robot or its end link."""
         self._build_surroundings(world)
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
@@ -241,9 +241,8 @@ class WorldScene:
             if relief is not None:
                 surface = relief.with_at_most(_MAX_CELLS).triangles()
                 contour = _contour(relief.with_at_most(_MAX_CELLS), 0.001 * self._size)
-                self._add_lines(
-                    f"{root}/contour", contour, 110, thickness=1.0
-                )  # a smooth relief of one color is hard to see
+                # A smooth relief of one color is hard to see.
+                self._add_lines(f"{root}/contour", contour, 110, thickness=1.0)
             else:
                 assert isinstance(world.terrain.shape, Mesh)  # all others are grids
                 solid = triangles(world.terrain.shape)
@@ -310,10 +309,9 @@ class WorldScene:
     def _add_lines(
         self, name: str, points: Points, color: int = 0, *, thickness: float = 2.0, **options: Any
     ) -> Any:
-        """Line segments (n, 2, 3), `thickness` in pixels."""
-        colors = np.full(
-            points.shape, color, np.uint8
-        )  # one color for all lines, later replaced by an array, would hide them
+        """Add line segments (n, 2, 3), `thickness` in pixels."""
+        # A single color for all lines, later replaced by an array, would hide them.
+        colors = np.full(points.shape, color, np.uint8)
         return self._scene.add_line_segments(
             name, points, colors, thickness=thickness, thickness_units="screen", **options
         )
@@ -338,7 +336,7 @@ class WorldScene:
         )
 
     def _add(self, name: str, geometry: Geometry, within: frames.Frame) -> Any:
-        """A shape at its place below a node."""
+        """Add a shape at its place below a node."""
         scene, shape, color = self._scene, geometry.shape, geometry.color or _DEFAULT_COLOR
         place, turn = frames.compose(within, frames.frame(geometry.origin))
         options: dict[str, Any] = {
@@ -385,7 +383,7 @@ class WorldScene:
     # Moved with every frame
 
     def set_frame(self, frame: WorldFrame, *, after_reset: bool = False) -> None:
-        """Show `frame` from now on; `after_reset` says that nothing moves on from the frame before."""
+        """Show `frame` from now on. With `after_reset`, nothing is interpolated from the frame before."""
         rows = np.full((len(self._parts), 7), np.nan)
         for row, part in enumerate(self._parts):
             pose = frame.links.get(part)
@@ -412,7 +410,7 @@ class WorldScene:
         self._mark(frame)
 
     def draw(self, share: float) -> None:
-        """Move what has moved to `share` (0 to 1) of the way from the frame before to the newest."""
+        """Move the world to `share` (0 to 1) of the way from the frame before to the newest."""
         rows = self._before + share * (self._now - self._before)
         rows[:, 3:] /= np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
         changed = np.flatnonzero((rows != self._sent).any(axis=1) & ~np.isnan(rows[:, 0]))
@@ -447,7 +445,7 @@ class WorldScene:
         lines.visible = bool(pieces)
 
     def _mark(self, frame: WorldFrame) -> None:
-        """Contacts, pushes and the path."""
+        """Mark contacts, pushes and the path."""
         self._mark_contacts(frame)
         self._mark_goal(frame)
         force = next(iter(frame.pushes), None)
@@ -463,7 +461,7 @@ class WorldScene:
         )
 
     def _mark_goal(self, frame: WorldFrame) -> None:
-        """A point that is to be reached, and the one that is."""
+        """Mark a point to be reached, and the achieved one."""
         words = {"desired": ((0, 158, 115), 0.02), "achieved": ((0, 114, 178), 0.01)}
         for (word, (color, radius)), (name, agent) in product(words.items(), frame.agents.items()):
             point = self._layout.goal_point(agent, word)

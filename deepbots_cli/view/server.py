@@ -1,14 +1,12 @@
 """The web server of a page: viser's, behind checks that it lacks.
 
-    Host       must be the host and port that the server listens on, so that no other site can reach it by a
-               name of its own
+    Host       must be the host and port of the server, so that no other site can reach it by another name
     Origin     of a web socket must be this server
-    token      asked for where the server listens beyond loopback, and where the page writes files; the first
-               request carries it, a cookie
-               keeps it
+    token      is required beyond loopback, and for a page that writes files; the first request sends it, and
+               a cookie keeps it
     paths      `/` is the page, `/drive` takes keys and gamepads; no file is served
-    messages   at most 1 MB; what cannot be read closes the connection and is not logged; a value that a
-               control does not offer is ignored
+    messages   have at most 1 MB; a message that cannot be read closes the connection and is not logged; a
+               value that a control does not offer is ignored
 
 viser has no place for such checks, so its websocket server is wrapped while a `ViserServer` is made. `viser`
 is pinned to 1.1 for this.
@@ -42,10 +40,10 @@ if TYPE_CHECKING:
 MAX_MESSAGE_BYTES = 1 << 20
 LOOPBACK = "127.0.0.1"
 FIRST_PORT = 8787
-"""Of the first page; a page without a chosen port takes the next free one."""
+"""The port of the first page. A page without a chosen port takes the next free one."""
 _MAX_PORTS = 20
 _MAX_NUMBER, _MAX_TEXT = 2**53, 1_000
-"""Of the value of a control that has no limits of its own."""
+"""The limits of the value of a control that has no limits of its own."""
 
 _CONTENT_SECURITY_POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws:"
@@ -89,16 +87,15 @@ OnDrive = Callable[[Keys, Axes], None]
 def serve(
     host: str, port: int | None, label: str, on_drive: OnDrive, *, writes: bool = False
 ) -> tuple[viser.ViserServer, str]:
-    """Start the server in a thread of its own; it and the address of the page, with the token where there is
-    one.
+    """Start the server in a thread. Returns the server, and the address of the page with its token, if any.
 
     Args:
-        host: The address to listen on. Beyond loopback the page asks for a token.
+        host: The address to listen on. Beyond loopback the page requires a token.
         port: None takes the first free one from `FIRST_PORT` on, 0 any.
         label: The title of the page.
         on_drive: Called in the server's thread with the keys that are held and the axes of a gamepad.
-        writes: Whether the page can write files, so that it asks for a token on loopback too, which other
-            users of the machine reach.
+        writes: Whether the page can write files. It then requires a token on loopback too, because other
+            users of the machine can reach it.
 
     Raises:
         UsageError: The host is unknown, or the port is in use.
@@ -132,7 +129,8 @@ def stop(server: viser.ViserServer) -> None:
 
 
 def _plain_address(host: str) -> str:
-    """`127.0.0.1` for `127.1`, as the system reads it; a name stays as it is."""
+    """Return the plain form of an address as the system reads it, such as `127.0.0.1` for `127.1`; a name
+    stays as it is."""
     if host.split() == [host]:  # the system also reads a number before blanks
         with contextlib.suppress(OSError, UnicodeError):
             return socket.inet_ntoa(socket.inet_aton(host))
@@ -146,7 +144,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _is_offered(value: object, control: Any) -> bool:
-    """Whether a control can have this value: an option, a number in its range, or a text."""
+    """Return whether a control can have this value: an option, a number in its range, or a text."""
     options = getattr(control.props, "options", None)
     if options is not None:
         return isinstance(value, str) and value in options
@@ -156,15 +154,14 @@ def _is_offered(value: object, control: Any) -> bool:
         low, high = (getattr(control.props, end, None) for end in ("min", "max"))
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _MAX_NUMBER:
             return False
-        slack = (
-            1e-6 * abs(high - low) if low is not None and high is not None else 0.0
-        )  # of the steps of a slider
+        # A slider rounds its value to its steps.
+        slack = 1e-6 * abs(high - low) if low is not None and high is not None else 0.0
         return (low is None or value >= low - slack) and (high is None or value <= high + slack)
     return isinstance(value, str) and isinstance(control.value, str) and len(value) <= _MAX_TEXT
 
 
 def _free_port(host: str, port: int | None) -> int:
-    """A port that can be listened on; viser would silently take another one than the chosen one."""
+    """Return a port that can be listened on; viser would silently take another one than the chosen one."""
     for number in [port] if port is not None else range(FIRST_PORT, FIRST_PORT + _MAX_PORTS):
         try:
             family, kind, _, _, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
@@ -195,7 +192,7 @@ def _free_port(host: str, port: int | None) -> int:
 
 @contextlib.contextmanager
 def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
-    """Within, a `ViserServer` is made with the checks."""
+    """Context in which a new `ViserServer` gets the checks."""
     import viser
     import websockets.asyncio.server as wire
 
@@ -205,9 +202,8 @@ def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
 
     def guarded(handler: Any, host_: str, port: int, *, process_request: Any, **options: Any) -> Any:
         async def handle(connection: Any) -> None:
-            asyncio.get_running_loop().set_exception_handler(
-                lambda loop, context: None
-            )  # rubbish from a client is no news
+            # Malformed messages of clients are not logged.
+            asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)
             with contextlib.suppress(Exception):
                 if connection.request.path == "/drive":
                     async for text in connection:
@@ -229,7 +225,7 @@ def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
 
 
 def _check(request: Any, host: str, port: int, token: str, page: bytes, protocol: str) -> Response | None:
-    """The answer to a request; None lets a web socket open."""
+    """Return the answer to a request; None lets a web socket open."""
     path, _, query = request.path.partition("?")
     asked, origin = request.headers.get("Host", ""), request.headers.get("Origin")
     upgrade = request.headers.get("Upgrade", "").lower() == "websocket"
@@ -263,8 +259,8 @@ def _check(request: Any, host: str, port: int, token: str, page: bytes, protocol
 
 
 def _may_be_called(asked: str, host: str, port: int) -> bool:
-    """Whether a Host header names this server. Beyond loopback, where the token counts, addresses and the
-    name of the machine do too."""
+    """Return whether a Host header names this server. Beyond loopback, where the token protects the page,
+    addresses and the name of the machine are accepted too."""
     name, _, number = asked.rpartition(":")
     if number != str(port):
         return False
@@ -293,11 +289,11 @@ def _answer(status: int, reason: str, body: bytes, **headers: str) -> Response:
 
 
 def _read_drive(text: Any) -> tuple[Keys, Axes]:
-    """The keys that are held and the axes of a gamepad, from -1 to 1, of a message `KeyW+KeyA|0.5,-1`; an
-    axis that is no number is 0.
+    """Read the held keys and the axes of a gamepad, from -1 to 1, from a message such as `KeyW+KeyA|0.5,-1`.
+    An axis that is no number is 0.
 
     Raises:
-        ValueError: It is no such message.
+        ValueError: The text is not such a message.
     """
     if not isinstance(text, str) or len(text) > 300:
         raise ValueError(text)

@@ -1,9 +1,9 @@
-"""Trajectories: what moves in an episode, and where it went, for pictures and reports.
+"""Trajectories: the moving parts of an episode and their paths, for pictures and reports.
 
-What moves is what the task is about: the bodies that the goal or a success reads, those that the reward
-reads, those that a failure or the observation reads, and then the other robots. A free robot moves as its
-root link. A robot with a fixed base moves as the links that the goal or a success reads, or else as the first
-link that the task reads and that moves, or else as the link that goes farthest.
+The parts are chosen by the task: the bodies that the goal or a success reads, those that the reward reads,
+those that a failure or the observation reads, and then the other robots. A free robot moves as its root link.
+A robot with a fixed base moves as the links that the goal or a success reads, or else as the first link that
+the task reads and that moves, or else as the link that goes farthest.
 """
 
 from __future__ import annotations
@@ -22,18 +22,17 @@ from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
 
 Positions = Mapping[LinkName, NDArray[np.float64]]
-"""Where each link of each body was, step by step: shape (n, 3) in m, nan while it was absent. `("", agent)`
-is what an agent desires."""
+"""The position of each link of each body, step by step: shape (n, 3) in m, nan while it was absent. The key
+`("", agent)` is the goal of an agent."""
 
 MAX_TRAJECTORIES = 8
-_MIN_EXTENT_M = 1e-3  # m; what goes less far stands still
-_MIN_SHARE = 0.02  # of the longest trajectory; a shorter one is a dot
-_MIN_SHARE_OF_ROBOT = 0.1  # of the way of the link that goes farthest
+_MIN_EXTENT_M = 1e-3  # m; a part that moves less stands still
+_MIN_SHARE = 0.02  # share of the longest trajectory; a shorter one is a dot
+_MIN_SHARE_OF_ROBOT = 0.1  # share of the path of the link that goes farthest
 
 
 class Moving(NamedTuple):
-    """What is drawn of an episode: the parts that move, the one that the task is about first, and what they
-    are to reach."""
+    """The drawn parts of an episode: the parts that move, the one of the task first, and their goals."""
 
     parts: tuple[LinkName, ...]
     targets: tuple[LinkName, ...]
@@ -42,7 +41,7 @@ class Moving(NamedTuple):
 class _Subject(NamedTuple):
     """A body, and one of its links or joints (empty for the body as a whole), that the task reads.
 
-    `rank` is 0 for what the goal or a success reads, 1 for the reward, 2 for anything else.
+    `rank` is 0 for a part that the goal or a success reads, 1 for the reward, 2 for anything else.
     """
 
     body: str
@@ -51,7 +50,7 @@ class _Subject(NamedTuple):
 
 
 def read_positions(layout: FrameLayout, frames: Iterable[WorldFrame]) -> Positions:
-    """The positions of all links and of the desired goals in the frames of an episode."""
+    """Return the positions of all links and of the desired goals in the frames of an episode."""
     rows = []
     for frame in frames:
         goals = {("", name): layout.goal_point(agent, "desired") for name, agent in frame.agents.items()}
@@ -67,8 +66,8 @@ def read_positions(layout: FrameLayout, frames: Iterable[WorldFrame]) -> Positio
 
 
 def find_moving(program: Program, world: WorldModel, episodes: Sequence[Positions]) -> Moving:
-    """What moves in at least one of these episodes of a program; `world` is that of the environment, with all
-    copies of a robot."""
+    """Return the parts that move in at least one of these episodes of a program. `world` is the world of the
+    environment, with all copies of a robot."""
     parts = dict.fromkeys(part for each in episodes for part in each)
     extents = {part: max(_extent(each[part]) for each in episodes if part in each) for part in parts}
     analysis = Analysis(program).ideal
@@ -92,9 +91,8 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
     moving = [part for part in candidates if extents[part] >= least] or candidates[:1]
     objects = {thing.name.partition("#")[0] for thing in world.objects}
     rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
-    failures = [
-        value for value in program.endings if value.name in program.failures
-    ]  # they read walls that must not be touched
+    # Failures often read walls that must not be touched.
+    failures = [value for value in program.endings if value.name in program.failures]
     avoided = {body for value in failures for body, _ in _read_by(analysis, value)} if rank else set()
     reached = {subject.body for subject in subjects if subject.rank == rank < 2} - avoided
     standing = [
@@ -107,26 +105,26 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
 
 
 def describe(world: WorldModel, part: LinkName) -> str:
-    """`block`, `epuck`, `panda.panda_hand` or `goal`; a copy of a robot or an object is called as the
-    scenario calls it."""
+    """Return the name of a part, such as `block`, `epuck`, `panda.panda_hand` or `goal`. A copy of a robot or
+    an object has the name in the scenario."""
     body, link = (name.partition("#")[0] for name in part)
     robot = next((robot for robot in world.robots if robot.name.partition("#")[0] == body), None)
     return f"{body}.{link}" if robot is not None and robot.fixed_base else body or "goal"
 
 
 def has_moved(points: NDArray[np.float64]) -> bool:
-    """Whether positions (n, 3) differ by more than 1 mm."""
+    """Return whether positions (n, 3) differ by more than 1 mm."""
     return _extent(points) >= _MIN_EXTENT_M
 
 
 def _extent(points: NDArray[np.float64]) -> float:
-    """The diagonal of the box around positions, m."""
+    """Return the diagonal of the box around positions, m."""
     drawn = points[~np.isnan(points[:, 0])]
     return float(np.linalg.norm(np.ptp(drawn, axis=0))) if len(drawn) else 0.0
 
 
 def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
-    """What the task reads, each once, in the order of the module's docstring."""
+    """Return the parts that the task reads, each once, in the order of the module's docstring."""
     agent = program.agent
     endings = [(0 if ending.name in agent.success else 2, ending) for ending in program.endings]
     goals = [(0, agent.goal.achieved), (2, agent.goal.desired)] if agent.goal else []
@@ -144,7 +142,8 @@ def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
 
 
 def _read_by(analysis: Analysis, value: Expression) -> Iterator[tuple[str, str]]:
-    """The bodies that an expression reads, each with its link or joint (empty for the body as a whole)."""
+    """Yield the bodies that an expression reads, each with its link or joint (empty for the body as a
+    whole)."""
     for tree in () if value.foreign else analysis.scalars(value):
         for node in analysis.walk_definitions(tree):
             for full_name in _full_names(analysis, node):
@@ -163,7 +162,7 @@ def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:
 def _parts_of_robot(
     robot: RobotBody, subjects: Sequence[_Subject], extents: Mapping[LinkName, float]
 ) -> list[LinkName]:
-    """The links whose positions say where a robot went."""
+    """Return the links whose positions represent the path of a robot."""
     links = [link.name for link in robot.model.links]
     if not robot.fixed_base:
         return [(robot.name, robot.model.root)]

@@ -85,4 +85,4 @@ REPLACEMENTS: Mapping[str, str] = {
     "--video": "deepbots render RUN -o video.mp4",
     "--robustness": "deepbots robustness RUN",
 }
-"""What to write instead of commands and options that people look for under another name."""
+"""The commands and options to write instead of other names that people look for."""

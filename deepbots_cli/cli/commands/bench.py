@@ -1,4 +1,4 @@
-"""`deepbots bench`: how long a step of an environment takes, and the physics in it."""
+"""`deepbots bench`: the time of a step of an environment, and of the physics in it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.scenario.fields import counted_noun
 
 LIMIT_S = 20.0
-"""Seconds by the clock that a measurement takes by default."""
+"""The default time limit of a measurement by the clock, in s."""
 
 
 def command(
@@ -90,7 +90,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots bench`."""
+    """Measure the time of a step of an environment, and of the physics in it."""
     names = [] if engine is None else engine.split(",")
     for name in names:
         known_engine("mujoco" if name == speed.BATCH else name)
@@ -178,10 +178,10 @@ def _show_one(
 
 
 def counts(text: str, option: str = "--worlds") -> list[int]:
-    """The numbers in `1,16,64`.
+    """Parse the numbers in `1,16,64`.
 
     Raises:
-        UsageError: One is no whole number from 1.
+        UsageError: A part is no whole number from 1.
     """
     parts = text.split(",")
     if not all(part.isascii() and part.isdigit() and int(part) for part in parts):
@@ -246,5 +246,5 @@ def _bench_shards(
 
 
 def _affordable_steps(per_second: float, rounds: int) -> int:
-    """Steps of a round, such that all rounds take three quarters of the limit on a core of their own."""
+    """Return the steps of a round with which all rounds take three quarters of the limit on a free core."""
     return max(100, min(2000, 100 * round(0.75 * LIMIT_S * per_second / rounds / 100)))

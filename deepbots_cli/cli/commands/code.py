@@ -1,5 +1,5 @@
-"""What a scenario generates: `compile` prints a Python module or writes a project around it, `schema` prints
-a JSON Schema."""
+"""The generated files of a scenario: `compile` prints a Python module or writes a project around it, `schema`
+prints a JSON Schema."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def compile_(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots compile`."""
+    """Print the Python module of a scenario, or write a project around it."""
     if program and as_json:
         raise UsageError("--program and --json cannot be combined; --program already prints JSON")
     if target not in ("scalar", "batch"):
@@ -92,7 +92,7 @@ def compile_(
 
 
 def project_files(compiled: api.Compiled) -> Files:
-    """The files of the project, README first; the templates are in `project/`."""
+    """Return the files of the project, README first; the templates are in `project/`."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     folder = Path(__file__).parents[1] / "project"
@@ -126,8 +126,8 @@ def project_files(compiled: api.Compiled) -> Files:
 
 
 def _requirements() -> str:
-    """The requirements of the project: the clone that deepbots was installed from, if pip knows it; no
-    package index has deepbots."""
+    """Return the requirements of the project: the clone from which deepbots was installed, if pip records it;
+    no package index has deepbots."""
     clone = install_source()
     is_clone = clone != "deepbots-cli"
     here = (
@@ -158,7 +158,7 @@ def schema(
     force: Force = False,
     allow_paths: AllowPaths = None,
 ) -> None:
-    """Run `deepbots schema`."""
+    """Print the JSON Schema of scenario files."""
     if output == Path("-"):
         output = None
     if scenario is None:
@@ -181,7 +181,7 @@ def schema(
 
 
 def _is_read(checked: CheckedScenario, output: Path) -> bool:
-    """Whether the file is an input of the scenario, by its path or its content."""
+    """Return whether the file is an input of the scenario, by its path or its content."""
     if output.resolve() in checked.document.files:
         return True
     return output.is_file() and output.read_bytes() in checked.inputs.contents().values()

@@ -56,12 +56,12 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots compare`."""
+    """Compare trained policies on the same starts."""
     if scenario is not None:
         judged = api.compile(scenario, permissions=permissions)
         terminal.note_warnings(judged.findings, scenario)
     with terminal.transient_line("loading the policies ..."):
-        compare = learning.compare  # which imports torch
+        compare = learning.compare
     with processes.executor(workers, address) as executor, terminal.progress(always=False) as show:
         comparison = compare(
             runs,
@@ -134,7 +134,7 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
 
 
 def _range(steps: Sequence[int]) -> int | str | None:
-    """The steps of the models of a group: one number if they are the same, else the lowest and the
+    """Return the steps of the models of a group: one number if they are the same, else the lowest and the
     highest."""
     if not steps:
         return None
@@ -159,5 +159,5 @@ def _data(comparison: Comparison) -> dict[str, Any]:
 
 
 def _paths(meanings: Meanings) -> dict[str, list[str]]:
-    """The differing places of two scenarios, by what they change."""
+    """Return the differing places of two scenarios, by the meaning that they change."""
     return {name: [change.path for change in changes] for name, changes in vars(meanings).items()}

@@ -1,4 +1,4 @@
-"""`deepbots diagnose`: why a training does not learn, and why an episode ended as it did."""
+"""`deepbots diagnose`: the causes why a training does not learn, and why an episode ended."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FAILED_EPISODES = "failed"
 
 
 def episodes_or_failed(text: str, minimum: int = 1, maximum: int | None = None) -> int | str:
-    """A parser: a number, or `failed`."""
+    """Parse a number, or `failed`."""
     return text if text == FAILED_EPISODES else whole_number(minimum, maximum)(text)
 
 
@@ -72,7 +72,7 @@ def command(
     ] = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Run `deepbots diagnose`."""
+    """Explain why a training does not learn, or why an episode ended."""
     permissions = Permissions(code=allow_code)
     if source.endswith(RECORDING_SUFFIX) and _explain_log(Path(source), episode, as_json=as_json):
         return
@@ -87,7 +87,7 @@ def command(
 
 
 def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool:
-    """Print what happened in the log of a robot, in one episode or in all; False for a recording of a
+    """Print the events in the log of a robot, in one episode or in all. Returns False for a recording of a
     simulation."""
     from deepbots_cli.insight.robot_log import explain_log, logged_episodes
     from deepbots_cli.rollout.robot_logs import is_robot_log
@@ -177,7 +177,7 @@ def _trace(
 
 
 def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
-    """The last evaluation of a run, or of a model of it that is named, in its own scenario and engine, with
+    """Return the last evaluation of a run, or of a named model of it, in its own scenario and engine, with
     its episodes.
 
     Raises:
@@ -195,8 +195,8 @@ def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
 
 
 def _outcome(training: TrainingEvidence) -> str:
-    """What the verdict says: `; solved (mean return >= 195 over 100 episodes); mean return 199 (95 % interval
-    ...), over 100 ...`."""
+    """Return the verdict as text: `; solved (mean return >= 195 over 100 episodes); mean return 199 (95 %
+    interval ...), over 100 ...`."""
     wanted, verdict = training.run.program.agent.solved, training.verdict
     states = {True: "solved", False: "not solved", None: "not known whether it is solved"}
     state = "" if wanted is None else f"; {states[verdict.solved]} ({wanted.description})"
@@ -208,9 +208,10 @@ def _outcome(training: TrainingEvidence) -> str:
 
 
 _ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
-"""Of an explanation, what says how an episode ended: past which limit, or how near to a success."""
+"""The statements of an explanation about the end of an episode: the passed limit, or the distance to a
+success."""
 MAX_SHOWN = 10
-"""Failed episodes of which `eval --episodes failed` prints the margin."""
+"""The number of failed episodes of which `eval --episodes failed` prints the margin."""
 
 
 def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> None:
@@ -255,7 +256,7 @@ def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> 
 def _print_causes(
     folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
 ) -> None:
-    """The causes in a training, the most likely one first, and the `stage` of its curriculum."""
+    """Print the causes in a training, the most likely one first, and the `stage` of its curriculum."""
     count = len(causes)
     runs = "; it still runs" if training.is_running else ""
     if causes:

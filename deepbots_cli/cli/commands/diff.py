@@ -40,7 +40,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots diff`."""
+    """Show the differences of two scenarios."""
     try:
         sides = [
             open_source(name, settings, permissions)

@@ -1,5 +1,5 @@
-"""`deepbots try`: episodes without learning: random or zero actions, a list of actions, or a script of the
-scenario."""
+"""`deepbots try`: episodes without learning, with random or zero actions, a list of actions, or a script of
+the scenario."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
 MAX_SHOWN = 20
-"""Maximum number of episodes that are listed one by one; of more episodes, only the `FIRST_EPISODES` are."""
+"""The largest number of episodes that are listed one by one. Of more episodes, only the first
+`FIRST_EPISODES` are listed."""
 FIRST_EPISODES = 5
 ROBOT = "Robot"
 COUNT = 3
@@ -106,7 +107,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots try`."""
+    """Run a few episodes without training."""
     if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
         changed = any(
             (overrides, case, stage, engine, permissions.folders, steps, seed, start, robot, episodes)
@@ -176,7 +177,8 @@ def _simulate(
     options: dict[str, Any],
     permissions: Permissions,
 ) -> tuple[list[Episode], str]:
-    """Episodes in the simulation, and the name of its engine; many are counted while they run."""
+    """Run episodes in the simulation. Returns them, and the name of the engine. Many episodes are counted
+    while they run."""
     with closing(api.make(program, permissions=permissions)) as environment:
         acting = named_driver(environment, driver)
         running = run_episodes(
@@ -194,7 +196,7 @@ def _simulate(
 def _on_robot(
     source: OpenedSource, program: Program, driver: str | None, address: str, **settings: Any
 ) -> tuple[list[Episode], dict[str, Any]]:
-    """Episodes on the robot at an address; by the policy of a run, or a driver that is named."""
+    """Run episodes on the robot at an address, with the policy of a run, or a named driver."""
     if driver is None and source.run is None:
         raise UsageError(
             "--robot needs --driver NAME: random, zero, a script of the scenario, or actions; or name a run,"
@@ -236,7 +238,7 @@ def _show(
 
 
 def _reproduce(path: Path, permissions: Permissions, as_json: bool) -> None:
-    from deepbots_cli.learning import failures  # which imports gymnasium
+    from deepbots_cli.learning import failures  # this imports gymnasium
 
     failure, error = failures.reproduce(path, permissions=permissions)
     repeated = (
@@ -294,9 +296,9 @@ def run_episodes(
     max_steps: int | None,
     options: dict[str, Any] | None = None,
 ) -> Iterator[Episode]:
-    """Up to `count` episodes with the `options` of `reset`, the first with `seed`.
+    """Run up to `count` episodes with the `options` of `reset`, the first with `seed`.
 
-    `ended_by` is `--steps` for an episode that `max_steps` cuts.
+    `ended_by` is `--steps` for an episode that `max_steps` ends.
     """
     left = max_steps
     for number in range(count):

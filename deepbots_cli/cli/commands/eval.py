@@ -1,5 +1,5 @@
-"""`deepbots eval`: a run or a group in its scenario, its cases and several engines, what its result must
-reach (`Gates`)."""
+"""`deepbots eval`: a run or a group in its scenario, its cases and several engines, and the requirements on
+its result (`Gates`)."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 
 def _engines(names: list[str] | None) -> list[str] | None:
-    """A callback: the names between commas, each of which is known and installed."""
+    """Return the names between commas, each of which is a known and installed engine."""
     engines = [name.strip() for text in names or () for name in text.split(",")]
     for name in engines:
         known_engine(name)
@@ -192,7 +192,7 @@ def command(
     address: ClusterAddress = None,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots eval`."""
+    """Evaluate the policy of a run, or of a group."""
     present = _given_options(ctx)
     single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
@@ -252,9 +252,9 @@ def command(
 
 @dataclass(frozen=True)
 class _Request:
-    """What to evaluate in which scenario and engines, what the result must reach, and where it goes.
+    """The request of an evaluation: the object, scenario and engines, the requirements, and the output.
 
-    `options` are those of the functions that evaluate.
+    `options` are the options of the functions that evaluate.
     """
 
     run: Path
@@ -273,7 +273,7 @@ class _Request:
     options: Mapping[str, Any]
 
     def scenarios(self, trained_in: str) -> list[Compiled | None]:
-        """The scenario of each engine; None is that of the run or group."""
+        """Return the scenario of each engine; None is that of the run or group."""
         return [
             evaluation_scenario(self.source, trained_in, self.scenario, self.overrides, name)
             for name in self.engines
@@ -298,7 +298,7 @@ def _evaluate_run(
         program.variant(case, stage)
     planned = [request.options["episodes"] or each.evaluation_episodes(case) for each in programs]
     with terminal.transient_line("loading the policy ..."):
-        from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE  # which imports torch
+        from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
     processes.check_dividable(request.workers, request.address, parts, reason)
@@ -340,7 +340,7 @@ def _evaluate_in_engine(
     baselines: bool,
     details: bool,
 ) -> _EngineEvaluations:
-    """Evaluate a model of a run, and what is compared with it; `chosen` are further options."""
+    """Evaluate a model of a run, and the models that it is compared with; `chosen` are further options."""
     case, stage, engine = request.case, request.stage, chosen["engine"]
     unit = "episodes" if engine is None else f"episodes in {engine}"
     with terminal.progress(unit, always=False) as show_episode:
@@ -360,8 +360,8 @@ def _evaluate_in_engine(
 
 @dataclass(frozen=True)
 class _EngineEvaluations:
-    """The evaluations of a run in one engine; `scenario` is a scenario in words that replaces the scenario of
-    the run."""
+    """The evaluations of a run in one engine. `scenario` is a text for a scenario that replaces the scenario
+    of the run."""
 
     result: EvaluationResult
     cases: Sequence[EvaluationResult]
@@ -391,7 +391,7 @@ def _kept(
 ) -> KeptModel:
     """Choose the best model of a run again, and show how."""
     with terminal.transient_line("loading the policies ..."):
-        from deepbots_cli.learning.keeping import keep  # which imports torch
+        from deepbots_cli.learning.keeping import keep
     with (
         processes.executor(workers, address) as executor,
         terminal.progress("models", always=False) as show_model,
@@ -403,7 +403,7 @@ def _kept(
 
 
 def _given_options(ctx: typer.Context) -> dict[str, str]:
-    """The names of the options that have a value, such as `--set`, by their parameters."""
+    """Return the names of the options that have a value, such as `--set`, by their parameters."""
     return {
         parameter.name: parameter.opts[0]
         for parameter in ctx.command.params
@@ -418,15 +418,19 @@ def _is_set(value: object) -> bool:
 
 
 def _refuse(reason: str, present: Mapping[str, str], options: Iterable[str]) -> None:
-    """Raises: UsageError: One of the options is given."""
+    """Refuse the options that are given.
+
+    Raises:
+        UsageError: One of the options is given.
+    """
     for name in options:
         if name in present:
             raise UsageError(f"{present[name]} {reason}")
 
 
 def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_json: bool) -> None:
-    """The evaluations in several engines side by side, and the difference of each from the first, from the
-    same starts."""
+    """Show the evaluations in several engines side by side, and the difference of each from the first, from
+    the same starts."""
     from deepbots_cli.learning.comparison import compare_engines
 
     columns = zip(*((each.result, *each.cases) for each in evaluations), strict=True)
@@ -453,7 +457,7 @@ def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_jso
 def evaluation_scenario(
     source: Source, trained_in: str, scenario: str | None, overrides: Sequence[str] | None, engine: str | None
 ) -> Compiled | None:
-    """The scenario to evaluate in, where it is not that of the run or group `source`."""
+    """Return the scenario to evaluate in, if it is not that of the run or group `source`."""
     if scenario is None and not overrides and engine in (None, trained_in):
         return None
     chosen = source if scenario is None else Source.open(scenario, source.permissions, SourceKind.SCENARIO)
@@ -464,7 +468,7 @@ def evaluation_scenario(
 
 
 def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: bool) -> None:
-    """Find out before a long evaluation whether its files can be written, and have a content."""
+    """Check before a long evaluation that its files can be written, and have a content."""
     check_output(*filter(None, (csv, junit)), force=force)
     if junit is not None and gates == Gates(None, None, False):
         raise UsageError(
@@ -473,19 +477,23 @@ def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: b
 
 
 Requirement = tuple[str, bool, str]
-"""What is required, whether it is met, and the reason."""
+"""A requirement, whether it is met, and the reason."""
 
 
 @dataclass(frozen=True)
 class Gates:
-    """What `--min-success`, `--min-return` and `--require-solved` ask for."""
+    """The requirements of `--min-success`, `--min-return` and `--require-solved`."""
 
     min_success: float | None
     min_return: float | None
     solved: bool
 
     def check(self, program: Program) -> None:
-        """Raises: UsageError: The scenario lacks what is required: success, or `solved`."""
+        """Check that the scenario has what the requirements need.
+
+        Raises:
+            UsageError: The scenario lacks success, or `solved`.
+        """
         solved = program.agent.solved
         if self.min_success is not None and not program.defines_success:
             others = "--min-return" if solved is None else "--min-return or --require-solved"
@@ -503,8 +511,8 @@ class Gates:
     def verdicts(
         self, episodes: Sequence[Episode], planned: int, bounds: Interval
     ) -> Iterator[tuple[str, Verdict]]:
-        """Each requirement of a number in words, and its answer after these of `planned` episodes; `bounds`
-        are those of a return."""
+        """Yield each requirement of a number in words, and its answer after these of `planned` episodes;
+        `bounds` are those of a return."""
         if self.min_success is not None:
             successes = sum(episode.is_success for episode in episodes)
             yield (
@@ -519,19 +527,19 @@ class Gates:
             )
 
     def decided(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> bool:
-        """Whether every requirement is certainly met, or one certainly not."""
+        """Return whether every requirement is certainly met, or one certainly not."""
         answers = [verdict.met for _, verdict in self.verdicts(episodes, planned, bounds)]
         return bool(answers) and (False in answers or None not in answers)
 
     def stop_condition(self, program: Program, planned: int) -> StopCondition | None:
-        """Whether the episodes so far decide every requirement of a number; None if all planned episodes are
-        needed."""
+        """Return the condition that ends the episodes once every requirement of a number is certain; None if
+        all planned episodes are needed."""
         return (
             None if self.solved else partial(self.decided, planned=planned, bounds=possible_returns(program))
         )
 
     def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
-        """The answers for a run; a requirement that another one has left undecided is left out."""
+        """Return the answers for a run. A requirement that another one has left undecided is left out."""
         remarks = in_parentheses(result.circumstances)
         requirements = [("the task is solved", bool(result.solved), result.answer)] if self.solved else []
         answers = self.verdicts(result.outcomes, planned, result.possible_returns)
@@ -541,10 +549,10 @@ class Gates:
         return [(f"{words}{remarks}", met, reason) for words, met, reason in requirements]
 
     def decided_of_group(self, episodes: Sequence[Episode], planned: int) -> bool:
-        """Whether the planned episodes that are left, of all runs together, cannot change the answer to
+        """Return whether the remaining planned episodes of all runs cannot change the answer to
         `--min-success`.
 
-        Other requirements need all episodes: a confidence sequence says nothing about other seeds, and
+        Other requirements need all episodes, because a confidence sequence does not cover other seeds, and
         returns have no limit.
         """
         if self.min_success is None or self.min_return is not None or self.solved:
@@ -553,7 +561,7 @@ class Gates:
         return successes >= required or successes + planned - len(episodes) < required
 
     def requirements_of_group(self, group: GroupResult, planned: int) -> list[Requirement]:
-        """The answers for the means over the seeds of a group."""
+        """Return the answers for the means over the seeds of a group."""
         count, left = len(group.evaluations), planned - sum(result.episodes for result in group.evaluations)
         over = f"over {count} seed{'' if count == 1 else 's'}"
         over += f"; the remaining {left} episodes cannot change the result" if left > 0 else ""
@@ -600,7 +608,7 @@ def _evaluate_group(request: _Request, **chosen: Any) -> None:
     requirements: list[Requirement] = []
     with processes.executor(request.workers, request.address, len(ready)) as executor:
         with terminal.transient_line("loading the policies ..."):
-            from deepbots_cli.learning.comparison import compare_engines, evaluate_group  # which import torch
+            from deepbots_cli.learning.comparison import compare_engines, evaluate_group
         for compiled in scenarios:
             planned = 0
             if ready:
@@ -649,8 +657,8 @@ def _evaluate_group(request: _Request, **chosen: Any) -> None:
 def scenario_label(
     run: Run, scenario: str | None, overrides: Sequence[str], compiled: Compiled | None
 ) -> str | None:
-    """A scenario in words that replaces the scenario of the run; None where none of --scenario and --set is
-    given."""
+    """Return a text for a scenario that replaces the scenario of the run; None if neither --scenario nor
+    --set is given."""
     if compiled is None or not (scenario or overrides):
         return None
     same = task_digest(compiled.program) == task_digest(run.program)

@@ -39,7 +39,7 @@ from deepbots_cli.scenario.fields import with_article
 from deepbots_cli.scenario.scenario import Scenario
 
 _FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
-"""Codes begin like this; of all words, only names of findings hold hyphens."""
+"""The form of the codes and names of findings. Of all words, only names of findings have hyphens."""
 
 
 def command(
@@ -53,7 +53,7 @@ def command(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Run `deepbots explain`."""
+    """Explain a finding of lint, a key of scenario files, or a term."""
     finding = " ".join(words or ())
     rules = matching_rules(finding)
     if not rules:
@@ -87,8 +87,8 @@ def _severity(rule: Rule) -> str:
 
 
 def rules_data(rules: Iterable[Rule] = tuple(RULES.values())) -> dict[str, object]:
-    """The registry of findings with the text, example and remedy of each page, as `deepbots explain --json`
-    prints it."""
+    """Return the registry of findings with the text, example and remedy of each page, as `deepbots explain
+    --json` prints it."""
     return {"version": 1, "rules": [_data(entry) for entry in rules]}
 
 
@@ -117,7 +117,7 @@ def _lines(entry: Rule) -> Iterator[str]:
 
 
 def _suppression(rule: Rule) -> Iterator[str]:
-    """How to suppress a finding, or why it cannot be suppressed."""
+    """Yield how to suppress a finding, or why it cannot be suppressed."""
     yield ""
     if rule.preview:
         yield "The rule is in preview: it can report false findings, and runs only with --preview."
@@ -141,7 +141,7 @@ def _suppression(rule: Rule) -> Iterator[str]:
 
 def _wrapped(text: str) -> str:
     if text.startswith(" "):
-        return text  # of an example
+        return text  # the text is part of an example
     return fill(text, _width(), break_long_words=False, break_on_hyphens=False)
 
 
@@ -150,15 +150,16 @@ def _width() -> int:
 
 
 _MIN_MISSPELLED = 5
-"""Letters of a word that is read as a misspelling of another; `best` is one letter away from `tests`."""
+"""The smallest number of letters of a word that is read as a misspelling of another; `best` is one letter
+away from `tests`."""
 _MIN_BEGINNING = 3
 
 GLOSSARY = Path(__file__).parents[1] / "glossary.yaml"
 _MAX_SHOWN = 8
-"""Places: a name such as `range` is a key of many sections."""
+"""The largest number of listed places, because a name such as `range` is a key of many sections."""
 
 Lines = tuple[str, ...]
-"""What a word is, such as `key`, and the lines that explain it."""
+"""The kind of a word, such as `key`, and the lines that explain it."""
 
 
 class Topic(NamedTuple):
@@ -174,7 +175,7 @@ class Topic(NamedTuple):
 
 @cache
 def topics() -> tuple[Topic, ...]:
-    """The concepts of `glossary.yaml`, in its order."""
+    """Return the concepts of `glossary.yaml`, in its order."""
     findings = Findings()
     root = parse(Source(GLOSSARY.name, GLOSSARY.read_text(encoding="utf-8")), findings)
     table = to_data(root) if root else None
@@ -189,7 +190,7 @@ def _topic(name: str, entry: dict[str, str]) -> Topic:
 
 
 class Explained(NamedTuple):
-    """What is known about a word: a title and paragraphs for each meaning, and other entries that contain the
+    """The explanation of a word: a title and paragraphs for each meaning, and other entries that contain the
     word."""
 
     entries: list[list[str]]
@@ -201,10 +202,10 @@ class Explained(NamedTuple):
 
 
 def explain_word(word: str) -> Explained:
-    """The entries about `word`; none if nothing has this name.
+    """Return the entries about `word`; empty if nothing has this name.
 
-    A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept count
-    only if the language has no word of exactly this spelling.
+    A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept are
+    used only if the language has no word of exactly this spelling.
     """
     plain = _plain(word)
     spelled = (
@@ -216,7 +217,7 @@ def explain_word(word: str) -> Explained:
         matching = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, matching), *blocks]
     unit = None if blocks else suggest_unit(plain)
-    if unit is not None and unit.safe:  # a unit written out, as `radian`
+    if unit is not None and unit.safe:  # a unit that is written out, such as `radian`
         blocks = list(_blocks(unit.text))
     return Explained(
         blocks,
@@ -225,8 +226,8 @@ def explain_word(word: str) -> Explained:
 
 
 def misspelled_word(word: str) -> str | None:
-    """The concept or word of the language that differs from `word` by one letter, such as `curiculum`; None
-    if there is none."""
+    """Return the concept or word of the language that differs from `word` by one letter, such as `curiculum`;
+    None if there is none."""
     if len(word) < _MIN_MISSPELLED:
         return None
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
@@ -234,7 +235,7 @@ def misspelled_word(word: str) -> str | None:
 
 
 def _blocks(word: str) -> list[list[str]]:
-    """The function, the unit, the kinds and the keys of this name."""
+    """Return the function, the unit, the kinds and the keys of this name."""
     places: dict[Lines, dict[str, dict[str, None]]] = {}
     all_kinds: dict[str, int] = {}
     for path, part, mark in walk_sections(Scenario):
@@ -272,7 +273,7 @@ def _example(text: str) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """In lower case, American spelling and the singular, with blanks between words."""
+    """Return a text in lower case, American spelling and the singular, with blanks between words."""
     words = " ".join(re.split(r"[\s_-]+", text.strip().lower()))
     return re.sub(
         r"is(?=(e|ed|er|ing|ation)\b)", "iz", re.sub(r"our\b", "or", re.sub(r"(?<=\w{3})s\b", "", words))
@@ -280,7 +281,7 @@ def _plain(text: str) -> str:
 
 
 def _others(word: str, shown: Iterable[str]) -> list[str]:
-    """Concepts and words that have all words of `word` in one of their names."""
+    """Return concepts and words that have all words of `word` in one of their names."""
     wanted = set(_plain(word).split())
     concepts = [
         topic.name
@@ -292,13 +293,13 @@ def _others(word: str, shown: Iterable[str]) -> list[str]:
 
 
 def _quoted(names: Iterable[str]) -> list[str]:
-    """With quotes around names of several words."""
+    """Return names, with quotes around names of several words."""
     return [f'"{name}"' if " " in name else name for name in names]
 
 
 @cache
 def _words() -> dict[str, None]:
-    """Every function, unit, kind and key."""
+    """Return every function, unit, kind and key."""
     names = [*FUNCTIONS, *UNITS]
     for _, part, _ in walk_sections(Scenario):
         names += part.names if isinstance(part, Kinds) else section_fields(part)
@@ -306,7 +307,7 @@ def _words() -> dict[str, None]:
 
 
 def unknown_word_message(word: str) -> str:
-    """The error for a word that has no entry."""
+    """Return the error for a word that has no entry."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     near = nearest_word(word, concepts, 0.8) or nearest_word(word, list(_words()), 0.8) or _beginning_of(word)
     hint = f"; did you mean {near}?" if near else "; `deepbots explain` lists all findings"
@@ -317,7 +318,7 @@ def unknown_word_message(word: str) -> str:
 
 
 def _beginning_of(word: str) -> str | None:
-    """The longest word of the language with which `word` begins, such as `gyro` of `gyroscope`."""
+    """Return the longest word of the language with which `word` begins, such as `gyro` of `gyroscope`."""
     return max(
         (name for name in _words() if len(name) >= _MIN_BEGINNING and word.lower().startswith(name.lower())),
         key=len,
@@ -346,7 +347,8 @@ def _of_unit(word: str) -> Iterator[str]:
 
 
 def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator[Lines]:
-    """The explanations of a word as a key or a kind of a section; `mark` is the key that names the kind."""
+    """Yield the explanations of a word as a key or a kind of a section; `mark` is the key that names the
+    kind."""
     if not isinstance(part, Kinds):
         if word in section_fields(part) and word != mark:
             yield "key", *_of_key(part, word)

@@ -64,7 +64,7 @@ def command(
     as_json: Json = False,
     allow_paths: AllowPaths = None,
 ) -> None:
-    """Run `deepbots export`."""
+    """Export a policy, sign it, or compare a bundle with a scenario."""
     if new_key is not None:
         _write_key(
             new_key,
@@ -101,7 +101,7 @@ def command(
     refuse_links_within(folder)
     ref = ModelRef.open(opened, model=model)
     with terminal.transient_line("exporting the policy ..."):
-        from deepbots_cli.insight.export import bundle  # torch, which exporting imports, takes a second
+        from deepbots_cli.insight.export import bundle
 
         run = ref.run
         files = (
@@ -120,7 +120,7 @@ def command(
 def _show_bundle(
     folder: Path, files: Mapping[PurePosixPath, bytes], model: ModelName, source: Path, *, as_json: bool
 ) -> None:
-    """Print what a new bundle is, and what it lacks; `source` is the run as it was named."""
+    """Print the content of a new bundle, and its gaps; `source` is the run as it was named."""
     from deepbots_cli.insight.export import bundle
     from deepbots_robot.model import plain
 

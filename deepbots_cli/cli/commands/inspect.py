@@ -74,7 +74,7 @@ def command(
     as_json: Annotated[bool, option("--json", "Print all tables as JSON.")] = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots inspect`."""
+    """Show the tables of a scenario, a run or a robot file."""
     if is_robot(scenario):
         _inspect_robot(scenario, permissions.folders, as_json)
         return
@@ -113,8 +113,8 @@ def command(
 
 
 def _topics(program: Program) -> dict[str, Topic]:
-    """The topic of each sensor, of each command, and of each reading of the world that the policy needs and
-    no robot measures."""
+    """Return the topic of each sensor, of each command, and of each reading of the world that the policy
+    needs and no robot measures."""
     try:
         from deepbots_cli.program.topics import command_fields, mapping, sensor_fields
     except ModuleNotFoundError as error:
@@ -127,7 +127,7 @@ def _topics(program: Program) -> dict[str, Topic]:
 
 
 def _ros_text(topics: Mapping[str, Topic]) -> str:
-    """The section `ros` of a scenario."""
+    """Return the section `ros` of a scenario."""
     parts = {name: "" if topic.part is None else f", part: {topic.part}" for name, topic in topics.items()}
     return "\n".join(
         [
@@ -141,7 +141,7 @@ def _ros_text(topics: Mapping[str, Topic]) -> str:
 
 
 def _poses(program: Program, engine: str | None, permissions: Permissions) -> inspection.Tables:
-    """The poses of end links at the start of an episode, if the simulator is installed."""
+    """Return the poses of end links at the start of an episode, if the simulator is installed."""
     links = inspection.end_links(program)
     if not links:
         return {}
@@ -176,7 +176,7 @@ def _inspect_robot(reference: str, allowed: Sequence[str | Path], as_json: bool)
 
 
 def _is_of_package(reference: str) -> bool:
-    """Whether a robot file comes with deepbots or an installed package."""
+    """Return whether a robot file comes with deepbots or an installed package."""
     is_named = reference.startswith("package://") or (
         shipped.robot_path(reference) is not None and not Path(reference).is_file()
     )

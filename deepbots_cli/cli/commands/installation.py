@@ -1,4 +1,4 @@
-"""What is installed: `scenarios` lists scenarios, `doctor` checks packages and the simulator."""
+"""The installation: `scenarios` lists scenarios, `doctor` checks packages and the simulator."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from deepbots_cli.rollout.drivers import random_driver
 
 
 def scenarios(as_json: Json = False) -> None:
-    """Run `deepbots scenarios`."""
+    """List the scenarios that come with deepbots."""
     rows: list[Row] = []
     for name in shipped.scenario_names():
         path = shipped.scenario_path(name)
@@ -52,7 +52,7 @@ _EXTRAS = {
     "tune": "searches by tune",
     "robot": "policies on a robot",
 }
-"""What each extra is for. The metadata of the installation name its packages."""
+"""The purpose of each extra. The metadata of the installation name its packages."""
 
 
 class Check(NamedTuple):
@@ -64,7 +64,7 @@ class Check(NamedTuple):
 
 
 def doctor(as_json: Json = False) -> None:
-    """Run `deepbots doctor`."""
+    """Check the installation."""
     rows = [check._asdict() for check in checks()]
     broken = [check["what"] for check in rows if check["state"] == "broken"]
     states = {check["what"]: check["state"] for check in rows}
@@ -80,7 +80,7 @@ def doctor(as_json: Json = False) -> None:
 
 
 def checks() -> Iterator[Check]:
-    """The checks of everything that deepbots depends on, in the order of dependence."""
+    """Yield the checks of everything that deepbots depends on, in the order of dependence."""
     yield Check("deepbots", "ok", deepbots_cli.__version__)
     yield Check(
         "python",
@@ -115,7 +115,7 @@ def checks() -> Iterator[Check]:
 
 
 def _requirements() -> dict[str, list[str]]:
-    """The required packages by extra; those that are always required, under an empty name."""
+    """Return the required packages by extra; those that are always required have an empty name."""
     by_extra: dict[str, list[str]] = {"": [], **{extra: [] for extra in _EXTRAS}}
     for requirement in requires("deepbots-cli") or ():
         extra = re.search(r"extra == .([\w-]+)", requirement)
@@ -126,8 +126,8 @@ def _requirements() -> dict[str, list[str]]:
 
 
 def _packages_of_robot(requirement: str) -> Iterator[str]:
-    """The packages that a requirement of deepbots-robot adds, such as `deepbots-robot[log,zmq]`; none of
-    other packages."""
+    """Yield the packages that a requirement of deepbots-robot adds, such as `deepbots-robot[log,zmq]`; empty
+    for other packages."""
     robot = re.match(r"deepbots-robot(?:\[([\w,-]+)\])?", requirement)
     if robot is None:
         return
@@ -141,8 +141,8 @@ def _packages_of_robot(requirement: str) -> Iterator[str]:
 
 
 def _is_for_this_machine(requirement: str) -> bool:
-    """Whether markers admit this Python and system, as in `pybullet>=3.2.6; python_version < '3.12' and
-    sys_platform != 'win32'`."""
+    """Return whether markers include this Python and system, as in `pybullet>=3.2.6; python_version < '3.12'
+    and sys_platform != 'win32'`."""
     if re.search(rf"sys_platform != .{sys.platform}\b", requirement):
         return False
     below = re.search(r"python_version < .(\d+)\.(\d+)", requirement)

@@ -1,4 +1,5 @@
-"""Findings: `lint` reports those of files, folders and standard input, `lsp` serves them to an editor."""
+"""`deepbots lint` reports findings of files, folders and standard input, and `deepbots lsp` serves them to an
+editor."""
 
 from __future__ import annotations
 
@@ -141,7 +142,7 @@ def lint(
     ] = 1,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots lint`."""
+    """Check scenarios and report their findings."""
     project = settings()
     previewed = bool(project.preview) if preview is None else preview
     selection = Selection(
@@ -206,7 +207,7 @@ def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], l
     def state(files: Iterable[Path]) -> object:
         try:
             return find_names(), file_stamps(files)
-        except DeepbotsError:  # a file has gone for a moment, as editors save
+        except DeepbotsError:  # a file is missing for a moment while an editor saves
             return None
 
     with suppress(KeyboardInterrupt):
@@ -229,7 +230,11 @@ def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], l
 
 
 def _check_names(names: Sequence[str], look: LintOptions, *, is_watching: bool, may_fix: bool) -> None:
-    """Raises: UsageError: Options exclude one another for these scenarios."""
+    """Check the options against the scenarios.
+
+    Raises:
+        UsageError: Options exclude one another for these scenarios.
+    """
     has_stdin = STDIN in names
     _check_together(
         bool(look.stdin_name) and not has_stdin, "--stdin-filename needs - (standard input) as a scenario"
@@ -244,14 +249,18 @@ def _check_names(names: Sequence[str], look: LintOptions, *, is_watching: bool, 
 
 
 def _check_together(wrong: bool, sentence: str) -> None:
-    """Raises: UsageError: Options are `wrong` together."""
+    """Refuse options that are `wrong` together.
+
+    Raises:
+        UsageError: The options are given together.
+    """
     if wrong:
         raise UsageError(sentence)
 
 
 def _show_statistics(findings: Sequence[Finding], *, as_json: bool) -> None:
-    """A row for each code, the most frequent first."""
-    from deepbots_cli.cli.tables import Row, table  # rich, which nothing else needs here
+    """Show a row for each code, the most frequent first."""
+    from deepbots_cli.cli.tables import Row, table  # only this needs rich
 
     groups: dict[str, list[Finding]] = {}
     for finding in findings:
@@ -272,7 +281,7 @@ def _show_statistics(findings: Sequence[Finding], *, as_json: bool) -> None:
 
 
 def _words(option: str, codes: Codes) -> RuleSelectors | None:
-    """The codes of an option, which may be repeated and hold several."""
+    """Return the codes of an option, which may be repeated and have several codes."""
     if codes is None:
         return None
     text = ",".join(codes)
@@ -303,8 +312,8 @@ def _check_fixing(fix: bool, diff: bool, overrides: list[str] | None, names: Seq
 def _fixed(
     names: Sequence[str], look: LintOptions, selection: Selection, *, unsafe: bool, show: bool
 ) -> tuple[list[Finding], bool]:
-    """The findings that are left after fixing, and whether a file changes; `show` prints the difference and
-    writes nothing."""
+    """Fix files. Returns the findings that are left, and whether a file changes; `show` prints the difference
+    and writes nothing."""
     load = partial(api.load, permissions=look.permissions)
     fixer = Fixer(names, load, unsafe=unsafe, wanted=selection.selects, preview=look.preview)
     rewrites = fixer.fix()
@@ -331,7 +340,7 @@ def _change(edit: Edit | None) -> str:
 
 
 def _hint(findings: Sequence[Finding]) -> str | None:
-    """How many findings can be fixed, and by which option."""
+    """Return the number of findings that can be fixed, and the option that fixes them."""
     safe = sum(finding.fix is not None and finding.fix.safe for finding in findings)
     unsafe = sum(finding.fix is not None and not finding.fix.safe for finding in findings)
     if not safe:
@@ -357,7 +366,7 @@ def _sum_up(
 
 
 def _explain_empty_diff(left: list[Finding]) -> None:
-    """Say that there are no changes, and which option shows the unsafe fixes among the findings that are
+    """Note that there are no changes, and which option shows the unsafe fixes among the findings that are
     `left`."""
     guesses = _hint([finding for finding in left if finding.fix and not finding.fix.safe])
     terminal.note("there are no changes" + (f"; {guesses}" if guesses else ""))
@@ -383,8 +392,8 @@ _NAMELESS = "<stdin>"
 
 @dataclass(frozen=True)
 class LintOptions:
-    """How each scenario is read, and whether it is simulated (`deep`) and searched; `stdin_name` is the file
-    name for standard input."""
+    """The options for reading each scenario, and for simulating (`deep`) and searching it; `stdin_name` is
+    the file name for standard input."""
 
     overrides: tuple[str, ...] = ()
     permissions: Permissions = Permissions()
@@ -395,25 +404,25 @@ class LintOptions:
 
     @property
     def included(self) -> str:
-        """What was done besides linting, for a sentence."""
+        """The checks besides linting, as a part of a sentence."""
         done = ["the simulation"] * self.deep + ["the search for exploits"] * self.exploits
         return f", including {' and '.join(done)}" if done else ""
 
     def findings(self, name: str) -> list[Finding]:
-        """The findings of one scenario."""
+        """Return the findings of one scenario."""
         if name == STDIN:
             return self._of_stdin()
         checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
         return self._reviewed(checked, self.called(name), name)
 
     def files_read(self, name: str) -> set[Path]:
-        """The scenario, and the files that it reads."""
+        """Return the scenario, and the files that it reads."""
         checked = api.load(name, overrides=self.overrides, permissions=self.permissions)
         return {checked.document.path, *checked.document.files, *checked.inputs.names}
 
     def _of_stdin(self) -> list[Finding]:
-        """Paths in the text are relative to the folder of `stdin_name`, and the project is that of this
-        folder."""
+        """Lint standard input. Paths in the text are relative to the folder of `stdin_name`, and the project
+        is that of this folder."""
         from deepbots_cli.compiler import check
         from deepbots_cli.document import files, load
 
@@ -426,7 +435,7 @@ class LintOptions:
         return self._reviewed(check(document), display, STDIN)
 
     def _reviewed(self, checked: CheckedScenario, called: str, name: str) -> list[Finding]:
-        """The findings from the text and then from a simulation; a scenario with errors cannot be
+        """Return the findings from the text and then from a simulation. A scenario with errors cannot be
         simulated."""
         try:
             findings = all_findings(checked, preview=self.preview)
@@ -451,7 +460,7 @@ class LintOptions:
             checked.release_names()
 
     def _exploits(self, checked: CheckedScenario, called: str, name: str) -> list[Finding]:
-        """The findings of a search for exploits, whose episodes are recorded."""
+        """Return the findings of a search for exploits, whose episodes are recorded."""
         from deepbots_cli.cli import exploits
 
         exploits.folder_of(checked)
@@ -468,7 +477,7 @@ class LintOptions:
             return exploits.keep(searched, checked, name, self.overrides, self.permissions)
 
     def called(self, name: str) -> str:
-        """The name of the scenario `name` in findings."""
+        """Return the name of the scenario `name` in findings."""
         return (
             (self.stdin_name or _NAMELESS)
             if name == STDIN
@@ -477,11 +486,11 @@ class LintOptions:
 
 
 def scenario_names(given: Iterable[str], project: Settings) -> list[str]:
-    """The scenarios that the arguments name, each once; files in folders that the project excludes are left
-    out.
+    """Return the scenarios that the arguments name, each once. Files in folders that the project excludes are
+    left out.
 
     Raises:
-        UsageError: A scenario does not exist, or a folder holds no scenario.
+        UsageError: A scenario does not exist, or a folder has no scenario.
     """
     names: dict[str, None] = {}
     for argument in given:
@@ -494,7 +503,7 @@ def scenario_names(given: Iterable[str], project: Settings) -> list[str]:
 
 
 def findings_of(names: Sequence[str], look: LintOptions, jobs: int = 1) -> list[Finding]:
-    """The findings of the scenarios in their order; findings in shared files are reported once."""
+    """Return the findings of the scenarios in their order. Findings in shared files are reported once."""
     look_at = partial(_look_at, look)
     jobs = min(jobs, len(names))
     each = _in_processes(look_at, names, jobs) if jobs > 1 else map(look_at, names)
@@ -502,8 +511,8 @@ def findings_of(names: Sequence[str], look: LintOptions, jobs: int = 1) -> list[
 
 
 def _look_at(look: LintOptions, name: str) -> list[Finding]:
-    """The findings of one scenario. An internal error of deepbots becomes its only finding, and the other
-    scenarios are still linted."""
+    """Return the findings of one scenario. An internal error of deepbots becomes its only finding, and the
+    other scenarios are still linted."""
     try:
         return look.findings(name)
     except (DeepbotsError, OSError):
@@ -513,7 +522,7 @@ def _look_at(look: LintOptions, name: str) -> list[Finding]:
 
 
 def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: int) -> list[list[Finding]]:
-    """The same in `jobs` processes; standard input is read in this one."""
+    """Return the findings of the scenarios from `jobs` processes; standard input is read in this one."""
     import signal
     from concurrent.futures import ProcessPoolExecutor
 
@@ -537,14 +546,14 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
 def report(
     findings: Sequence[Finding], format: Format, names: Sequence[str], failing: Sequence[Severity]
 ) -> str:
-    """The text for standard output; `names` are the names of the scenarios in findings."""
+    """Return the text for standard output; `names` are the names of the scenarios in findings."""
     match format:
         case Format.github:
             return github(findings)
         case Format.sarif:
             return sarif(findings, _page)
         case Format.junit:
-            from deepbots_cli.diagnostics.junit import junit  # XML, which nothing else needs here
+            from deepbots_cli.diagnostics.junit import junit  # only this needs XML
 
             return junit(findings, names, failing)
         case Format.json:
@@ -579,7 +588,7 @@ def lsp(
     ] = None,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots lsp`."""
+    """Run the language server."""
     if find_spec("pygls") is None:
         raise MissingExtraError("editor", "the language server")
     from deepbots_cli.lsp.server import serve

@@ -32,7 +32,7 @@ from deepbots_cli.robots import reader
 from deepbots_cli.scenario.json_schema import schema_text
 
 Files = dict[PurePosixPath, bytes]
-"""Contents by path below the folder that they are written to."""
+"""The contents of files by path below the folder that they are written to."""
 
 
 _WORKFLOW = """\
@@ -55,7 +55,7 @@ _PROJECT = {
     ".vscode/settings.json": '{\n  "yaml.schemas": {"deepbots.schema.json": ["*.yaml"]},\n '
     ' "yaml.disableDefaultProperties": true\n}\n',
 }
-"""The files of a project beside its scenario and `deepbots.schema.json`; the second setting leaves out keys
+"""The files of a project beside its scenario and `deepbots.schema.json`. The second setting leaves out keys
 that repeat a default."""
 
 
@@ -97,7 +97,7 @@ def new(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots new`."""
+    """Write a scenario: from a template, a copy, or a robot file."""
     name = validated_name(name)
     starts = {"--template": template, "--from": shipped_name, "--urdf": urdf}
     present = [option for option, value in starts.items() if value]
@@ -147,7 +147,7 @@ def new(
 
 
 def _name_faster_engine(scenario: Path) -> None:
-    """Say in a line which engine steps the new world faster; nothing without a simulator."""
+    """Print the engine that steps the new world faster; nothing without a simulator."""
     try:
         from deepbots_cli.cli import throughput
     except ModuleNotFoundError:
@@ -162,7 +162,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 
 
 def validated_name(name: str) -> str:
-    """The name of a new scenario without the suffix .yaml.
+    """Return the name of a new scenario without the suffix .yaml.
 
     Raises:
         UsageError: The name is not valid for a file and a run.
@@ -183,7 +183,7 @@ def validated_name(name: str) -> str:
 
 
 def from_template(template: str, name: str) -> Files:
-    """The scenario `NAME.yaml`, and the robot file beside it if the template has one."""
+    """Return the scenario `NAME.yaml`, and the robot file beside it if the template has one."""
     text = (_TEMPLATES / f"{template}.yaml").read_text(encoding="utf-8")
     text = text.replace("name: Start\n", f"name: {_title(name)}\n").replace("start.urdf", f"{name}.urdf")
     contents: Files = {PurePosixPath(f"{name}.yaml"): text.encode()}
@@ -194,7 +194,7 @@ def from_template(template: str, name: str) -> Files:
 
 
 def from_robot(robot: str, name: str, folder: Path, permissions: Permissions = Permissions()) -> Files:
-    """The scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
+    """Return the scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
     package://...
 
     Raises:
@@ -208,7 +208,7 @@ def from_robot(robot: str, name: str, folder: Path, permissions: Permissions = P
 
 
 def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
-    """The reference to a robot file in a scenario in `folder`."""
+    """Return the reference to a robot file in a scenario in `folder`."""
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
@@ -229,7 +229,7 @@ def _reference(robot: str, folder: Path, permissions: Permissions) -> str:
 
 
 def _title(name: str) -> str:
-    """The name of a scenario in the file of this name: `my_robot` becomes `MyRobot`."""
+    """Return the name of a scenario in the file of this name: `my_robot` becomes `MyRobot`."""
     return "".join(part[0].upper() + part[1:] for part in re.split("[_-]+", name) if part)
 
 
@@ -239,8 +239,8 @@ _PLAIN = re.compile(r"[A-Za-z0-9_./-]+")
 
 
 def from_shipped(shipped_name: str, name: str) -> Files:
-    """The files of a shipped scenario by their paths in the new folder, the scenario first, as `NAME.yaml`
-    and under this name.
+    """Return the files of a shipped scenario by their paths in the new folder, the scenario first, as
+    `NAME.yaml` and under this name.
 
     Files of `scenarios/` move to the top of the folder. The paths in scenarios are rewritten; comments stay.
 
@@ -278,7 +278,7 @@ def from_shipped(shipped_name: str, name: str) -> Files:
 
 
 def _renamed(content: bytes, name: str) -> bytes:
-    """The scenario with another `name`, where it has one."""
+    """Return the scenario with another `name`, if it has one."""
     text = content.decode()
     node = node_at(parse(Source("", text), Findings()), "name")
     return (text[: node.span.start] + _title(name) + text[node.span.end :]).encode() if node else content
@@ -291,7 +291,7 @@ def _target(file: Path) -> PurePosixPath:
 
 
 def _moved(file: Path) -> tuple[bytes, list[Path]]:
-    """The content of `file` for its new place, and the files that it needs."""
+    """Return the content of `file` for its new place, and the files that it needs."""
     if file.suffix == ".yaml":
         return _rewritten(file)
     content = file.read_bytes()
@@ -312,7 +312,7 @@ def _rewritten(file: Path) -> tuple[bytes, list[Path]]:
 
 
 def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
-    """Every value that names a shipped file, in file order: a path, or a name as the value of `urdf` or
+    """Yield every value that names a shipped file, in file order: a path, or a name as the value of `urdf` or
     `extends`."""
     root = parse(Source(file.name, text), Findings())
     if root is None:
@@ -331,7 +331,7 @@ def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
 
 
 def _present(files: Files, folder: Path) -> set[Path]:
-    """The paths of the files that are already in `folder` with this content."""
+    """Return the paths of the files that are already in `folder` with this content."""
     return {
         folder / target
         for target, content in files.items()
@@ -352,12 +352,12 @@ def _show(written: Sequence[Path], kept: set[Path], commands: Sequence[str], *, 
 
 
 def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write the files into `folder`; one that is already there with the same content is left alone, another
-    one replaced with `force`.
+    """Write the files into `folder`. A file that is already there with the same content is left alone, and
+    another one is replaced with `force`.
 
     Raises:
-        UsageError: Other files are in the way; lists them. Or a file cannot be written. No new file is left
-            in either case.
+        UsageError: Other files are in the way; the message lists them. Or a file cannot be written. No new
+            file is left in either case.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; name a folder (deepbots creates it if it does not exist)")
@@ -385,14 +385,14 @@ def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
 
 
 def modeline(scenario: Path, schema: Path) -> str:
-    """The first line of a scenario, from which a YAML language server finds the schema."""
+    """Return the first line of a scenario, from which a YAML language server finds the schema."""
     way = os.path.relpath(schema.resolve(), scenario.resolve().parent)
     return f"# yaml-language-server: $schema={Path(way).as_posix()}"
 
 
 def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
-    """Write the files into `folder`, the first of them a scenario, with a schema for that one; the files that
-    were written.
+    """Write the files into `folder`, the first of them a scenario, with a schema for that one. Returns the
+    files that were written.
 
     Raises:
         UsageError: Other files are in the way; nothing is written.

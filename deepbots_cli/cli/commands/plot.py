@@ -26,7 +26,7 @@ def command(
     force: Force = False,
     dark: Annotated[bool, option("--dark", "Light lines on a dark ground.")] = False,
 ) -> None:
-    """Run `deepbots plot`."""
+    """Plot the learning curves of runs."""
     from deepbots_cli.view import plots
     from deepbots_cli.view.pictures import check_target
 

@@ -1,5 +1,4 @@
-"""`deepbots render`: a picture, a video, an offline page or a recording; the suffix of the file says
-which."""
+"""`deepbots render`: a picture, a video, an offline page or a recording, by the suffix of the file."""
 
 from __future__ import annotations
 
@@ -68,19 +67,19 @@ _SUFFIXES_OF: Mapping[str, Sequence[str]] = {
     "--episodes": (*VIDEOS, PAGE, RECORDING_SUFFIX),
     "--start": (*_DRAWN, PAGE),
 }
-"""The files that an option is for; the others are for all."""
+"""The files that an option applies to; other options apply to all."""
 _DEFAULT_SIZES = {PICTURE: (640, 480)}
 MAX_SIDE = 4096
 MAX_EPISODES = 10_000
 MAX_FILMS = 10
-"""Failed episodes of which a film is made."""
+"""The largest number of failed episodes of which a film is made."""
 _CAMERA = "Camera (.png, .mp4, .gif)"
 _PICTURE_ONLY = "Picture (.png)"
 _VIDEO_ONLY = "Video (.mp4, .gif, .html)"
 
 
 def size(text: str) -> tuple[int, int]:
-    """A parser of `640x480`, the width and height of a picture in pixels."""
+    """Parse `640x480`, the width and height of a picture in pixels."""
     wide, _, tall = text.lower().partition("x")
     if not (
         wide.isdecimal() and tall.isdecimal() and 16 <= int(wide) <= MAX_SIDE and 16 <= int(tall) <= MAX_SIDE
@@ -92,7 +91,7 @@ def size(text: str) -> tuple[int, int]:
 
 
 def point(text: str) -> tuple[float, float, float]:
-    """A parser of `x,y,z` in m, world frame."""
+    """Parse `x,y,z` in m, world frame."""
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
@@ -204,7 +203,7 @@ def command(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots render`."""
+    """Make a picture, a video, an offline page or a recording."""
     file = output or Path(f"{Path(shown).stem}{PICTURE}")
     options: dict[str, Any] = {
         "--labels": labels,
@@ -268,7 +267,11 @@ def command(
 
 
 def _check_robot_options(shown: str, kind: str, present: Sequence[str], *, has_episode: bool) -> None:
-    """Raises: UsageError: A picture of a robot file does not take an option."""
+    """Check the options of a picture of a robot file.
+
+    Raises:
+        UsageError: A picture of a robot file does not take an option.
+    """
     needing_scenario = [name for name in present if name not in ("--size", "--from", "--at")]
     if kind != PICTURE or needing_scenario or has_episode:
         odd = f", and {needing_scenario[0]} needs a scenario" if needing_scenario else ""
@@ -278,7 +281,7 @@ def _check_robot_options(shown: str, kind: str, present: Sequence[str], *, has_e
 
 
 def _model(shown: str, kind: str, permissions: Permissions, *, last: bool) -> ModelRef | None:
-    """The model of a run that acts; None for other sources.
+    """Return the model of a run that acts; None for other sources.
 
     Raises:
         UsageError: There is no such source, it is a recording that would be recorded again, or it has no
@@ -300,7 +303,7 @@ def _model(shown: str, kind: str, permissions: Permissions, *, last: bool) -> Mo
 
 @dataclass(frozen=True)
 class _Episodes:
-    """Held-out episodes from a root seed, and how the policy of a run acts in them."""
+    """Held-out episodes from a root seed, and the options for the actions of the policy."""
 
     seed: int
     numbers: Sequence[int]
@@ -309,14 +312,14 @@ class _Episodes:
 
     @staticmethod
     def of(ref: ModelRef | None, seed: int | None, first: int, count: int) -> _Episodes:
-        """Some episodes from a seed, by default that of the run, and 0 without one."""
+        """Choose episodes from a seed, by default that of the run, and 0 without one."""
         default = 0 if ref is None else ref.run.record.seed
         numbers = range(first, first + count)
         return _Episodes(default if seed is None else seed, numbers, "best" if ref is None else ref.name)
 
     @staticmethod
     def failed(ref: ModelRef, maximum: int | None) -> _Episodes:
-        """The first failed episodes of the last evaluation of a run, or of one of its models.
+        """Choose the first failed episodes of the last evaluation of a run, or of one of its models.
 
         Raises:
             UsageError: There is none.
@@ -338,7 +341,7 @@ def _draw_episodes(
     shot: Viewpoint,
     options: Mapping[str, Any],
 ) -> list[WorldFrame]:
-    """Make the files, as the options say; the last frames of the episodes."""
+    """Make the files according to the options. Returns the last frames of the episodes."""
     from deepbots_cli.view import pictures
 
     steps = options["--steps"]
@@ -378,11 +381,10 @@ def _record(world: Player, file: Path, wanted: _Episodes, steps: int | None) -> 
 
 
 def _checked_kind(file: Path, options: Sequence[str]) -> str:
-    """The suffix of the file.
+    """Return the suffix of the file.
 
     Raises:
-        UsageError: Nothing is made with this suffix, an option that is given is for others, or two exclude
-            each other.
+        UsageError: The suffix is unknown, an option is for other suffixes, or two options exclude each other.
     """
     kind = file.suffix.lower()
     if kind not in SUFFIXES:
@@ -404,7 +406,7 @@ def _checked_kind(file: Path, options: Sequence[str]) -> str:
 def _show_files(
     kind: str, files: Sequence[Path], wanted: _Episodes, ends: Sequence[WorldFrame], *, as_json: bool
 ) -> None:
-    """Print which files were made of which episodes."""
+    """Print the files with their episodes."""
     rows = records.recorded_rows(zip(wanted.numbers, ends, strict=True))
     per_file = [rows] if len(files) == 1 else [[row] for row in rows]
     data = {
@@ -436,8 +438,8 @@ def _lines(kind: str, files: Sequence[Path], rows: Sequence[Row]) -> Iterator[st
 
 
 def _draw_robot(reference: str, file: Path, shot: Viewpoint, engine: str, permissions: Permissions) -> None:
-    """A picture of a robot on a floor, with its joints at 0."""
-    import PIL.Image  # of the extra that draws
+    """Draw a picture of a robot on a floor, with its joints at 0."""
+    import PIL.Image  # needs the extra `view`
 
     from deepbots_cli import engines
     from deepbots_cli.runtime.overview import view_around

@@ -1,4 +1,4 @@
-"""`deepbots replay`: what a recording holds, and whether it happens again."""
+"""`deepbots replay`: the content of a recording, and whether running it again gives the same."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots replay`."""
+    """List the episodes of a recording, or run them again and compare."""
     from deepbots_cli.rollout.robot_logs import is_robot_log
 
     log = Path(recording)
@@ -97,7 +97,7 @@ def command(
 
 
 def _list_episodes(opened: ShowingState, recording: str, *, as_json: bool) -> None:
-    """Print what is in a recording; `recording` is its name as it was written."""
+    """Print the content of a recording; `recording` is its name as it was written."""
     from deepbots_cli.view.replay import ReplayPlayer
 
     read = opened.recording
@@ -124,7 +124,7 @@ def _list_episodes(opened: ShowingState, recording: str, *, as_json: bool) -> No
 def _verify(
     read: Recording, shown: ShowingState, tolerance: float, notes: Sequence[str], *, as_json: bool
 ) -> None:
-    """Run a recording again, and exit with 1 where it differs."""
+    """Run a recording again, and exit with 1 if it differs."""
     from deepbots_cli.view.episodes import Player
     from deepbots_cli.view.replay import verify
 
@@ -184,10 +184,10 @@ def _list_log(path: Path, *, as_json: bool) -> None:
 def _elsewhere(
     opened: ShowingState, scenario: str, overrides: Sequence[str], permissions: Permissions
 ) -> tuple[ShowingState, list[str]]:
-    """Another scenario for the episodes of a recording, and a line for each setting that differs.
+    """Return another scenario for the episodes of a recording, and a line for each setting that differs.
 
     Raises:
-        UsageError: Its observation, action or messages differ; lists them.
+        UsageError: The observation, action or messages differ; the message lists them.
     """
     from deepbots_cli.view.episodes import Showing
 
@@ -216,7 +216,8 @@ def _elsewhere(
 
 
 def _told(change: Change, one: WrittenScenario, other: WrittenScenario) -> Iterator[str]:
-    """The setting that differs and its values on both sides; of a section, the keys in it that differ."""
+    """Yield the setting that differs and its values on both sides; for a section, the keys in it that
+    differ."""
     if change.through:
         yield f"{change.path}: {change.by}"
     elif (change.one, change.other) == (one.text_at(change.path), other.text_at(change.path)):

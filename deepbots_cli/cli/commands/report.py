@@ -37,7 +37,7 @@ def command(
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Run `deepbots report`."""
+    """Write a report about a run."""
     from deepbots_cli.files import atomic_write, check_folder, check_output
     from deepbots_cli.view.plots import import_matplotlib
 

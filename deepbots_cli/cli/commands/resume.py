@@ -1,4 +1,4 @@
-"""`deepbots resume` and `deepbots apply`: what follows a training, a group or a study that exists."""
+"""`deepbots resume` and `deepbots apply`: the next steps of a training, a group or a study that exists."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def resume(
     as_json: Json = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Run `deepbots resume`."""
+    """Continue a training, a group of trainings, or a study."""
     permissions = Permissions(code=allow_code)
     source = Source.open(trained, permissions, SourceKind.RUN, SourceKind.GROUP, SourceKind.STUDY)
     group = Group.open(source) if source.kind is SourceKind.GROUP else None
@@ -93,7 +93,7 @@ def resume(
             retries.resume(trained, retry, executor, **shown)
         return
     if callbacks or loggers:
-        from deepbots_cli.learning.sb3 import plugins  # which imports torch
+        from deepbots_cli.learning.sb3 import plugins
 
         plugins.check(names(callbacks), names(loggers))
     settings: dict[str, Any] = {
@@ -122,7 +122,11 @@ def resume(
 
 
 def _refuse_others(what: str, options: dict[str, Any], *allowed: str) -> None:
-    """Raises: UsageError: An option does not go with what is resumed."""
+    """Refuse options that do not apply to the resumed object.
+
+    Raises:
+        UsageError: An option does not apply to it.
+    """
     for name, value in options.items():
         if value is not None and name not in allowed:
             raise UsageError(
@@ -150,8 +154,8 @@ def apply(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots apply`."""
-    from deepbots_cli.cli.commands.rewriting import write_values  # which imports the rules of lint
+    """Write the best values of a search into the scenario file."""
+    from deepbots_cli.cli.commands.rewriting import write_values  # this imports the rules of lint
 
     source = Source.open(varied, permissions, SourceKind.GROUP, SourceKind.STUDY)
     campaign = Group.open(source) if source.kind is SourceKind.GROUP else _open_study(varied, quiet=False)

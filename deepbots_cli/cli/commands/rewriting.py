@@ -1,5 +1,5 @@
 """Changes of the user's files: `fmt` and the fixes of `lint`, shown as a difference or written, and values
-that were found by training."""
+from trainings."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def fmt(
     ] = False,
     diff: Annotated[bool, option("--diff", "Like --check, and show the changes.")] = False,
 ) -> None:
-    """Run `deepbots fmt`."""
+    """Format scenario files in the canonical layout."""
     rewrites, refused = [], False
     for path in _scenario_files(paths or [Path(".")]):
         rewrite = _tidied(path)
@@ -57,7 +57,7 @@ def fmt(
 
 
 def _scenario_files(paths: Sequence[Path]) -> Iterator[Path]:
-    """The named files, and the scenarios in named folders that the project does not exclude."""
+    """Yield the named files, and the scenarios in named folders that the project does not exclude."""
     for path in paths:
         if not path.exists():
             raise UsageError(f"there is no file {path}")
@@ -70,7 +70,7 @@ def _scenario_files(paths: Sequence[Path]) -> Iterator[Path]:
 
 
 def _tidied(path: Path) -> Rewrite | None:
-    """The file in the canonical layout; None after an error message if it cannot be formatted."""
+    """Return the file in the canonical layout; None after an error message if it cannot be formatted."""
     data, findings = _read(path), Findings()
     source, readable = files.decode(data, str(path), findings)
     root = parse(source, findings) if readable else None
@@ -98,22 +98,23 @@ def _read(path: Path) -> bytes:
 
 
 def show(rewrite: Rewrite) -> None:
-    """Print what would change; to a file or a pipe byte for byte, so that `patch -p0` and `git apply -p0` can
-    read it."""
+    """Print the changes; to a file or a pipe byte for byte, so that `patch -p0` and `git apply -p0` can read
+    them."""
     text = _difference(rewrite)
     print(terminal.printable(text) if sys.stdout.isatty() else text, end="")
 
 
 def _difference(rewrite: Rewrite) -> str:
-    """A unified diff."""
+    """Return a unified diff."""
     name = files.display_path(rewrite.path)
     if name.isprintable():
-        name += "\t" if " " in name else ""  # without it `patch` takes the name to end there
+        name += "\t" if " " in name else ""  # without it, `patch` reads the name up to the blank
     else:
         name = f'"{"".join(map(_quoted, os.fsencode(name)))}"'
+    # Only \n separates lines here.
     before, after = (
         list(StringIO(data.decode("utf-8", "replace"))) for data in (rewrite.before, rewrite.after)
-    )  # parted by \n alone
+    )
     lines = unified_diff(before, after, name, name)
     return "".join(
         line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines
@@ -121,7 +122,7 @@ def _difference(rewrite: Rewrite) -> str:
 
 
 def _quoted(byte: int) -> str:
-    """A byte of an odd file name, as `git` and `patch` write it."""
+    """Return a byte of an unusual file name as `git` and `patch` write it."""
     return chr(byte) if chr(byte).isprintable() and byte < 128 and chr(byte) not in '"\\' else f"\\{byte:03o}"
 
 
@@ -129,7 +130,7 @@ def write(rewrite: Rewrite) -> None:
     """Replace the file as a whole.
 
     Raises:
-        UsageError: It has changed since it was read, or the system refuses it; nothing is written.
+        UsageError: The file has changed since it was read, or the system refuses it; nothing is written.
     """
     path = rewrite.path
     with atomic_write(path) as draft:
@@ -138,9 +139,7 @@ def write(rewrite: Rewrite) -> None:
                 f"another program changed {files.display_path(path)} in the meantime, so it was not"
                 " overwritten; run the command again"
             )
-        with path.open(
-            "r+b"
-        ):  # a file that its owner made read-only stays as it is, though its folder would let it be replaced
+        with path.open("r+b"):  # a read-only file stays as it is, even if its folder permits to replace it
             pass
         draft.write_bytes(rewrite.after)
 

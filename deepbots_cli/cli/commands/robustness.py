@@ -104,12 +104,12 @@ def command(
     address: ClusterAddress = None,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots robustness`."""
+    """Evaluate a policy under changed conditions."""
     ref = ModelRef.open(run, permissions, model="last" if last else "best")
     gates = Gates(min_success, min_return, False)
     gates.check(ref.run.program)
     with terminal.transient_line("loading the policy ..."):
-        from deepbots_cli.learning.robustness import evaluate_robustness  # which imports torch
+        from deepbots_cli.learning.robustness import evaluate_robustness
     with processes.executor(workers, address) as executor, terminal.progress("evaluations") as show_level:
         result = evaluate_robustness(
             ref,

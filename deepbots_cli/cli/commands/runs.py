@@ -52,7 +52,7 @@ def command(
     ] = Sort.date,
     as_json: Json = False,
 ) -> None:
-    """Run `deepbots runs`."""
+    """List trainings, with their results."""
     if folder_kind(folder) is SourceKind.RUN:
         _show_run(folder, as_json=as_json)
         return
@@ -86,7 +86,7 @@ def command(
 
 
 def _notes(run: ListedRun) -> Iterator[str]:
-    """What the table does not show of a run, with its name."""
+    """Yield notes on a run that the table does not show, with its name."""
     name = run.path.name
     yield from (f"{name}: {note}" for note in _own_notes(run))
     yield from (
@@ -97,8 +97,8 @@ def _notes(run: ListedRun) -> Iterator[str]:
 
 
 def _own_notes(run: ListedRun) -> Iterator[str]:
-    """What the table does not show: damage, models that were chosen by another rule, and a training that got
-    worse."""
+    """Yield notes that the table does not show: damage, models that were chosen by another rule, and a
+    training that got worse."""
     if run.problem is not None:
         yield run.problem
     if chosen_by_return := list(_chosen_by_return(run)):
@@ -114,7 +114,7 @@ def _own_notes(run: ListedRun) -> Iterator[str]:
 
 
 def _chosen_by_return(run: ListedRun) -> Iterator[Path]:
-    """The runs in a run, a group or a study whose best model an earlier version chose by return."""
+    """Yield the runs in a run, a group or a study whose best model an earlier version chose by return."""
     if run.chosen_by == "return":
         yield run.path
     for inner in run.runs:
@@ -122,7 +122,7 @@ def _chosen_by_return(run: ListedRun) -> Iterator[Path]:
 
 
 def _has_other_models(run: Path) -> bool:
-    """Whether `eval --keep` has a choice: a model that differs from the best one."""
+    """Return whether `eval --keep` has a choice: a model that differs from the best one."""
     best = run / "models" / "agent" / "best.zip"
     return best.is_file() and any(
         not filecmp.cmp(best, other, shallow=False) for other in best.parent.glob("*.zip")
@@ -135,7 +135,7 @@ def _data(run: ListedRun) -> dict[str, Any]:
 
 
 def _row(run: ListedRun, *, with_file: bool = False) -> Row:
-    """A row of the table; `with_file` where scenarios of several files have the same name."""
+    """Return a row of the table; `with_file` if scenarios of several files have the same name."""
     finished = sum(inner.state == "finished" for inner in run.runs)
     state: str = run.state
     if run.planned is not None:
@@ -163,14 +163,14 @@ def _row(run: ListedRun, *, with_file: bool = False) -> Row:
 
 
 def _seeds(seeds: tuple[int, ...]) -> str:
-    """`0..4` for seeds that follow each other."""
+    """Return seeds as text; `0..4` for seeds that follow each other."""
     if len(seeds) > 2 and seeds == tuple(range(seeds[0], seeds[0] + len(seeds))):
         return f"{seeds[0]}..{seeds[-1]}"
     return ", ".join(map(str, seeds))
 
 
 def _show_run(folder: Path, *, as_json: bool) -> None:
-    """A run, and the evaluations that it keeps."""
+    """Show a run, and its evaluations."""
     run, kept = read_listed(folder), evaluations(folder)
     data = [
         {"number": number, **({"problem": one} if isinstance(one, str) else one.model_dump())}

@@ -103,7 +103,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots serve`."""
+    """Let a policy act for a robot, or simulate the robot."""
     links = [
         name
         for name, present in (("--ros", ros), ("--ros1", ros1), ("--zmq", zmq), ("--websocket", websocket))
@@ -180,7 +180,7 @@ def _serve_policy(
 
 
 def _exported(run: Path, stack: ExitStack) -> Path:
-    """The bundle of the best model of a run, or of a model that is named, in a folder that lasts as long as
+    """Export the bundle of the best model of a run, or of a named model, into a folder that lasts as long as
     `stack`."""
     from deepbots_cli.insight.export.bundle import bundle_files
     from deepbots_cli.learning.run import ModelRef
@@ -196,7 +196,7 @@ def _exported(run: Path, stack: ExitStack) -> Path:
 
 
 def _simulate(name: str, running: Any, *, as_json: bool, success: bool) -> None:
-    """Show each episode, and at the end what all of them were like."""
+    """Show each episode, and at the end a summary of all of them."""
     done: list[Episode] = []
     robots: list[SimulatedRobot] = []
     terminal.note(f"{name} waits for a policy")

@@ -65,7 +65,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots test`."""
+    """Run the tests of scenarios."""
     if junit is not None:
         check_output(junit, force=force)
     began, names = time.perf_counter(), scenario_names(scenarios or ["."], settings())
@@ -111,7 +111,7 @@ def command(
 
 
 class _Scenario(NamedTuple):
-    """A scenario to be tested: its tests whose names contain `only`, and how it is loaded."""
+    """A scenario to be tested: its tests whose names contain `only`, and the options for loading it."""
 
     name: str
     only: str | None
@@ -158,7 +158,7 @@ def _row(result: TestResult) -> Row:
 
 
 def _command(scenario: str, result: TestResult, miss: UnmetExpectation, options: Sequence[str]) -> str:
-    """The command that shows the episode of a miss, with the options that were `given`."""
+    """Return the command that shows the episode of a miss, with the options that were `given`."""
     test, episode = result.test, miss.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
     where = " ".join([quote(scenario), *settings, *options])

@@ -139,7 +139,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots train`."""
+    """Train a policy in a new run directory, and evaluate it."""
     progress = not quiet
     _check_retry(retry, seeds, to_view=to_view)
     scenario = _checked_options(scenario, seed, seeds, run)
@@ -165,7 +165,7 @@ def command(
         "command": ["deepbots", *sys.argv[1:]],
     }
     with terminal.transient_line("loading PyTorch ..." if progress else ""):
-        checked_settings = learning.checked_settings  # which imports torch
+        checked_settings = learning.checked_settings
     root = seed or 0
     checked_settings(compiled.program, listed or [root], **settings)
     settings["progress"] = progress
@@ -203,7 +203,11 @@ def command(
 
 
 def _check_retry(retry: int | None, seeds: str | None, *, to_view: bool) -> None:
-    """Raises: UsageError: `--retry` cannot be combined with these options."""
+    """Check the options that go with `--retry`.
+
+    Raises:
+        UsageError: `--retry` cannot be combined with these options.
+    """
     if retry is not None and (seeds is not None or to_view):
         other = "--view" if seeds is None else "--seeds"
         raise UsageError(
@@ -213,8 +217,11 @@ def _check_retry(retry: int | None, seeds: str | None, *, to_view: bool) -> None
 
 
 def _checked_options(scenario: str | None, seed: int | None, seeds: str | None, run: Path | None) -> str:
-    """The scenario of a new training. Raises: UsageError: There is none, or the options exclude one
-    another."""
+    """Return the scenario of a new training.
+
+    Raises:
+        UsageError: There is none, or the options exclude one another.
+    """
     if scenario is None:
         raise UsageError("there is no scenario to train; name one, such as: deepbots train cartpole")
     if seeds is not None and seed is not None:
@@ -233,10 +240,10 @@ def _checked_workers(
     workers: int | None,
     address: str | None,
 ) -> int | None:
-    """The number of workers; with `--shards auto`, as many as there are cores by default.
+    """Return the number of workers; with `--shards auto`, as many as there are cores by default.
 
     Raises:
-        UsageError: They have nothing to divide.
+        UsageError: There is nothing to divide among them.
     """
     training = program.agent.training
     if shards == "auto":
@@ -264,7 +271,7 @@ def _with_fastest_shards(
     seed: int,
     permissions: Permissions,
 ) -> api.Compiled:
-    """The scenario with the number of shards that trains fastest."""
+    """Return the scenario with the number of shards that trains fastest."""
     from deepbots_cli.learning import scaling
 
     training = compiled.program.agent.training
@@ -296,7 +303,8 @@ def _with_fastest_shards(
 
 
 def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full: bool) -> None:
-    """Say what is trained, by which learner and why, when it ends, and how to end it earlier."""
+    """Print the scenario, the learner and the reason for it, when the training ends, and how to end it
+    earlier."""
     training, solved = compiled.program.agent.training, compiled.program.agent.solved
     if training is not None:
         until = f", or until it is solved ({solved.description})" if solved and not full else ""

@@ -1,4 +1,5 @@
-"""`deepbots transfer`: whether a policy works in another engine or scenario, and what differs there."""
+"""`deepbots transfer`: whether a policy works in another engine or scenario, and the differences of the
+worlds."""
 
 from __future__ import annotations
 
@@ -41,9 +42,9 @@ if TYPE_CHECKING:
 WIDTH = 110
 """The width of wrapped lines."""
 EXPLAINS_WHOLE = 0.9
-"""The share from which on a change explains the whole difference, apart from what grows of a small rest."""
+"""The share from which a change explains the whole difference, apart from the growth of a small rest."""
 DEFAULT_EPISODES, QUICK_STEPS = 50, 2_000
-"""Episodes of each evaluation, and the steps after which those of `--quick` end."""
+"""The episodes of each evaluation, and the steps after which those of `--quick` end."""
 
 
 def command(
@@ -110,7 +111,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots transfer`."""
+    """Check that a policy works in another engine or world."""
     opened = [ModelRef.open(path, permissions) for path in runs]
     for ref in opened:
         Gates(min_success, min_return, False).check(ref.run.program)
@@ -120,7 +121,7 @@ def command(
         )
         return
     with terminal.transient_line("loading the policy ..."):
-        from deepbots_cli.insight.transfer import transfer  # which imports torch
+        from deepbots_cli.insight.transfer import transfer
     transfers = []
     for ref in opened:
         run = ref.run
@@ -201,7 +202,7 @@ def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others:
 def _other_scenario(
     run: Run, scenario: str | None, overrides: Sequence[str], permissions: Permissions
 ) -> Compiled | None:
-    """The scenario of the other world, where it is not that of the run."""
+    """Return the scenario of the other world, if it is not that of the run."""
     if scenario is None and not overrides:
         return None
     source = (
@@ -240,7 +241,7 @@ def _lines(transfer: Transfer) -> list[str]:
 
 
 def _difference_lines(compared: WorldComparison, here: str, there: str) -> list[str]:
-    """What differs after the same actions in both worlds."""
+    """Return lines with the differences after the same actions in both worlds."""
     size = f"{compared.episodes} episodes of up to {compared.steps} steps"
     if not compared.differences:
         return [f"\nthe same actions give the same values in both worlds ({size})"]
@@ -262,7 +263,7 @@ def _difference_lines(compared: WorldComparison, here: str, there: str) -> list[
 
 
 def _cause_lines(compared: WorldComparison, here: str) -> list[str]:
-    """The changes of the first world that explain the difference."""
+    """Return lines with the changes of the first world that explain the difference."""
     tried = fill(f"tried, one change at a time: {'; '.join(compared.tried)}", WIDTH)
     if compared.causes:
         is_whole = compared.causes[0].explained >= EXPLAINS_WHOLE
@@ -284,8 +285,8 @@ def _cause_lines(compared: WorldComparison, here: str) -> list[str]:
 
 
 def _verdict(compared: Transfer) -> list[str]:
-    """Whether the policy works in both worlds, and how often it succeeds, in a line; and what working
-    means."""
+    """Return a line with the success rates, and whether the policy works in both worlds; and the meaning of
+    working."""
     one, other = compared.works
     is_lower = bool(one and other) and compared.is_much_lower
     is_rate = compared.here.success_defined and not is_lower

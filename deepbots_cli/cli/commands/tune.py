@@ -97,7 +97,7 @@ def command(
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots tune`."""
+    """Search for better values of a scenario."""
     if scenario is None:
         raise UsageError(
             "there is no scenario; name one, such as: deepbots tune cartpole --param"
@@ -125,7 +125,7 @@ def command(
     try:
         continue_study(study, workers, address, quiet=quiet, as_json=as_json, permissions=permissions)
     except (DeepbotsError, KeyboardInterrupt):
-        if not study.trials():  # there are no such workers, for example
+        if not study.trials():  # for example, the workers do not exist
             shutil.rmtree(study.path, ignore_errors=True)
         raise
 
@@ -133,11 +133,11 @@ def command(
 def _checked(
     scenario: str, params: Sequence[str], overrides: Sequence[str] | None, permissions: Permissions
 ) -> CheckedScenario:
-    """The scenario with the search of the options.
+    """Return the scenario with the search of the options.
 
     Raises:
-        UsageError: An option is wrong; one sentence.
-        ScenarioError: The scenario has errors, in its section `tune` too.
+        UsageError: An option is wrong. ScenarioError: The scenario has errors, which may be in its section
+            `tune`.
     """
     overrides = list(overrides or ())
     if not params:
@@ -153,7 +153,7 @@ def _checked(
             raise UsageError(f"--param names {path} twice")
         search[path] = values
     before = api.load(scenario, overrides=overrides, permissions=permissions)
-    if before.program is None:  # its own errors, in full
+    if before.program is None:  # reports all errors of the scenario
         api.compile(before)
     # A list is YAML already; anything else is one text.
     entries = (
@@ -183,7 +183,7 @@ def _checked(
 
 
 def _seeds(text: str) -> Sequence[int]:
-    """`3`: that many seeds from 0; `0..4` or `0,3,7`: these."""
+    """Parse seeds: `3` for so many seeds from 0, or `0..4` or `0,3,7` for these seeds."""
     if ".." in text or "," in text:
         return seed_list(text)
     return range(whole_number(1, MAX_SEEDS)(text))

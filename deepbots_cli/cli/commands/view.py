@@ -1,4 +1,4 @@
-"""What people see of a world: `view` and `play` serve a page in the browser."""
+"""`deepbots view` and `deepbots play`, which serve a page in the browser."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def view(
     open_: Open = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots view`."""
+    """Watch a policy, a scenario or a recording in the browser."""
     if world >= (worlds or 1):
         reason = f"--worlds {worlds} creates the worlds 0 to {worlds - 1}" if worlds else "add --worlds N"
         raise UsageError(f"there is no world {world}; {reason}")
@@ -163,7 +163,7 @@ def play(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run `deepbots play`."""
+    """Drive the robot of a scenario in the browser."""
     from deepbots_cli.view.episodes import Showing
     from deepbots_cli.view.pictures import check_target
 
@@ -180,7 +180,7 @@ def _serve(source: Showing, open_: bool, **options: Any) -> None:
     page = Page(source, **options)
     try:
         terminal.print_result(page.address)
-        sys.stdout.flush()  # programs that read it wait for it
+        sys.stdout.flush()  # programs that read the address wait for it
         terminal.note("Ctrl-C ends it")
         if open_:
             webbrowser.open(page.address)
@@ -192,7 +192,7 @@ def _serve(source: Showing, open_: bool, **options: Any) -> None:
 
 
 def _finish(driven: DrivenEpisodes) -> None:
-    """Print which episodes a person has driven, and what their recording is for."""
+    """Print the episodes that a person has driven, and the use of their recording."""
     if driven.is_full:
         terminal.note(driven.note)
     if not driven.ends:
@@ -212,7 +212,7 @@ def _finish(driven: DrivenEpisodes) -> None:
 
 
 def _training_words(opened: ShowingState) -> list[str]:
-    """The command that trains what is shown."""
+    """Return the words of the command that trains the shown scenario."""
     shown = opened.shown
     if opened.run is not None:
         from deepbots_cli.insight.training import training_command

@@ -1,7 +1,7 @@
 """A first scenario for a robot file: the task that suits its build, and the values of the template of this
 task.
 
-for_robots/  one Jinja template per task; parts.yaml holds the parts that they share
+for_robots/  one Jinja template per task; parts.yaml has the parts that they share
 build.py     the build of a robot: wheels, limbs, rotors
 *.yaml       the scenarios of `deepbots new --template`; arm.urdf is the robot of arm.yaml
 """
@@ -29,9 +29,9 @@ _COLUMN, _WIDTH = 40, 110
 _PLAIN = re.compile(r"(?:package://|(?:\.\./)+)?[A-Za-z_][A-Za-z0-9_./-]*")
 _OTHER_YAML = frozenset({"true", "false", "null", "yes", "no", "on", "off", "y", "n"})
 _PARALLEL = 0.999
-"""Cosine of the angle between axes that count as parallel."""
+"""The cosine of the angle between axes that count as parallel."""
 _TIP_TOLERANCE = 0.02
-"""How near to its target the tip of a limb must come, as a fraction of the limb's reach."""
+"""The largest distance of the tip of a limb from its target, as a fraction of the limb's reach."""
 _STANDING_LEG_SHARE = 0.75
 """The length of a standing leg, as a fraction of its reach."""
 
@@ -59,7 +59,7 @@ class Draft:
         return self.build.is_fixed
 
     def group(self, name: str, joints: Sequence[Joint]) -> str:
-        """Add a group of joints; returns its name, which differs from `name` where a link or a joint has that
+        """Add a group of joints. Returns its name, which differs from `name` if a link or a joint has that
         one."""
         model = self.build.model
         name = _unused(name, [*(link.name for link in model.links), *(joint.name for joint in model.joints)])
@@ -67,7 +67,7 @@ class Draft:
         return name
 
     def start(self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]) -> str:
-        """Add a pose of a group in which episodes begin; returns its name."""
+        """Add a pose of a group in which episodes begin. Returns its name."""
         name = _unused(name, [group])
         rounded = {joint.name: _rounded(joint, positions[joint.name]) for joint in joints}
         self.poses[name] = {joint.name: _with_unit(joint, rounded[joint.name]) for joint in joints}
@@ -76,7 +76,7 @@ class Draft:
         return name
 
     def motor(self, name: str, kind: str, group: str, joints: Sequence[Joint], command: str) -> None:
-        """Add a motor for a group; where the file names no effort, one that is strong enough for the robot's
+        """Add a motor for a group. If the file names no effort, the motor is strong enough for the robot's
         weight."""
         strength = ""
         if not all(joint.limit.effort for joint in joints):
@@ -99,24 +99,24 @@ class Draft:
 
     @property
     def height(self) -> float:
-        """Height of the root at the start, in m; a fixed base is only raised to keep the rest out of the
+        """The height of the root at the start, in m. A fixed base is only raised to keep the rest out of the
         ground."""
         height = self.build.height(self.positions)
         return max(height, 0.0) if self.fixed else height
 
     @property
     def raised(self) -> dict[str, str]:
-        """The start height, where the robot would begin within the ground: by default it rests on it with all
-        joints at 0."""
+        """The start height, for a robot whose default start would be within the ground. By default a robot
+        stands on the ground with all joints at 0."""
         usual = 0.0 if self.fixed else self.build.height({})
         return {"z": f"{short_number(self.height)} m"} if self.height > usual + 1e-3 else {}
 
 
 def scenario(model: RobotModel, urdf: str, name: str) -> str:
-    """The text of a scenario called `name` about a robot file.
+    """Return the text of a scenario called `name` about a robot file.
 
     Raises:
-        UsageError: Nothing of the robot can be driven, or a joint moves no mass, with which no simulation
+        UsageError: No joint of the robot can be driven, or a joint moves no mass, with which no simulation
             begins.
     """
     build = Build(model)
@@ -143,7 +143,7 @@ def scenario(model: RobotModel, urdf: str, name: str) -> str:
 
 
 def _suited(build: Build) -> list[Callable[[Draft], dict[str, object] | None]]:
-    """The tasks that suit a robot, best first; a task may turn out to be impossible."""
+    """Return the tasks that suit a robot, best first; a task may turn out to be impossible."""
     if build.rotors:
         return [hover]
     if build.balances or (build.poles and (build.wheels or build.is_fixed)):
@@ -157,7 +157,7 @@ def _suited(build: Build) -> list[Callable[[Draft], dict[str, object] | None]]:
 
 
 def _found(draft: Draft) -> list[str]:
-    """What was found in the robot file, for the head of the scenario."""
+    """Return the parts that were found in the robot file, for the head of the scenario."""
     build, model = draft.build, draft.build.model
     counts = {
         "of them carry wheels": len(build.wheels),
@@ -179,7 +179,7 @@ def _found(draft: Draft) -> list[str]:
         f"{build.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were"
         " chosen from these: change them.",
     ]
-    return [" ".join(line.split()) for line in lines]  # the name of a file may hold line breaks
+    return [" ".join(line.split()) for line in lines]  # the name of a file may contain line breaks
 
 
 # Tasks: each adds joints and motors to the draft, and returns the values of its template
@@ -208,7 +208,7 @@ def drive(draft: Draft) -> dict[str, object]:
 
 
 def balance(draft: Draft) -> dict[str, object]:
-    """Keep upright what would fall: a body on two wheels of one axle, or a pole on a hinge without a
+    """Keep a body upright that would fall: a body on two wheels of one axle, or a pole on a hinge without a
     motor."""
     build = draft.build
     tilts = not build.poles
@@ -231,7 +231,8 @@ def balance(draft: Draft) -> dict[str, object]:
 
 
 def _add_joint_motor(draft: Draft, name: str, unit: str, joints: Sequence[Joint]) -> dict[str, object]:
-    """A motor on the joints of one unit; what the template says of their sensors, ranges and ends."""
+    """Add a motor on the joints of one unit. Returns the values of the template about their sensors, ranges
+    and ends."""
     group = draft.group(name, joints)
     top = min(1.0 if unit == "m" else 3.0, *(joint.limit.velocity or inf for joint in joints))
     draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {short_number(top)} {unit}/s")
@@ -255,7 +256,7 @@ def hover(draft: Draft) -> dict[str, object]:
 
 
 def reach(draft: Draft) -> dict[str, object] | None:
-    """Bring the tip of an arm to a place in space; None where no box of places is found that it can reach."""
+    """Bring the tip of an arm to a place in space; None if no box of places is found that it can reach."""
     build = draft.build
     if len(build.limbs) != 1 or len(build.limbs[0].joints) < 2:
         return None
@@ -329,7 +330,7 @@ def walk(draft: Draft) -> dict[str, object]:
 
 
 def roam(draft: Draft) -> dict[str, object]:
-    """Get away from where it is, by whatever joints there are."""
+    """Get away from the start, by any joints of the robot."""
     build, actions = draft.build, {}
     for kind, unit, joints in by_unit(build.driven):
         endless = [joint for joint in joints if joint.type == "continuous" or joint.limit.lower is None]
@@ -374,7 +375,8 @@ def posture(draft: Draft) -> dict[str, object]:
 
 
 def _middle(draft: Draft, group: str, pose: str, joints: Sequence[Joint]) -> tuple[str, float]:
-    """A pose in which every joint can move either way, and by how much, at most 0.5 rad or m."""
+    """Return a pose in which every joint can move in both directions, and by how much, at most 0.5 rad or
+    m."""
     middle = {joint.name: neutral(joint, 0.2) for joint in joints}
     swing = min(
         0.5,
@@ -390,7 +392,7 @@ def _middle(draft: Draft, group: str, pose: str, joints: Sequence[Joint]) -> tup
 
 
 def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> str:
-    """Velocity motors for the wheels of each side named in `commands`, mirrored axles apart; returns the
+    """Add velocity motors for the wheels of each side named in `commands`, mirrored axles apart. Returns the
     group of all wheels."""
     build = draft.build
     everything = draft.group("wheels", [wheel.joint for wheel in build.wheels])
@@ -423,7 +425,7 @@ def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> 
 
 
 def _steer(draft: Draft, command: str) -> None:
-    """Position motors for the hinges that steer; without a command they keep straight on."""
+    """Add position motors for the hinges that steer; without a command they keep straight on."""
     build = draft.build
     for mirrored, name in ((False, "steering"), (True, "steering_mirrored")):
         joints = [joint for joint in build.steering if (build.axis(joint)[2] < 0) is mirrored]
@@ -443,13 +445,14 @@ def _steer(draft: Draft, command: str) -> None:
 
 
 def _others(build: Build) -> list[Joint]:
-    """The joints with a motor that neither roll nor steer."""
+    """Return the joints with a motor that neither roll nor steer."""
     busy = [*(wheel.joint for wheel in build.wheels), *build.steering]
     return [joint for joint in build.driven if joint not in busy]
 
 
 def _wheel_speed(build: Build, wanted: float) -> float:
-    """Speed of the wheels in rad/s for `wanted` m/s, at most 1.5 m/s, within the limits of the file."""
+    """Return the speed of the wheels in rad/s for `wanted` m/s, at most 1.5 m/s, within the limits of the
+    file."""
     limits = [wheel.joint.limit.velocity for wheel in build.wheels if wheel.joint.limit.velocity]
     return min(min(wanted, 1.5) / max(wheel.radius for wheel in build.wheels), *limits, 60.0)
 
@@ -458,8 +461,8 @@ def _wheel_speed(build: Build, wanted: float) -> float:
 
 
 def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, float]] | None:
-    """A box in front of an arm, or beside it, whose corners its tip reaches, and joint positions at the
-    start.
+    """Return a box in front of an arm, or beside it, whose corners its tip reaches, and joint positions at
+    the start.
 
     The arm starts with its tip in the middle. The box of an arm that moves in a plane along two axes of the
     world is flat, and the tip starts beside it: in the middle it would often be at the drawn place already.
@@ -487,7 +490,7 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
                 if axis != across
                 for sign in (1, -1)
             ]
-            orders.append(bending[::-1])  # which often bends the elbow the other way
+            orders.append(bending[::-1])  # the reversed order often bends the elbow the other way
             # The circle that a hinge at its limit leaves out may reach into a flat box between two corners.
             inner = [
                 middle,
@@ -502,11 +505,12 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
         reached = [positions for positions, missing in tried if missing < near]
         corners = product((low[0], high[0]), (low[1], high[1]), (low[2], high[2]))
         if reached and all(limb.positions_for(place)[1] < near for place in (*corners, *inner)):
+            # The place at the start is above the ground.
             return (
                 low,
                 high,
                 reached[0] if across is None else max(reached, key=limb.lowest),
-            )  # above the ground
+            )
     return None
 
 
@@ -516,7 +520,7 @@ def _moved(point: Triple, axis: int, distance: float) -> Triple:
 
 
 def _upright(build: Build) -> tuple[float, float]:
-    """Roll and pitch (deg) that bring the legs below the body, for a robot that was drawn lying on its
+    """Return roll and pitch (deg) that bring the legs below the body, for a robot that was drawn lying on its
     side."""
     legs = [
         frames.subtract(build.frames[limb.tip][0], build.frames[limb.joints[0].child][0])
@@ -531,7 +535,7 @@ def _upright(build: Build) -> tuple[float, float]:
 
 
 def _standing(build: Build, limb: Limb, down: Triple) -> dict[str, float]:
-    """Joint positions with the foot of a leg below its hip and the leg somewhat bent."""
+    """Return joint positions with the foot of a leg below its hip and the leg somewhat bent."""
     hip = build.frames[limb.joints[0].child][0]
     leg = frames.subtract(build.frames[limb.tip][0], hip)
     aside = frames.subtract(leg, frames.scaled(down, frames.dot(leg, down)))
@@ -558,13 +562,13 @@ def _templates() -> Environment:
 
 
 def yaml_name(name: str) -> str:
-    """A name of a robot file as YAML."""
+    """Return a name of a robot file as YAML."""
     plain = _PLAIN.fullmatch(name) and name.lower() not in _OTHER_YAML
     return name if plain else json.dumps(name, ensure_ascii=False)
 
 
 def flow_collection(items: Sequence[str] | Mapping[str, str], key: str, indent: int = 6) -> str:
-    """`key: [a, b]` or `key: {a: 1, b: 2}`, over several lines where it is long."""
+    """Return `key: [a, b]` or `key: {a: 1, b: 2}`, over several lines if it is long."""
     pairs = (
         [f"{yaml_name(name)}: {value}" for name, value in items.items()]
         if isinstance(items, Mapping)
@@ -581,13 +585,13 @@ def flow_collection(items: Sequence[str] | Mapping[str, str], key: str, indent: 
 
 
 def short_number(value: float) -> str:
-    """Three digits of a number."""
+    """Return three digits of a number."""
     return f"{value + 0.0:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:
-    """Joints that turn apart from joints that slide, which never share a group: what they are, their unit,
-    the joints."""
+    """Return joints that turn apart from joints that slide, which never share a group: their name, their
+    unit, the joints."""
     hinges, slides = (
         [joint for joint in joints if (joint.type == "prismatic") is slides] for slides in (False, True)
     )
@@ -595,8 +599,8 @@ def by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:
 
 
 def _rounded(joint: Joint, value: float) -> float:
-    """Whole degrees or millimeters within the limits of the joint; the middle of limits that are closer than
-    that."""
+    """Round to whole degrees or millimeters within the limits of the joint; the middle of limits that are
+    closer than that."""
     step = 1e-3 if joint.type == "prismatic" else radians(1.0)
     low, high = joint.limit.lower, joint.limit.upper
     rounded = round(value / step) * step
@@ -618,6 +622,6 @@ def _unused(name: str, used: Iterable[str]) -> str:
 
 
 def _aligned(line: str) -> str:
-    """A line with its comment, which follows four spaces, in the column of comments."""
+    """Return a line with its comment, which follows four spaces, in the column of comments."""
     text, mark, comment = line.partition("    # ")
     return f"{text:<{_COLUMN - 2}}  # {comment}" if mark else line.rstrip()

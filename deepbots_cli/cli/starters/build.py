@@ -1,7 +1,7 @@
 """The build of a robot: wheels, steering, limbs, rotors, and joints without a motor.
 
-It is read from shapes and joints with all joints at 0. Names count only for rotors, which look like any other
-link. All coordinates are in the frame of the root link, in m and rad.
+It is derived from shapes and joints with all joints at 0. Names are used only for rotors, which look like any
+other link. All coordinates are in the frame of the root link, in m and rad.
 """
 
 from __future__ import annotations
@@ -30,19 +30,21 @@ Positions = Mapping[str, float]
 
 _ROTOR = re.compile(r"prop|rotor", re.IGNORECASE)
 _MAX_LEVEL_Z, _MIN_UPRIGHT_Z = 0.3, 0.7
-"""The z component of a unit axis: at most of a level one, at least of an upright one."""
+"""The largest z component of a level unit axis, and the smallest of an upright one."""
 _WHEEL_TOLERANCE = 0.15
-"""Tolerance of a wheel's roundness and of its height above the ground, as a fraction of its radius."""
+"""The tolerance of a wheel's roundness and of its height above the ground, as a fraction of its radius."""
 _MAX_ITERATIONS = 80
 _LEAST_PROGRESS = 1e-3
-"""A search ends where a round shortens the distance by a smaller part: the target is out of reach."""
+"""The part of the distance by which a round of a search must shorten it. With a smaller progress the target
+is out of reach."""
 _INITIAL_BEND = 0.4
-"""Where a search for joint positions begins, in rad: a straight limb does not know which way to bend."""
+"""The joint positions at which a search begins, in rad. A straight limb is a singular configuration, from
+which the search does not move."""
 
 
 @dataclass(frozen=True)
 class Wheel:
-    """A wheel that stands on the ground; `axle` is a level unit vector."""
+    """A wheel on the ground; `axle` is a level unit vector."""
 
     joint: Joint
     radius: float
@@ -52,8 +54,8 @@ class Wheel:
 
 @dataclass(frozen=True)
 class Limb:
-    """A chain of joints that does not branch. `path` holds its joints in order, fixed ones too; `base` is the
-    frame it begins in."""
+    """A chain of joints that does not branch. `path` has its joints in order, fixed ones too; `base` is the
+    frame in which it begins."""
 
     path: tuple[Joint, ...]
     base: Frame
@@ -73,24 +75,24 @@ class Limb:
         return sum(hypot(*joint.origin.xyz) for joint in self.path[first + 1 :])
 
     def frames(self, positions: Positions) -> dict[str, Frame]:
-        """The frame of the link behind each joint."""
+        """Return the frame of the link behind each joint."""
         here, frames = self.base, {}
         for joint in self.path:
             frames[joint.name] = here = child_frame(joint, here, positions.get(joint.name, 0.0))
         return frames
 
     def lowest(self, positions: Positions) -> float:
-        """The height of the lowest of these frames."""
+        """Return the height of the lowest of these frames."""
         return min(place[2] for place, _ in self.frames(positions).values())
 
     def positions_for(
         self, target: Triple, using: Sequence[Joint] | None = None
     ) -> tuple[dict[str, float], float]:
-        """Joint positions that bring the tip near `target`, and the distance that remains.
+        """Return joint positions that bring the tip near `target`, and the remaining distance.
 
         Cyclic coordinate descent: each of the joints `using`, from the last to the first, takes the position
         within its range that brings the tip nearest to the target, round after round. It needs no numpy,
-        which `deepbots new` does without.
+        because `deepbots new` does not import it.
         """
         used = self.joints if using is None else using
         positions = {joint.name: neutral(joint) for joint in self.joints}
@@ -116,7 +118,7 @@ class Limb:
 
 
 def range_of(joint: Joint) -> tuple[float, float]:
-    """The limits of a joint; of one without limits half a turn, or a meter, either way."""
+    """Return the limits of a joint; of one without limits half a turn, or a meter, either way."""
     lower, upper = joint.limit.lower, joint.limit.upper
     if joint.type == "continuous" or lower is None or upper is None:
         return (-1.0, 1.0) if joint.type == "prismatic" else (-pi, pi)
@@ -124,8 +126,8 @@ def range_of(joint: Joint) -> tuple[float, float]:
 
 
 def neutral(joint: Joint, margin: float = 0.0) -> float:
-    """0, or the middle of the range where 0 is not within it by `margin` (a fraction of the range) on either
-    side."""
+    """Return 0, or the middle of the range if 0 is not within it by `margin` (a fraction of the range) on
+    either side."""
     low, high = range_of(joint)
     return 0.0 if min(-low, high) >= margin * (high - low) else (low + high) / 2
 
@@ -158,7 +160,7 @@ class Build:
 
     @cached_property
     def boxes(self) -> dict[str, Bounds]:
-        """The box around the collision shapes of each link, or around its visuals where it has none."""
+        """The box around the collision shapes of each link, or around its visuals if it has none."""
         return {link.name: box for link in self.model.links if (box := _box(link, self.frames[link.name]))}
 
     @property
@@ -179,11 +181,11 @@ class Build:
 
     @property
     def mass(self) -> float:
-        """In kg."""
+        """The mass, in kg."""
         return sum(map(_mass, self.model.links))
 
     def rigid(self, link: str) -> list[str]:
-        """A link and all links that fixed joints attach to it, downwards."""
+        """Return a link and all links that fixed joints attach to it, downwards."""
         return self.model.links_below(link, rigid=True)
 
     @cached_property
@@ -193,7 +195,8 @@ class Build:
 
     @property
     def chassis(self) -> str:
-        """The heaviest link of the trunk, where an inertial sensor belongs: the root may be a mere point."""
+        """The heaviest link of the trunk, to which an inertial sensor belongs, because the root may be a mere
+        point."""
         return max(self.trunk, key=lambda name: _mass(self.model.link(name)))
 
     def axis(self, joint: Joint) -> Triple:
@@ -205,8 +208,8 @@ class Build:
 
     @cached_property
     def driven(self) -> list[Joint]:
-        """The joints that a motor may move: those with an effort, or all where the file names no effort;
-        locked joints never."""
+        """The joints that a motor may move: those with an effort, or all if the file names no effort; locked
+        joints never."""
         free = [joint for joint in self._free if joint.name not in self.model.followers]
         named = any(joint.limit.effort for joint in free)
         return [joint for joint in free if joint.limit.effort or (joint.limit.effort is None and not named)]
@@ -243,13 +246,13 @@ class Build:
 
     @cached_property
     def wheels(self) -> list[Wheel]:
-        """Two wheels at least, or none."""
+        """The wheels: two at least, or none."""
         wheels = [wheel for joint in self.driven if (wheel := self._wheel(joint))]
         return wheels if len(wheels) > 1 else []
 
     def _wheel(self, joint: Joint) -> Wheel | None:
-        """The wheel on an endless joint with a level axle whose links are round, stand on the ground and
-        carry no further joint."""
+        """Return the wheel on an endless joint with a level axle whose links are round, stand on the ground
+        and carry no further joint."""
         axle = self.axis(joint)
         endless = joint.type == "continuous" or (joint.type == "revolute" and joint.limit.lower is None)
         links = self.rigid(joint.child)
@@ -338,8 +341,8 @@ class Build:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether the base is to be bolted down: the root is no body, or all of the robot is one limb that
-        reaches out of its foot."""
+        """Whether the base is to be fixed: the root is no body, or all of the robot is one limb that reaches
+        out of its foot."""
         if self.wheels or self.rotors:
             return False
         if self.model.root == "world" or not any(self.model.link(name).inertial for name in self.trunk):
@@ -366,7 +369,7 @@ def _is_locked(joint: Joint) -> bool:
 
 
 def _box(link: Link, frame: Frame) -> Bounds | None:
-    """The box around the shapes of a link that lies in `frame`."""
+    """Return the box around the shapes of a link that lies in `frame`."""
     parts = link.collisions or link.visuals
     boxes = [bounds_of_shape(part.shape, frames.compose(frame, frames.frame(part.origin))) for part in parts]
     return box_around(boxes) if boxes else None

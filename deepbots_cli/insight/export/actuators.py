@@ -20,14 +20,14 @@ from deepbots_robot.model import Output
 
 _KINDS = {"velocity_motor": "velocity", "position_motor": "position", "torque_motor": "effort"}
 _UNITS = {"velocity": ("rad/s", "m/s"), "position": ("rad", "m"), "effort": ("N*m", "N")}
-"""Units for revolute and for prismatic joints."""
+"""The units for revolute and for prismatic joints."""
 _ROUNDING = 1e-9
 
 Array = NDArray[np.float64]
 
 
 def output(program: Program, robot: Robot, command: Command) -> Output:
-    """The command of an actuator."""
+    """Return the command of an actuator."""
     actuator = command.actuator
     model = next(body.model for body in program.world.robots if body.name == robot.name)
     joints = [
@@ -85,7 +85,7 @@ def _unit(command: Command, kind: str, joints: Sequence[Joint]) -> str:
 
 
 def _limits(actuator: Actuator, kind: str, joints: Sequence[Joint], count: int) -> list[tuple[float, float]]:
-    """The limits of the actuator for each component."""
+    """Return the limits of the actuator for each component."""
     match actuator:
         case Motor() if kind == "position":
             return [(_or(joint.limit.lower, -math.inf), _or(joint.limit.upper, math.inf)) for joint in joints]
@@ -104,8 +104,8 @@ def _or(number: float | None, other: float) -> float:
 
 
 def _within(command: Command, limits: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The limits of each component, and for a component without a limit the largest command of the
-    scenario."""
+    """Return the limits of each component. For a component without a limit, this is the largest command of
+    the scenario."""
     target_type = command.target.typed.type
     components = target_type.components or (None,) * len(limits)
     intervals = []
@@ -131,15 +131,16 @@ def _rates(actuator: Actuator, count: int) -> tuple[float | None, ...]:
 
 
 def _safe(kind: str, low: float | None, high: float | None) -> float | None:
-    """Standing still: no speed, torque or thrust; joints and links stay where they were commanded."""
+    """Return the command that stands still: no speed, torque or thrust; joints and links stay where they were
+    commanded."""
     if kind not in ("velocity", "effort", "thrust"):
         return None
     return min(max(0.0, 0.0 if low is None else low), math.inf if high is None else high)
 
 
 def linear(program: Program, targets: Sequence[Scalar]) -> tuple[Array, Array] | None:
-    """A matrix (targets, numbers of the action) and an offset if each target is matrix @ action + offset,
-    action in [-1, 1]; else None."""
+    """Return a matrix (targets, numbers of the action) and an offset if each target is matrix @ action +
+    offset, with the action in [-1, 1]; else None."""
     parts = [(part, component) for part in program.agent.ranges for component in part.components or (None,)]
     count = len(parts)
     dice = np.random.default_rng(0).uniform(-1.0, 1.0, (20, count))
@@ -159,8 +160,8 @@ def linear(program: Program, targets: Sequence[Scalar]) -> tuple[Array, Array] |
 
 
 def tabulated(program: Program, targets: Sequence[Scalar]) -> Array | None:
-    """The targets of each combination of options, the last choice changing first: (combinations, targets);
-    None if they need more."""
+    """Return the targets of each combination of options, the last choice changing first: (combinations,
+    targets); None if they need more."""
     chosen = [*product(*(part.options for part in program.agent.choices))]
     variables = [name for part in program.agent.choices for name in part.variables]
     rows = np.array([[value for option in options for value in option.values] for options in chosen], float)
@@ -168,7 +169,7 @@ def tabulated(program: Program, targets: Sequence[Scalar]) -> Array | None:
 
 
 def _evaluated(targets: Sequence[Scalar], names: Mapping[Name, Array]) -> Array | None:
-    """The targets for rows of values; None for one that reads sensors, or has a memory."""
+    """Return the targets for rows of values; None for a target that reads sensors, or has a memory."""
     count = len(next(iter(names.values())))
     try:
         return np.stack([np.broadcast_to(evaluate(tree, names), count) for tree in targets], axis=1)

@@ -37,8 +37,8 @@ _LICENSE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
 
 
 def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[PurePosixPath, bytes]:
-    """The files of the bundle of a run. A simulation of some hundred steps checks that it commands what the
-    scenario does.
+    """Return the files of the bundle of a run. A simulation of some hundred steps checks that its commands
+    are those of the scenario.
 
     Args:
         run: The run.
@@ -46,7 +46,7 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
         key: A file with a private key, which signs the bundle.
 
     Raises:
-        MissingExtraError: onnx, onnxruntime or what learns is not installed.
+        MissingExtraError: onnx, onnxruntime or the extra `train` is not installed.
         RunError: There is no such model, or it is damaged.
         UsageError: The scenario or the policy cannot be exported, or the key cannot be read.
     """
@@ -63,9 +63,8 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
     learner = policy.loaded(run, name)
-    policy_graph(
-        learner, run.program
-    )  # compares the networks with those of the learner on random observations
+    # This compares the networks with those of the learner on random observations.
+    policy_graph(learner, run.program)
     step = control_step(run.program, learner)
     info = _info(run, name, step)
     graph = step.model({bundle.METADATA_KEY: bundle.description_digest(info)})
@@ -104,19 +103,18 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
 
 
 def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, bytes]:
-    """The files of `export --to` for a reader: `isaac-lab`, `lerobot` or `leapp`.
+    """Return the files of `export --to` for a reader: `isaac-lab`, `lerobot` or `leapp`.
 
     Raises:
-        MissingExtraError: onnx or what learns is not installed.
+        MissingExtraError: onnx or the extra `train` is not installed.
         RunError: There is no such model, or it is damaged.
         UsageError: The scenario does not fit this form.
     """
     if reader == "isaac-lab":
         from deepbots_cli.insight.export.deploy import deploy_settings
 
-        deploy_settings(
-            run.program
-        )  # refuses in a second what takes seven with the imports and the model below
+        # A scenario that does not fit is refused within 1 s; the imports and the model below take 7 s.
+        deploy_settings(run.program)
     try:
         from deepbots_cli.insight.export import isaac, leapp, lerobot
         from deepbots_cli.learning import policy
@@ -129,7 +127,7 @@ def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, byt
 
 
 def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
-    """What bundle.json says, without the digests of the files."""
+    """Return the content of bundle.json, without the digests of the files."""
     from deepbots_cli.learning.learner import steps_of
     from deepbots_robot import model
 
@@ -177,7 +175,8 @@ def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
 
 
 def _topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
-    """The ROS 2 topics of these inputs and outputs; readings of the world have the first ones that fit."""
+    """Return the ROS 2 topics of these inputs and outputs. Readings of the world have default topics that
+    fit."""
     from deepbots_cli.program.topics import mapping
     from deepbots_robot.model import RosTopic
 
@@ -189,7 +188,7 @@ def _topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
 
 
 def _places(info: BundleInfo) -> dict[str, str]:
-    """Where the ROS message of each field carries it, in words."""
+    """Return the place of each field in its ROS message, in words."""
     from deepbots_robot.serving import field_of
     from deepbots_robot.topics import Topic, part_of, parts
 
@@ -231,7 +230,7 @@ def _action_parts(program: Program) -> list[ActionPart]:
 
 
 def _robot_files(run: Run) -> dict[str, RobotFile]:
-    """The file of each robot with its digest."""
+    """Return the file of each robot with its digest."""
     from deepbots_robot.model import RobotFile
 
     spec = api.load(Source.open(run.path, Permissions(), SourceKind.RUN)).spec
@@ -245,7 +244,7 @@ def _robot_files(run: Run) -> dict[str, RobotFile]:
 
 
 def _licenses(inputs: Path) -> dict[str, str]:
-    """The SPDX identifiers in the scenario and robot files of a run, by file."""
+    """Return the SPDX identifiers in the scenario and robot files of a run, by file."""
     licenses = {}
     for path in sorted(inputs.rglob("*")):
         if path.suffix in (".yaml", ".urdf", ".xacro") and (
@@ -259,7 +258,7 @@ def _licenses(inputs: Path) -> dict[str, str]:
 
 
 def read_bundle(folder: Path) -> BundleInfo:
-    """The bundle.json of a bundle that passes all checks of `deepbots_robot.load`.
+    """Read the bundle.json of a bundle that passes all checks of `deepbots_robot.load`.
 
     Raises:
         MissingExtraError: onnxruntime is not installed.
@@ -277,8 +276,8 @@ def read_bundle(folder: Path) -> BundleInfo:
 
 
 def remarks(info: BundleInfo, program: Program, diff: str) -> list[str]:
-    """Differences of a scenario that the policy fits, one sentence each; `diff` is the command that shows all
-    differences."""
+    """Return the differences of a scenario that the policy fits, one sentence each. `diff` is the command
+    that shows all differences."""
     texts = []
     if not math.isclose(info.timestep_s, program.period):
         texts.append(

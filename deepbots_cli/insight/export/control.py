@@ -1,9 +1,9 @@
-"""One control step of a scenario as a graph: from what sensors measure to the commands of actuators, in SI
-units.
+"""One control step of a scenario as a graph: from the measurements of sensors to the commands of actuators,
+in SI units.
 
     sensors ─▶ emit ─▶ augment, signals ─▶ observation ─▶ networks ─▶ action ─▶ receive ─▶ apply ─▶ commands
 
-The parts are those of the generated code, in its order: what `_observe` computes for the policy, then
+The parts are those of the generated code, in its order: the observation that `_observe` computes, then
 `_advance` up to the actuators. Noise is left out, since a robot has its own.
 
 With `action_repeat`, a function with a memory advances between two actions too. The graph is then called in
@@ -34,10 +34,10 @@ from deepbots_robot.model import Output
 
 
 def control_step(program: Program, learner: Learner) -> ControlStep:
-    """The graph of a control step.
+    """Return the graph of a control step.
 
     Raises:
-        UsageError: The scenario or the policy holds something that cannot be exported; names it.
+        UsageError: The scenario or the policy has a part that cannot be exported; the message names it.
     """
     try:
         return ControlStep(program, learner)
@@ -51,13 +51,13 @@ class ControlStep:
     Attributes:
         timestep: The time between two calls, in s.
         readings: The inputs, in order of first use.
-        memories: What the graph passes to itself.
+        memories: The values that the graph passes to its next call.
         outputs: The commands.
-        repeat: In how many calls it acts once.
+        repeat: The number of calls in which it acts once.
     """
 
     def __init__(self, program: Program, learner: Learner, *, in_timesteps: bool = False) -> None:
-        """`in_timesteps` makes a graph that is called in every timestep, also between two actions."""
+        """Create the graph. With `in_timesteps`, it is called in every timestep, also between two actions."""
         self.program, self.agent = program, program.agent
         self.repeat = program.action_repeat if in_timesteps else 1
         self.timestep = program.world.timestep if in_timesteps else program.period
@@ -94,7 +94,7 @@ class ControlStep:
     # The observation and the networks
 
     def _decide(self, learner: Learner) -> dict[str, Value]:
-        """The action variables, and the action as the agent gave it."""
+        """Return the action variables, and the action as the agent gave it."""
         agent, graph = self.agent, self.graph
         seen: dict[str, str] = {}
         if agent.numbers or not agent.images:
@@ -146,7 +146,7 @@ class ControlStep:
         return self.graph.reshape(self._math.joined(allowed).name, 1, -1)
 
     def _decoded(self) -> dict[str, Value]:
-        """What the action of the policy sets."""
+        """Return the values that the action of the policy sets."""
         agent, graph, decision = self.agent, self.graph, self._decision
         decoded: dict[str, Value] = {}
         if decision.scores is None:
@@ -177,7 +177,7 @@ class ControlStep:
         return decoded | {"previous_action": self._math.joined(taken)}
 
     def _seen(self) -> str:
-        """The vector of numbers, in [-1, 1]: the newest frame and older ones."""
+        """Return the vector of numbers, in [-1, 1]: the newest frame and older ones."""
         agent, graph = self.agent, self.graph
         parts = [self._seen_numbers(entry) for entry in agent.observation if entry.numbers]
         frame = parts[0] if len(parts) == 1 else graph.add("Concat", *parts, axis=0)
@@ -190,7 +190,7 @@ class ControlStep:
         return str(graph.add("Gather", graph.reshape(frames, -1), graph.constant(places, np.int64), axis=0))
 
     def _seen_numbers(self, entry: Observation) -> str:
-        """The numbers of one entry as the policy sees them, float32."""
+        """Return the numbers of one entry as observed, float32."""
         first, size = entry.numbers[0], len(entry.numbers)
         if entry.value.foreign is not None:
             raise UsageError(
@@ -216,7 +216,7 @@ class ControlStep:
 
     @property
     def _shapes(self) -> dict[str, tuple[int, ...]]:
-        """Rows, columns and channels of the images that the policy sees."""
+        """The rows, columns and channels of the observed images."""
         stack = self.agent.frame_stack
         return {
             image.key: (*image.shape[:2], image.shape[2] * len(image.ages(stack)))
@@ -224,7 +224,7 @@ class ControlStep:
         }
 
     def _seen_image(self, image: ImageObservation) -> str:
-        """An image, uint8 [rows, columns, channels], with its history side by side, oldest first."""
+        """Return an image, uint8 [rows, columns, channels], with its history side by side, oldest first."""
         robot, entry = self._names.definitions.fields.get(image.name, (None, None))
         sensor = None
         if robot is not None and entry is not None:
@@ -248,7 +248,8 @@ class ControlStep:
     # Messages and commands
 
     def _refuse_what_robots_compute_late(self) -> None:
-        """Robots compute on board when a message arrives; a bundle computes when it is sent."""
+        """Refuse values whose time would differ: robots compute on board when a message arrives, and a bundle
+        when it is sent."""
         for robot in self.program.robots:
             trees = [tree for command in robot.commands for tree in command.scalars]
             received = {entry.name for entry in robot.received}
@@ -292,6 +293,6 @@ class ControlStep:
 
 
 def _mapping(low: Sequence[float], high: Sequence[float]) -> tuple[list[float], list[float]]:
-    """The middle of each range, and half of its width."""
+    """Return the middle of each range, and half of its width."""
     ends = [*zip(low, high, strict=True)]
     return [(b + a) / 2 for a, b in ends], [(b - a) / 2 for a, b in ends]

@@ -29,13 +29,13 @@ _TERMS = {
     "joint_position": "joint_pos",
     "joint_velocity": "joint_vel_rel",
 }
-"""What runners call the value of a sensor."""
+"""The names that runners have for the value of a sensor."""
 _ROUNDING = 1e-9
 
 
 def deploy_settings(program: Program) -> dict[str, Any]:
-    """The content of `deploy.yaml`; joints are in the order of the action, but for gains, which are in the
-    order of the robot file.
+    """Return the content of `deploy.yaml`. Joints are in the order of the action; gains are in the order of
+    the robot file.
 
     Raises:
         UsageError: A runner cannot compute the observation or the commands of the scenario, or keep the
@@ -97,7 +97,11 @@ def deploy_settings(program: Program) -> dict[str, Any]:
 
 
 def _require_plain_policy(program: Program) -> None:
-    """Raises: UsageError: A runner cannot give the policy what it sees, or keep its memory."""
+    """Check that a runner can compute the observation of the policy.
+
+    Raises:
+        UsageError: A runner cannot compute the observation of the policy, or keep its memory.
+    """
     agent = program.agent
     algorithm = ALGORITHMS.get(agent.training.algorithm) if agent.training is not None else None
     if algorithm is not None and algorithm.base() == "RecurrentPPO":
@@ -134,8 +138,8 @@ def _only_command(program: Program) -> tuple[Robot, Command]:
 def _term(
     entry: Observation, robot: Robot, motor: Motor, offset: Sequence[float]
 ) -> tuple[str, dict[str, Any]]:
-    """The name that runners have for an entry of the observation, or its own, and the settings of the
-    term."""
+    """Return the name that runners have for an entry of the observation, or its own name, and the settings of
+    the term."""
     size = len(entry.numbers)
     term: dict[str, Any] = {
         "params": {},
@@ -198,7 +202,7 @@ def _of_joints(
 
 
 def _sensed(tree: Scalar) -> tuple[Name | None, float]:
-    """A component of a sensor, and what is subtracted from it."""
+    """Return a component of a sensor, and the number that is subtracted from it."""
     match tree:
         case Name():
             return tree, 0.0

@@ -1,4 +1,4 @@
-"""A graph of ONNX under construction: values go by their names."""
+"""A graph of ONNX under construction. Its values are referred to by their names."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import deepbots_cli
 
 OPSET = 17
 IR_VERSION = 8
-"""Of onnx 1.13 and onnxruntime 1.14, from 2023, and later."""
+"""The IR version of onnx 1.13 and onnxruntime 1.14, from 2023, and later."""
 
 _NUMBER_BY_NUMBER = frozenset(
     (
@@ -59,7 +59,8 @@ _NUMBER_BY_NUMBER = frozenset(
         "Where",
     )
 )
-"""Operators whose result has a number at a place from the numbers at this place, in C order."""
+"""The operators whose result has, at each place in C order, a number that depends only on the numbers at this
+place."""
 
 
 class Graph:
@@ -85,8 +86,8 @@ class Graph:
         )
 
     def constant(self, value: Any, dtype: Any = np.float32) -> str:
-        """The name of a weight; equal ones are kept once. `value` is an array, a tensor of torch, a number or
-        a list."""
+        """Return the name of a weight; equal weights are kept once. `value` is an array, a tensor of torch, a
+        number or a list."""
         array = value.detach().cpu().numpy() if hasattr(value, "detach") else np.asarray(value)
         array = np.ascontiguousarray(array, dtype).reshape(array.shape)
         key = (array.dtype.str, array.shape, array.tobytes())
@@ -96,7 +97,7 @@ class Graph:
         return self._constants[key]
 
     def add(self, operator: str, *inputs: str, outputs: int = 1, **attributes: Any) -> Any:
-        """A node; the name of its result, or of its results."""
+        """Add a node, and return the name of its result, or of its results."""
         names = [f"v{len(self.nodes)}_{number}" for number in range(outputs)]
         self.nodes.append(helper.make_node(operator, list(inputs), names, **attributes))
         return names[0] if outputs == 1 else names
@@ -108,7 +109,7 @@ class Graph:
         return str(self.add("Reshape", value, self.constant(shape, np.int64)))
 
     def model(self, name: str, metadata: Mapping[str, str] | None = None) -> bytes:
-        """The finished model, checked."""
+        """Return the finished model after a check."""
         names = [entry.name for entry in self.inputs]
         model = helper.make_model(
             helper.make_graph(self.nodes, name, self.inputs, self.outputs, self.weights),
@@ -125,8 +126,8 @@ class Graph:
 
 
 def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
-    """The numbers of each input that can change an output of a model, as places in C order; those of other
-    inputs are without effect."""
+    """Return the numbers of each input that can change an output of a model, as places in C order. Those of
+    other inputs have no effect."""
     graph = onnx.shape_inference.infer_shapes(onnx.load_from_string(content)).graph
     shapes = {weight.name: [*weight.dims] for weight in graph.initializer}
     for value in (*graph.input, *graph.output, *graph.value_info):
@@ -152,7 +153,8 @@ def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
 def _read_for(
     node: Any, wanted: set[int] | None, shapes: Mapping[str, Sequence[int]], constants: Mapping[str, Any]
 ) -> Iterator[tuple[str, set[int] | None]]:
-    """The places of each input that the `wanted` places of the result of a node come from; None is all."""
+    """Yield the places of each input from which the `wanted` places of the result of a node come; None is
+    all."""
     of_vectors = all(len(shapes.get(name, ())) == 1 for name in (*node.input, *node.output))
     if node.op_type == "Gather" and of_vectors and node.input[1] in constants:
         places = constants[node.input[1]]

@@ -18,15 +18,16 @@ DEPLOY_NAME, GRAPH_NAME = PurePosixPath("params/deploy.yaml"), PurePosixPath("ex
 
 
 def isaac_files(program: Program, learner: Learner) -> dict[PurePosixPath, bytes]:
-    """`params/deploy.yaml` and `exported/policy.onnx`.
+    """Return `params/deploy.yaml` and `exported/policy.onnx`.
 
     Raises:
-        UsageError: As `deploy_settings`.
+        UsageError: The scenario is refused by `deploy_settings`.
     """
     text = yaml.safe_dump(
         deploy_settings(program), default_flow_style=None, sort_keys=False, allow_unicode=True
     )
-    policy_graph(learner, program)  # compares the networks with those of the learner
+    # This compares the networks with those of the learner.
+    policy_graph(learner, program)
     graph = Graph()
     seen = graph.input("obs", np.float32, 1, len(program.agent.inputs))
     decision = decide(graph, learner.network(), program, {"observation": seen})

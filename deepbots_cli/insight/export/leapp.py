@@ -1,5 +1,5 @@
-"""The graph of a bundle with a pipeline file of LEAPP (config version 1.3), which says what its tensors mean
-and how they are wired.
+"""The graph of a bundle with a pipeline file of LEAPP (config version 1.3), which describes its tensors and
+how they are wired.
 
 The pipeline has one model, `policy`. Its memories are `feedback_flow`, their first values a file of
 safetensors. LEAPP has no key for units, frames, ranges and ages; they are further keys of a tensor, which its
@@ -43,7 +43,8 @@ _OUTPUT_KINDS = {
 
 
 def leapp_files(bundle: Mapping[PurePosixPath, bytes]) -> dict[PurePosixPath, bytes]:
-    """The graph, the pipeline file NAME.yaml, and the first values of memories, of the files of a bundle."""
+    """Return, for the files of a bundle, the graph, the pipeline file NAME.yaml, and the first values of
+    memories."""
     info, graph = model.decode(bundle[PurePosixPath(BUNDLE_NAME)]), bundle[PurePosixPath(GRAPH_NAME)]
     name = re.sub(r"\W+", "_", info.scenario.name).lower()
     first = {f"{NODE}/{entry.name}": np.ascontiguousarray(initial_value(entry)) for entry in info.memory}
@@ -71,7 +72,7 @@ def leapp_files(bundle: Mapping[PurePosixPath, bytes]) -> dict[PurePosixPath, by
 
 
 def _tensors(info: model.BundleInfo) -> dict[str, list[dict[str, Any]]]:
-    """The inputs and outputs of the graph, in its order."""
+    """Return the inputs and outputs of the graph, in its order."""
     after = [
         {"name": f"{entry.name}_next", "shape": [*entry.shape], "dtype": entry.dtype} for entry in info.memory
     ]

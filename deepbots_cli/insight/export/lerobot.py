@@ -35,15 +35,16 @@ _INSTEAD = "; export a bundle instead"
 
 
 def lerobot_files(program: Program, learner: Learner) -> dict[PurePosixPath, bytes]:
-    """The graph, the two pipelines with their ranges, and the names of the numbers.
+    """Return the graph, the two pipelines with their ranges, and the names of the numbers.
 
     Raises:
         UsageError: Processors of LeRobot cannot represent the observation or the commands of the scenario;
-            names the part.
+            the message names the part.
     """
     agent, numbers = program.agent, program.agent.numbers
     _check(program, learner)
-    policy_graph(learner, program)  # compares the networks with those of the learner
+    # This compares the networks with those of the learner.
+    policy_graph(learner, program)
     commands = [
         (robot, command)
         for robot in program.robots
@@ -71,9 +72,8 @@ def lerobot_files(program: Program, learner: Learner) -> dict[PurePosixPath, byt
         ),
         ACTION: _feature(names, [entry.unit for entry in outputs for _ in range(entry.shape[0])]),
     }
-    seen_ends = [
-        (-1.0, 1.0) if number.is_truth else (number.low, number.high) for number in numbers
-    ]  # a truth value stays 0 or 1
+    # A truth value stays 0 or 1.
+    seen_ends = [(-1.0, 1.0) if number.is_truth else (number.low, number.high) for number in numbers]
     to_device: Step = ("device_processor", {"device": "cpu", "float_dtype": None})
     before: list[Step] = [
         ("to_batch_processor", {}),
@@ -94,10 +94,11 @@ def lerobot_files(program: Program, learner: Learner) -> dict[PurePosixPath, byt
 def _targets(
     graph: Graph, program: Program, decision: Decision, trees: Sequence[Scalar], low: Array, high: Array
 ) -> str:
-    """The commands of an action, scaled from their ranges to [-1, 1]: float32 [1, n].
+    """Return the commands of an action, scaled from their ranges to [-1, 1]: float32 [1, n].
 
     Raises:
-        UsageError: They are no sum of multiples of the action, or need more than the option that is chosen.
+        UsageError: The commands are no sum of multiples of the action, or depend on more than the chosen
+            option.
     """
     width = np.where(high > low, (high - low) / 2, 1.0)
     if program.agent.choices:
@@ -119,7 +120,7 @@ def _targets(
 
 
 def _check(program: Program, learner: Learner) -> None:
-    """Refuse what no processor represents."""
+    """Refuse a policy that no processor represents."""
     agent = program.agent
     remembering = [
         entry.name for entry in agent.observation if entry.history > 1 or entry.name == "previous_action"
@@ -138,7 +139,7 @@ def _check(program: Program, learner: Learner) -> None:
 
 
 def _clipped(graph: Graph, value: str, which: Sequence[bool]) -> str:
-    """A vector [1, n] of which these numbers are clipped to [-1, 1]."""
+    """Return a vector [1, n] of which these numbers are clipped to [-1, 1]."""
     if not any(which):
         return value
     ends = np.where(which, 1.0, np.finfo(np.float32).max)[None]
@@ -154,7 +155,7 @@ def _settings(key: str, kind: str, count: int) -> dict[str, Any]:
 
 
 def _pipeline(name: str, steps: Sequence[Step], key: str, lows: Any, highs: Any) -> dict[str, bytes]:
-    """The files of a pipeline, of which one step scales `key`."""
+    """Return the files of a pipeline, of which one step scales `key`."""
     place = next(place for place, (kind, _) in enumerate(steps) if "normalizer" in kind)
     ranges = f"{name}_step_{place}_{steps[place][0]}.safetensors"
     entries = [

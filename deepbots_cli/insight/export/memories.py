@@ -1,5 +1,5 @@
-"""What a control step passes to the next one: memories of functions, frames of the past, and the number of
-calls.
+"""The values that a control step passes to the next one: memories of functions, past frames, and the number
+of calls.
 
 A memory is a tensor in and one out, zeros at the start of an episode. `memory.started` is false in the first
 step of an episode, in which each memory begins as after a reset.
@@ -20,7 +20,7 @@ from deepbots_robot.model import Memory
 
 
 class AdvancesBetweenActionsError(Exception):
-    """A memory of the observation, in a scenario with several timesteps per action."""
+    """The error for a memory of the observation in a scenario with several timesteps per action."""
 
 
 class StepMemories:
@@ -35,7 +35,7 @@ class StepMemories:
         self._formulas = MemoryFormulas(math, program.world.timestep)
 
     def memory(self, name: str, size: int, *, truth: bool = False) -> Value:
-        """A value from the step before; zeros at the start of an episode."""
+        """Return a value from the step before; zeros at the start of an episode."""
         return Value(self.tensor(name, np.bool_ if truth else np.float64, size), size, truth)
 
     def keep(self, name: str, value: Value) -> None:
@@ -47,7 +47,7 @@ class StepMemories:
         )
 
     def tensor(self, name: str, dtype: Any, *shape: int) -> str:
-        """A tensor from the step before; zeros at the start of an episode."""
+        """Return a tensor from the step before; zeros at the start of an episode."""
         tensor = f"memory.{name}"
         dtype_name: Any = np.dtype(dtype).name
         self.entries.append(Memory(name=tensor, shape=shape, dtype=dtype_name, initial=(0.0,)))
@@ -58,7 +58,7 @@ class StepMemories:
         self._kept[f"memory.{name}"] = tensor
 
     def declare(self) -> None:
-        """Declare what is kept as outputs of the graph."""
+        """Declare the kept values as outputs of the graph."""
         for memory in self.entries:
             self._graph.output(f"{memory.name}_next", self._kept[memory.name], memory.dtype, *memory.shape)
 
@@ -81,13 +81,13 @@ class StepMemories:
 
     @cached_property
     def _calls(self) -> Value:
-        """How many calls there were before in this episode."""
+        """The number of earlier calls in this episode."""
         calls = self.memory("calls", 1)
         self.keep("calls", self._math.binary("Add", calls, self._math.constant([1.0])))
         return calls
 
     def if_acting(self, value: Value, otherwise: Value) -> Value:
-        """The value, in a call in which the policy does not act the other one."""
+        """Return the value, or the other one in a call in which the policy does not act."""
         return value if self.repeat == 1 else self._math.where(self._acts, value, otherwise)
 
     def tensor_if_acting(self, tensor: str, otherwise: str) -> str:
@@ -96,11 +96,12 @@ class StepMemories:
         )
 
     def clock(self, name: str, ahead: int) -> Value | None:
-        """The number of the step, or the time, `ahead` steps after the observation; None for other names."""
+        """Return the number of the step, or the time, `ahead` steps after the observation; None for other
+        names."""
         if name not in ("time", "step"):
             return None
         calls, math, repeat = self._calls, self._math, self._program.action_repeat
-        if name == "step":  # one that has begun counts
+        if name == "step":  # the step that has begun is counted
             begun = math.call("ceil", [math.binary("Div", calls, math.constant([float(self.repeat)]))])
             return math.binary("Add", begun, math.constant([float(ahead)]))
         ticks = math.binary("Mul", calls, math.constant([float(repeat // self.repeat)]))
@@ -110,8 +111,8 @@ class StepMemories:
     # Frames and stateful functions
 
     def frames(self, name: str, newest: str, depth: int, dtype: Any, *shape: int) -> str:
-        """The newest frame, [1, *shape], after the `depth` - 1 frames before it, oldest first; those of a
-        reset are as the newest."""
+        """Return the newest frame, [1, *shape], after the `depth` - 1 frames before it, oldest first. After a
+        reset, the older frames equal the newest."""
         graph = self._graph
         before = self.tensor(name, dtype, depth - 1, *shape)
         older = graph.add(
@@ -125,8 +126,8 @@ class StepMemories:
         return str(frames)
 
     def per_timestep(self, states: Sequence[State], printer: TreePrinter) -> Value:
-        """The values of a stateful function that advances once per timestep, from its value at the reset
-        on."""
+        """Return the values of a stateful function that advances once per timestep, from its value at the
+        reset on."""
         function = states[0].function
         if self._program.action_repeat != self.repeat:
             raise AdvancesBetweenActionsError
@@ -140,7 +141,7 @@ class StepMemories:
         return self._math.where(self.started, value, first)
 
     def at_reset(self, states: Sequence[State], printer: TreePrinter) -> Value:
-        """The values of a stateful function in a reset."""
+        """Return the values of a stateful function in a reset."""
         return self._formulas.begin(states[0].function, _columns(printer, states))[1]
 
     def per_message(
@@ -151,8 +152,8 @@ class StepMemories:
         reset: TreePrinter,
         begun: frozenset[tuple[str, str]] = frozenset(),
     ) -> Value:
-        """The values of a stateful function that advances with each message, from its value at the `reset`
-        on.
+        """Return the values of a stateful function that advances with each message, from its value at the
+        `reset` on.
 
         `begun` are the calls that begin with the first message.
         """
@@ -168,7 +169,7 @@ class StepMemories:
         return value
 
     def _slot(self, state: State) -> str:
-        """A name for the memory of a stateful call, which no other memory has."""
+        """Return a name for the memory of a stateful call, which no other memory has."""
         item, occurrence = state.call
         names = {memory.name for memory in self.entries}
         wanted = [
@@ -179,5 +180,5 @@ class StepMemories:
 
 
 def _columns(printer: TreePrinter, states: Sequence[State]) -> list[Value]:
-    """Each argument of a stateful function, one value per component."""
+    """Return each argument of a stateful function, one value per component."""
     return [printer.vector([state.args[place] for state in states]) for place in range(len(states[0].args))]

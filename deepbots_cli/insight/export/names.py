@@ -1,5 +1,5 @@
-"""What names and readings of the world mean in a control step: while the policy observes, and on board of a
-robot."""
+"""The meaning of names and readings of the world in a control step: while the policy observes, and on board
+of a robot."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _LATER = {
     **dict.fromkeys(("previous_reward", "episode_return"), "the reward"),
     **dict.fromkeys(("terminated", "truncated", "ended", "goal_reached"), "the end of an episode"),
 }
-"""Names that mean something only in a training."""
+"""The names that have a meaning in a training only."""
 
 
 class ObservedNames:
-    """What names mean while the policy observes.
+    """The meaning of names while the policy observes.
 
     Attributes:
         readings: The inputs of the graph, in order of first use.
@@ -32,7 +32,7 @@ class ObservedNames:
     """
 
     def __init__(self, program: Program, math: Arithmetic, memories: StepMemories, timestep: float) -> None:
-        """`timestep` is the time between two calls of the graph, in s."""
+        """Create the names. `timestep` is the time between two calls of the graph, in s."""
         self.math, self.memories = math, memories
         self.readings: dict[str, Reading] = {}
         self.printer = TreePrinter(math, self, memories.per_timestep)
@@ -52,7 +52,7 @@ class ObservedNames:
         }
 
     def input(self, reading: Reading) -> Value:
-        """The tensor of an input, which is made when it is first read."""
+        """Return the tensor of an input, which is created when it is first read."""
         info = reading.info
         if info.name not in self.readings:
             self.readings[info.name] = reading
@@ -63,7 +63,7 @@ class ObservedNames:
         return self.input(self._describe.sensor(robot, sensor))
 
     def of_world(self, leaf: EngineRead) -> Item:
-        """A reading of the world, or the component of the sensor that measures it."""
+        """Return a reading of the world, or the component of the sensor that measures it."""
         if leaf in self._describe.direct:
             robot, sensor, index = self._describe.direct[leaf]
             return Item(self.sensor(robot, sensor), index)
@@ -80,7 +80,7 @@ class ObservedNames:
         return self.named(leaf, ahead=0)
 
     def named(self, leaf: Name, *, ahead: int) -> Item:
-        """A named value; the time and the number of the step are those `ahead` steps after the
+        """Return a named value. The time and the number of the step are those `ahead` steps after the
         observation."""
         name, part = leaf
         clock = self.memories.clock(name, ahead)
@@ -114,7 +114,7 @@ class ObservedNames:
         return self._whole[key]
 
     def _last_action(self, name: str) -> Value:
-        """An action variable, or the whole action, of the step before; zeros at a reset."""
+        """Return an action variable, or the whole action, of the step before; zeros at a reset."""
         if name not in self.acted:
             raise UsageError(f"the policy sees '{name}', which cannot be exported")
         if name not in self._whole:
@@ -123,13 +123,13 @@ class ObservedNames:
         return self._whole[name]
 
     def keep_action(self, action: Mapping[str, Value]) -> None:
-        """Pass what was read of the last action to the next step."""
+        """Pass the values that were read of the last action to the next step."""
         for name in action:
             if name in self._whole:
                 self.memories.keep(name, self.memories.if_acting(action[name], self._whole[name]))
 
     def _channel_value(self, leaf: EngineRead) -> Item:
-        """The age of what arrived from a robot, and whether something arrived in this timestep."""
+        """Return the age of the last message from a robot, or whether a message arrived in this timestep."""
         name, _, sensor = leaf.subjects[0].partition(".")
         robot = next(robot for robot in self._program.robots if robot.name == name)
         if sensor in dict(robot.ages) or not self._program.is_direct(robot, "from_robot"):
@@ -138,7 +138,7 @@ class ObservedNames:
 
 
 class OnBoard:
-    """What names mean in the values that a robot sends."""
+    """The meaning of names in the values that a robot sends."""
 
     def __init__(self, names: ObservedNames, robot: Robot) -> None:
         self._names, self._robot = names, robot
@@ -152,7 +152,8 @@ class OnBoard:
 
 
 class Sent:
-    """What names mean in the values that the supervisor sends: those of the observation, and the action."""
+    """The meaning of names in the values that the supervisor sends: those of the observation, and the
+    action."""
 
     def __init__(self, names: ObservedNames, action: Mapping[str, Value], ahead: int) -> None:
         self._names, self._action, self._ahead = names, action, ahead
@@ -166,8 +167,8 @@ class Sent:
 
 
 class Applied:
-    """What names mean in the commands of a robot: its sensors, and what it received; zeros at a reset (`sent`
-    None)."""
+    """The meaning of names in the commands of a robot: its sensors, and the values that it received; zeros at
+    a reset (`sent` None)."""
 
     def __init__(self, names: ObservedNames, robot: Robot, sent: TreePrinter | None) -> None:
         self._math, self._sent = names.math, sent
@@ -184,7 +185,7 @@ class Applied:
 
 
 def _sends_a_sensor(robot: Robot, trees: Sequence[Scalar]) -> bool:
-    """Whether a value that a robot sends is a sensor as it is."""
+    """Return whether a value that a robot sends is a sensor without changes."""
     return any(
         trees == tuple(Name(sensor.name, part) for part in sensor.components or (None,))
         for sensor in robot.sensors
@@ -192,5 +193,5 @@ def _sends_a_sensor(robot: Robot, trees: Sequence[Scalar]) -> bool:
 
 
 def item(whole: Value, components: Sequence[str], part: str | None) -> Item:
-    """A component of a vector; any of them where all are equal."""
+    """Return a component of a vector; any of them if all are equal."""
     return Item(whole, 0 if part is None or whole.size == 1 else [*components].index(part))

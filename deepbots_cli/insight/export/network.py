@@ -31,20 +31,20 @@ _FORBIDDEN_LOGIT = -1e8
 _CHECKED = 1000
 LSTM_STATES = ("hidden", "cell")
 TOLERANCE = 1e-5
-"""Largest difference of an exported action from that of the learner, in the agent's [-1, 1]."""
+"""The largest difference of an exported action from that of the learner, in the agent's [-1, 1]."""
 
 _ACTIVATIONS: Mapping[type[nn.Module], tuple[str, str]] = {
     nn.Tanh: ("Tanh", ""), nn.ReLU: ("Relu", ""), nn.Sigmoid: ("Sigmoid", ""), nn.ELU: ("Elu", "alpha"),
     nn.LeakyReLU: ("LeakyRelu", "negative_slope"),
 }  # fmt: skip
-"""Operators of ONNX, each with the attribute of the module that is its `alpha`."""
+"""The operators of ONNX, each with the attribute of the module that is its `alpha`."""
 
 
 def layers(graph: Graph, module: nn.Module, value: str) -> str:
-    """What a network makes of a value.
+    """Add the layers of a network to the graph, and return the name of the result.
 
     Raises:
-        UsageError: It has a layer of another kind.
+        UsageError: The network has a layer of another kind.
     """
     match module:
         case nn.Sequential():
@@ -88,8 +88,8 @@ def layers(graph: Graph, module: nn.Module, value: str) -> str:
 
 
 class Decision(NamedTuple):
-    """The outputs of a policy: the action as the environment takes it, and of choices the option of each and
-    the scores of all.
+    """The outputs of a policy: the action in the format of the environment, and for choices the chosen option
+    of each and the scores of all.
 
     Attributes:
         action: float32 [batch, n] in [-1, 1]; int64 [batch] for one choice, [batch, n] for several.
@@ -105,13 +105,13 @@ class Decision(NamedTuple):
 
 
 def policy_graph(learner: Learner, program: Program) -> bytes:
-    """A graph that takes observations of the environment, with the batch as first axis, and returns its
-    actions.
+    """Return a graph that takes observations of the environment, with the batch as first axis, and returns
+    its actions.
 
     It is compared with the policy on 1000 random observations.
 
     Raises:
-        UsageError: The policy has a part that cannot be exported, or the graph acts otherwise than the
+        UsageError: The policy has a part that cannot be exported, or the graph gives other actions than the
             policy.
     """
     graph, network, agent = Graph(), learner.network(), program.agent
@@ -145,7 +145,7 @@ def policy_graph(learner: Learner, program: Program) -> bytes:
         graph.output("action", decision.action, np.float32, "batch", len(agent.range_names))
     model_bytes = graph.model(program.name)
     difference = largest_difference(learner, program, model_bytes, _CHECKED)
-    if not difference <= TOLERANCE:  # also where it is no number
+    if not difference <= TOLERANCE:  # includes NaN
         raise UsageError(
             f"the exported policy differs from that of the learner by {difference:.2g}; please report this"
         )
@@ -153,8 +153,8 @@ def policy_graph(learner: Learner, program: Program) -> bytes:
 
 
 def takes_masks(learner: Learner, program: Program) -> bool:
-    """Whether the policy needs to know which options are allowed: the algorithm uses action masks, and the
-    scenario forbids options."""
+    """Return whether the policy needs action masks: the algorithm uses them, and the scenario forbids
+    options."""
     return learner.takes_masks and any(
         option.forbidden is not None for part in program.agent.choices for option in part.options
     )
@@ -168,7 +168,7 @@ def decide(
     states: Sequence[str] = (),
     mask: str | None = None,
 ) -> Decision:
-    """The networks of a policy: from an observation, by the parts of its space, to an action.
+    """Add the networks of a policy: from an observation, by the parts of its space, to an action.
 
     Args:
         states: Hidden state and cell state of an LSTM, each [layers, batch, units].
@@ -208,7 +208,7 @@ def _options(program: Program) -> int:
 
 
 def _features(graph: Graph, network: PolicyNetwork, name: str, value: str, *, is_picture: bool) -> str:
-    """A part of the observation after its own layers."""
+    """Return a part of the observation after its own layers."""
     if is_picture:
         value = graph.add("Cast", value, to=TensorProto.FLOAT)
         if name in network.pictures:
@@ -219,7 +219,7 @@ def _features(graph: Graph, network: PolicyNetwork, name: str, value: str, *, is
 
 
 def _memory(graph: Graph, lstm: nn.LSTM, value: str, states: Sequence[str]) -> tuple[str, list[str]]:
-    """The layers of an LSTM, and their states after them; zeros begin an episode."""
+    """Add the layers of an LSTM, and return its results and states; zeros begin an episode."""
     units, kept = lstm.hidden_size, []
     value = graph.add("Unsqueeze", value, graph.constant([0], np.int64))
     for layer in range(lstm.num_layers):
@@ -240,7 +240,8 @@ def _memory(graph: Graph, lstm: nn.LSTM, value: str, states: Sequence[str]) -> t
 
 
 def _gates(weight: torch.Tensor) -> torch.Tensor:
-    """Torch has the gates input, forget, cell, output in a row, ONNX input, output, forget, cell."""
+    """Reorder the gates: torch has input, forget, cell, output in a row, and ONNX input, output, forget,
+    cell."""
     first, forget, cell, last = weight.detach().chunk(4)
     return torch.cat([first, last, forget, cell])
 
@@ -255,11 +256,11 @@ def largest_difference(
     count: int,
     run: Callable[[Mapping[str, Any]], Sequence[Any]] | None = None,
 ) -> float:
-    """Between the actions of a graph and those of the policy on random observations; 1 for another option of
-    a choice.
+    """Return the largest difference between the actions of a graph and those of the policy on random
+    observations; 1 for another option of a choice.
 
     Args:
-        run: Runs the graph; by default the slow reference of onnx does.
+        run: Runs the graph; by default the slow reference implementation of onnx.
     """
     random, space = np.random.default_rng(0), observation_space(program.agent)
     if run is None and program.agent.images:

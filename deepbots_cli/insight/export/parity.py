@@ -1,8 +1,9 @@
-"""Whether an exported policy acts as the scenario does, and the steps by which every robot checks this again.
+"""Checks that an exported policy acts as in the scenario, and records the steps by which every robot repeats
+this check.
 
-The first steps are those of a simulation: what the graph commands is compared with what the robots of the
-simulation applied. Further steps have random inputs around the first ones, so that parts of the networks
-count that no episode uses.
+The first steps are those of a simulation: the commands of the graph are compared with the commands that the
+robots of the simulation applied. Further steps have random inputs around the first ones, to test parts of the
+networks that no episode uses.
 """
 
 from __future__ import annotations
@@ -23,15 +24,16 @@ from deepbots_robot.bundle import TOLERANCE, Bundle, most_steps, span_of
 from deepbots_robot.model import BundleError, Input, Output
 
 RECORDED, RANDOM = 200, 200
-"""Steps of each kind; fewer of a policy that computes so much that loading its bundle would take seconds."""
+"""The number of steps of each kind; fewer for a policy that computes so much that loading its bundle would
+take seconds."""
 _TRIES = 10
-"""At most so many times as many steps are looked at."""
+"""The factor that limits the number of tried steps."""
 _RANDOM_EPISODE = 10
 _WIDTHS = (1.0, 3.0, 30.0)
-"""How wide random values are drawn, in widths of the recorded ones: within the range that the policy sees,
-and where it is clipped."""
+"""The widths of random values in widths of the recorded ones: within the observed range, and beyond it, where
+values are clipped."""
 _CLEAR = 10 * TOLERANCE
-"""The least distance of the two best scores of a recorded step; closer ones might change places on another
+"""The smallest distance of the two best scores of a recorded step. Closer ones might change places on another
 processor."""
 
 Array = NDArray[Any]
@@ -41,7 +43,7 @@ class Comparison:
     """A bundle beside a simulation, step by step.
 
     Attributes:
-        steps: How many steps were compared.
+        steps: The number of compared steps.
         worst: The largest difference of a command, in shares of its range.
     """
 
@@ -53,11 +55,11 @@ class Comparison:
         self.steps, self.worst = 0, 0.0
 
     def add(self, step: RecordedStep) -> dict[str, Array]:
-        """What the bundle returns for the inputs of a step.
+        """Compare a step, and return the results of the bundle for its inputs.
 
         Raises:
-            UsageError: It commands something else than the robots of the simulation applied, although no two
-                options were equally good.
+            UsageError: The commands differ from those that the robots of the simulation applied, although no
+                two options were equally good.
         """
         if step.first:
             self._policy.reset()
@@ -92,7 +94,7 @@ class Comparison:
 
 
 def clipped(command: Array, output: Output) -> Array:
-    """A command within the limits of its actuator."""
+    """Return a command within the limits of its actuator."""
     low, high = output.range
     return np.clip(
         command, [-np.inf if x is None else x for x in low], [np.inf if x is None else x for x in high]
@@ -100,7 +102,7 @@ def clipped(command: Array, output: Output) -> Array:
 
 
 def least_gap(choices: tuple[int, ...], found: Mapping[str, Array]) -> float:
-    """The smallest distance between the two best scores of a choice; infinite without choices."""
+    """Return the smallest distance between the two best scores of a choice; infinite without choices."""
     if not choices:
         return np.inf
     best = [
@@ -112,10 +114,10 @@ def least_gap(choices: tuple[int, ...], found: Mapping[str, Array]) -> float:
 
 
 def recorded_parity(bundle: Bundle, step: ControlStep, learner: Learner, *, engine: str | None) -> bytes:
-    """The content of parity.npz.
+    """Return the content of parity.npz.
 
     Raises:
-        UsageError: The bundle commands something else than the robots of the simulation applied.
+        UsageError: The commands of the bundle differ from those that the robots of the simulation applied.
     """
     rows, comparison = _Rows(bundle), Comparison(bundle)
     recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world), engine=engine)
@@ -179,7 +181,7 @@ def _stacked(rows: list[Mapping[str, Array]]) -> dict[str, Array]:
 
 
 def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
-    """Steps with inputs in and around the range of the recorded ones, and far beyond."""
+    """Add steps with inputs in and around the range of the recorded ones, and far beyond."""
     random, policy, input_rows = np.random.default_rng(0), bundle.start(), rows.inputs
     wanted = rows.count + min(RANDOM, most_steps(bundle) // 2)
     for number in range(_TRIES * RANDOM):
@@ -191,9 +193,9 @@ def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
         }
         try:
             rows.add(first, inputs, policy.step(values=inputs))
-        except (
-            BundleError
-        ):  # a command that is not finite: `apply` need not be defined far beyond the values of an episode
+        except BundleError:
+            # `apply` need not be defined far beyond the values of an episode, so commands may be infinite
+            # there.
             rows.cut()
         if rows.count == wanted:
             break

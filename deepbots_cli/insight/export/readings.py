@@ -1,5 +1,5 @@
-"""The inputs of an exported policy: sensors of robots, readings of the world, and goals, each with all that a
-robot must know of it."""
+"""The inputs of an exported policy: sensors of robots, readings of the world, and goals, each with all facts
+that a robot needs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from deepbots_cli.scenario.sensors import SENSORS, JointSensor
 from deepbots_robot.model import Input, Mount
 
 _AGES_WITHIN = 3
-"""A value is too old when this many of its periods have passed without a new one."""
+"""The number of its periods after which a value without a new one is too old."""
 _VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "orientation": QUATERNION}
 
 
@@ -29,8 +29,8 @@ _VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "or
 class Reading:
     """An input, and where a simulation has its value.
 
-    `trees` are what the supervisor computes for it, one per component; of a sensor that is sampled, `device`
-    names robot and sensor.
+    `trees` are the expressions of the supervisor, one per component. For a sampled sensor, `device` names
+    robot and sensor.
     """
 
     info: Input
@@ -42,8 +42,8 @@ class Readings:
     """Describes the inputs of a program."""
 
     def __init__(self, program: Program, timestep: float | None = None) -> None:
-        """`timestep` is the time between two calls of the policy in s, by default that between two
-        actions."""
+        """Create the inputs. `timestep` is the time between two calls of the policy in s, by default that
+        between two actions."""
         self._program = program
         self._timestep = timestep or program.period
         self.deployment = Deployment(program)
@@ -52,7 +52,7 @@ class Readings:
         """The readings of the world that are components of a sensor."""
 
     def sensor(self, robot: Robot, sensor: Sensor) -> Reading:
-        """A sensor of a robot, as the supervisor gets its values."""
+        """Describe a sensor of a robot with the values that the supervisor gets."""
         kind, faults = SENSORS[sensor.kind], sensor.faults or NoiseModel()
         of_joints = issubclass(kind, JointSensor)
         name = f"{robot.name}.{sensor.name}"
@@ -91,7 +91,7 @@ class Readings:
         return Reading(info, device=(robot.name, sensor.name))
 
     def of_world(self, read: EngineRead) -> tuple[Reading, int]:
-        """A reading of the world by the supervisor, and the index of the number in it."""
+        """Describe a reading of the world by the supervisor, with the index of the number in it."""
         components = _VECTORS.get(read.function, ())
         function = FUNCTIONS.get(read.function)
         joint = self.deployment.joints.get(read.subjects[0])
@@ -126,7 +126,7 @@ class Readings:
         return Reading(info, tuple(whole)), components.index(read.component) if read.component else 0
 
     def parameter(self, value: Expression) -> Reading:
-        """A parameter that an episode draws: on a robot, somebody sets it."""
+        """Describe a parameter that an episode draws. On a robot, a person or program sets it."""
         value_type = value.typed.type
         parts = value.components or (None,)
         info = self._input(
@@ -168,7 +168,7 @@ class Readings:
 
 
 def _field(robot: Robot, sensor: Sensor) -> str:
-    """The field of a message that carries a sensor as it is."""
+    """Return the field of a message that carries a sensor as it is."""
     parts = tuple(Name(sensor.name, part) for part in sensor.components or (None,))
     return next((entry.name for entry in robot.emit if entry.scalars == parts), sensor.name)
 
@@ -176,8 +176,8 @@ def _field(robot: Robot, sensor: Sensor) -> str:
 def _sensor_range(
     sensor: Sensor, faults: NoiseModel, interval: Interval
 ) -> tuple[tuple[float | None, ...], ...] | None:
-    """The range of the readings: the one that the sensor clips to, or that of its kind where nothing is added
-    to the value."""
+    """Return the range of the readings: the one that the sensor clips to, or that of its kind where nothing
+    is added to the value."""
     count = len(sensor.components) or 1
     if sensor.optics is not None or SENSORS[sensor.kind].boolean:
         return None
@@ -188,15 +188,15 @@ def _sensor_range(
 
 
 def _ends(intervals: Sequence[Interval]) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
-    """The lower and the upper ends, None where there is none."""
+    """Return the lower and the upper ends, None where there is none."""
     return tuple(finite(each.low) for each in intervals), tuple(finite(each.high) for each in intervals)
 
 
 def finite(number: float | None) -> float | None:
-    """The number, None for one that is infinite."""
+    """Return the number; None for one that is infinite."""
     return number if number is not None and math.isfinite(number) else None
 
 
 def unit_text(unit: object) -> str:
-    """The unit of a dimension, empty for a plain number."""
+    """Return the unit of a dimension; empty for a plain number."""
     return "" if str(unit) == "1" else str(unit)

@@ -1,5 +1,5 @@
-"""Steps of a simulation as an exported policy sees them: the raw values of its inputs, and the commands that
-robots really applied."""
+"""Steps of a simulation for an exported policy: the raw values of its inputs, and the commands that robots
+applied."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_robot.model import Output
 
 if TYPE_CHECKING:
+    # A simulated robot has no policy, and does not need torch.
     from deepbots_cli.insight.export.control import (
         ControlStep,
-    )  # which imports torch: a simulated robot has no policy
+    )
 
 _PREFIX = "export_"
 _SEED = 20_000
@@ -34,8 +35,8 @@ Array = NDArray[Any]
 
 
 class RecordedStep(NamedTuple):
-    """One call of a policy: the value of each input before it, the commands during it, and the action;
-    `first` begins an episode."""
+    """A call of a policy: the value of each input before it, the commands during it, and the action. `first`
+    begins an episode."""
 
     first: bool
     inputs: Mapping[str, Array]
@@ -46,10 +47,11 @@ class RecordedStep(NamedTuple):
 def recorded_steps(
     step: ControlStep, make_driver: Callable[[Supervisor], Driver], *, engine: str | None = None
 ) -> Generator[RecordedStep, None, None]:
-    """Episodes without end, one after the other. Of copies of a robot, the steps of the first one.
+    """Yield the steps of episodes without end, one after the other. For copies of a robot, these are the
+    steps of the first copy.
 
     Args:
-        make_driver: Returns who acts, for the environment.
+        make_driver: Returns the driver for the environment.
     """
     readings = [*step.readings.values()]
     with closing(api.build(with_probes(_as_exported(step.program), readings), engine=engine)) as world:
@@ -75,7 +77,7 @@ def recorded_steps(
 
 
 def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
-    """The program whose supervisor stores the readings of the world."""
+    """Return the program whose supervisor stores the readings of the world."""
     probes = []
     for number, reading in enumerate(readings):
         if reading.device is None:
@@ -95,8 +97,8 @@ def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
 
 
 def _as_exported(program: Program) -> Program:
-    """The program without what a bundle leaves out: noise that the supervisor adds. Rewards and endings of
-    Python are not needed."""
+    """Return the program without the noise that the supervisor adds, which a bundle leaves out. Rewards and
+    endings in Python are removed too, because they are not needed."""
     agent = program.agent
     program = program.with_agents(
         observation=tuple(replace(entry, noise=None) for entry in agent.observation),
@@ -112,7 +114,7 @@ def _as_exported(program: Program) -> Program:
 
 
 def _noted_observations(agent: Supervisor, watch: Watch) -> list[dict[str, Array]]:
-    """A list that gets the inputs of each further timestep, after which the supervisor observes."""
+    """Return a list that gets the inputs of each further timestep, after which the supervisor observes."""
     noted: list[dict[str, Array]] = []
     observe = agent._observe  # type: ignore[attr-defined]
 
@@ -125,7 +127,7 @@ def _noted_observations(agent: Supervisor, watch: Watch) -> list[dict[str, Array
 
 
 class Watch:
-    """Reads inputs from a supervisor, and notes what its robots apply."""
+    """Reads inputs from a supervisor, and records the commands that its robots apply."""
 
     def __init__(self, agent: Supervisor, readings: Sequence[Reading], outputs: Sequence[Output]) -> None:
         self._readers = {
@@ -134,7 +136,7 @@ class Watch:
         self._infos = {reading.info.name: reading.info for reading in readings}
         self._commands: dict[str, Array] = {}
         self.drives: list[_Drive] = []
-        """The actuators that note their commands."""
+        """The actuators that record their commands."""
         for output in outputs:
             controller, attribute = agent.controllers[output.robot], generated.drive(output.actuator)
             drive = _Drive(getattr(controller, attribute), partial(self._note, output.name))
@@ -147,7 +149,7 @@ class Watch:
                 self._apply_when_sent(agent, robot)
 
     def _apply_when_sent(self, agent: Supervisor, robot: str) -> None:
-        """Note the commands of a message when it is sent: on the way it may be late, or be lost."""
+        """Record the commands of a message when it is sent, because it may be late or be lost on the way."""
         channel, controller = agent.channels[robot, "to_robot"], agent.controllers[robot]
         drives = [drive for drive in vars(controller).values() if isinstance(drive, _Drive)]
         send = channel.send
@@ -176,7 +178,7 @@ class Watch:
         return lambda: device.reading
 
     def inputs(self) -> dict[str, Array]:
-        """The value of each input now."""
+        """Return the value of each input now."""
         inputs: dict[str, Array] = {}
         for name, read in self._readers.items():
             info, value = self._infos[name], read()
@@ -186,12 +188,12 @@ class Watch:
         return inputs
 
     def commands(self) -> dict[str, Array]:
-        """The commands of this step."""
+        """Return the commands of this step."""
         return dict(self._commands)
 
 
 class _Drive:
-    """An actuator that notes its commands; for everything else the actuator itself."""
+    """An actuator that records its commands; for everything else the actuator itself."""
 
     def __init__(
         self, drive: Callable[[Sequence[float]], object], note: Callable[[Sequence[float]], None]
@@ -212,5 +214,5 @@ class _Drive:
         setattr(vars(self)["drive"], name, value)
 
     def switch(self, *, notes: bool, acts: bool) -> None:
-        """Whether it notes commands, and whether it passes them on."""
+        """Set whether the actuator records commands, and whether it passes them on."""
         vars(self).update(notes=notes, acts=acts)

@@ -22,7 +22,7 @@ from deepbots_cli.insight.export.graph import Graph
 
 
 class Value(NamedTuple):
-    """A tensor of the graph of the shape [size]; a truth value is a bool. A size of 1 stands for any number
+    """A tensor of the graph of the shape [size]; a truth value is a bool. A size of 1 represents any number
     of equal values."""
 
     name: str
@@ -35,7 +35,7 @@ class Value(NamedTuple):
 
 
 class Item(NamedTuple):
-    """One number of a tensor."""
+    """A number of a tensor."""
 
     whole: Value
     place: int = 0
@@ -56,7 +56,7 @@ class Arithmetic:
         return Value(self.graph.constant([*kept], np.bool_ if truth else np.float64), len(kept), truth)
 
     def picked(self, items: Sequence[Item]) -> Value:
-        """A vector of numbers of tensors."""
+        """Return a vector of numbers of tensors."""
         parts: list[Value] = []
         run: list[Item] = []
         for item in [*items, None]:
@@ -76,7 +76,7 @@ class Arithmetic:
         return Value(taken, len(indices), whole.truth)
 
     def joined(self, parts: Sequence[Value]) -> Value:
-        """The values of several vectors in a row; truth values among numbers are 0 and 1."""
+        """Return the values of several vectors in a row; truth values among numbers are 0 and 1."""
         if len(parts) == 1:
             return parts[0]
         truth = all(part.truth for part in parts)
@@ -88,14 +88,14 @@ class Arithmetic:
         )
 
     def spread(self, value: Value, size: int) -> Value:
-        """A vector of `size` values, from one value or from as many."""
+        """Return a vector of `size` values, from one value or from as many."""
         if value.size == size:
             return value
         neutral = self.graph.constant(np.zeros(size), value.dtype)
         return Value(self.graph.add("Or" if value.truth else "Add", value.name, neutral), size, value.truth)
 
     def number(self, value: Value) -> Value:
-        """A truth value as 0 or 1."""
+        """Return a truth value as 0 or 1."""
         return Value(self.graph.cast(value.name, np.float64), value.size) if value.truth else value
 
     def _node(self, operator: str, *values: Value, truth: bool = False, **attributes: Any) -> Value:
@@ -108,17 +108,17 @@ class Arithmetic:
     # Operations
 
     def binary(self, operator: str, a: Value, b: Value) -> Value:
-        """An arithmetic operation or a comparison."""
+        """Return the result of an arithmetic operation or a comparison."""
         truth = operator in ("Less", "LessOrEqual", "Greater", "GreaterOrEqual", "Equal")
         if not (operator == "Equal" and a.truth and b.truth):
             a, b = self.number(a), self.number(b)
         return self._node(operator, a, b, truth=truth)
 
     def infix(self, sign: ast.AST, a: Value, b: Value) -> Value:
-        """What Python writes between two values.
+        """Return the result of an operator that Python writes between two values.
 
         Raises:
-            UsageError: It is a sign of bits or of matrices.
+            UsageError: The operator is one of bits or of matrices.
         """
         match sign:
             case ast.Mod():
@@ -154,7 +154,7 @@ class Arithmetic:
         return self._node("Where", condition, self.number(a), self.number(b))
 
     def call(self, name: str, args: Sequence[Value]) -> Value:
-        """A function of `math` or of Python.
+        """Return the result of a function of `math` or of Python.
 
         Raises:
             UsageError: ONNX has no operators for it.
@@ -168,7 +168,7 @@ class Arithmetic:
         return composed(self, *values)
 
     def remainder(self, a: Value, b: Value) -> Value:
-        """`a % b` as Python has it: of the sign of b."""
+        """Return `a % b` as in Python, with the sign of b."""
         rest = self._node("Mod", a, b, fmod=1)
         other = self.both(
             self._unequal(rest, self.constant([0.0])), self._unequal(self._negative(rest), self._negative(b))
@@ -195,7 +195,8 @@ class Arithmetic:
         return self._node("Sqrt", total)
 
     def cosine(self, a: Value) -> Value:
-        """From the sine of the half angle: older versions of onnxruntime have no cosine of float64."""
+        """Return the cosine by the sine of the half angle, because older versions of onnxruntime have no
+        cosine of float64."""
         half = self._node("Sin", self.binary("Mul", a, self.constant([0.5])))
         return self.binary(
             "Sub", self.constant([1.0]), self.binary("Mul", self.constant([2.0]), self.square(half))
@@ -205,15 +206,14 @@ class Arithmetic:
         return self._node("Div", self._node("Sin", a), self.cosine(a))
 
     def atan2(self, y: Value, x: Value) -> Value:
-        """The angle of a point.
+        """Return the angle of a point.
 
         onnxruntime has an arctangent of float32 alone. One step of Newton's method from there, as an angle
-        between two directions, makes it exact: what remains is the third power of 1e-7.
+        between two directions, makes it exact: the remaining error is the third power of 1e-7.
         """
         zero, one, pi = self.constant([0.0]), self.constant([1.0]), self.constant([math.pi])
-        below, left = (
-            self._negative(self._node("Div", one, side)) for side in (y, x)
-        )  # -0.0 is negative, too
+        # The division distinguishes -0.0, which is negative.
+        below, left = (self._negative(self._node("Div", one, side)) for side in (y, x))
         at_origin = self.both(self.binary("Equal", y, zero), self.binary("Equal", x, zero))
         # Products of a tiny number would vanish: 5e-324 and 0 had an angle that is wrong by 4e-8.
         size = self.where(at_origin, one, self._node("Max", self._node("Abs", y), self._node("Abs", x)))
@@ -232,7 +232,7 @@ class Arithmetic:
         return self._node("Add", angle, self.where(at_origin, zero, rest))
 
     def reduced(self, operator: str, value: Value) -> Value:
-        """All components of a vector as one value."""
+        """Return all components of a vector as one value."""
         match operator:
             case "add":
                 axes = self.graph.constant([0], np.int64)
@@ -258,7 +258,7 @@ _OPERATORS = {
     "ceil": "Ceil",
     "tanh": "Tanh",
 }
-"""Functions of one argument, each with its operator."""
+"""The functions of one argument, each with its operator."""
 
 
 def _folded(operator: str) -> Callable[..., Value]:
@@ -302,10 +302,10 @@ def _template(text: str) -> ast.expr:
 
 
 class TreePrinter:
-    """Prints trees into a graph; what was printed once is used again.
+    """Prints trees into a graph. A tree is printed once and then reused.
 
     Args:
-        leaf: The number that a name or a reading of the world means.
+        leaf: Returns the number of a name or a reading of the world.
         states: The values of a stateful function, one per component of its argument.
     """
 
@@ -321,14 +321,14 @@ class TreePrinter:
         self._known: dict[Any, Value] = {}
 
     def value(self, tree: Scalar) -> Value:
-        """One number or truth value."""
+        """Return the number or truth value of a tree."""
         return self.vector([tree])
 
     def vector(self, trees: Sequence[Scalar]) -> Value:
-        """One value per tree, or a single one where all are equal.
+        """Return one value per tree, or a single one if all are equal.
 
         Raises:
-            UsageError: A tree holds what a graph cannot compute; names it.
+            UsageError: A tree has a part that a graph cannot compute; the message names it.
         """
         key = tuple(map(_key, trees))
         if len(set(key)) == 1 and len(key) > 1:
@@ -392,7 +392,7 @@ class TreePrinter:
         return self._code(_template(function.python), arguments)
 
     def _code(self, node: ast.expr, args: dict[str, Sequence[Value]]) -> Value:
-        """What the Python of a function computes from its arguments."""
+        """Return the result of the Python code of a function for its arguments."""
         arithmetic = self.math
         match node:
             case ast.Name(id=name):
@@ -433,7 +433,8 @@ class TreePrinter:
 
 
 def _key(tree: Scalar) -> Any:
-    """What tells trees apart, also `True` from 1.0 and 0.0 from -0.0."""
+    """Return a key that is equal for equal trees only. Python compares `True` with 1.0 and 0.0 with -0.0 as
+    equal; the keys differ."""
     match tree:
         case Const(value=value):
             return ("const", type(value) is bool, float(value), math.copysign(1.0, value))
@@ -447,15 +448,15 @@ def _key(tree: Scalar) -> Any:
 
 
 class MemoryFormulas:
-    """What stateful functions keep and give: the classes of `runtime.formulas` as nodes. Each returns what is
-    kept, and the value."""
+    """The memories of stateful functions: the classes of `runtime.formulas` as nodes. Each method returns the
+    kept values, and the result."""
 
     def __init__(self, arithmetic: Arithmetic, timestep: float) -> None:
         self._math = arithmetic
         self._timestep = timestep
 
     def begin(self, function: str, args: Sequence[Value]) -> tuple[Value, Value]:
-        """The first step of an episode."""
+        """Return the values of the first step of an episode."""
         zero = self._math.constant([0.0])
         first, start = args[0], args[1] if len(args) > 1 else args[0]
         match function:
@@ -474,7 +475,7 @@ class MemoryFormulas:
         raise UsageError(f"the function '{function}' cannot be exported")
 
     def proceed(self, function: str, kept: Value, args: Sequence[Value]) -> tuple[Value, Value]:
-        """Every further step."""
+        """Return the values of every further step."""
         arithmetic, first = self._math, args[0]
         binary = arithmetic.binary
         match function:

@@ -9,8 +9,8 @@ environment.py   the worlds of a collector as a vector environment
 rollouts.py      the actor of on-policy algorithms, and rollout buffers filled from fragments
 imitation.py     the imitation loss of on-policy algorithms with a teacher
 models.py        models as zip files of the library, read without unpickling
-state.py         what a checkpoint keeps beside the model
-critics.py       what the critic of an off-policy algorithm predicts, beside the return that followed
+state.py         the state in a checkpoint beside the model
+critics.py       the predictions of the critic of an off-policy algorithm, beside the return that followed
 networks.py      the layers of a policy, and the values of its critic
 logs.py          scalars for TensorBoard and other loggers
 plugins.py       callbacks and loggers of other packages

@@ -43,8 +43,8 @@ _ACTIVATIONS: Mapping[str, type[nn.Module]] = {
     "tanh": nn.Tanh,
 }
 _MOST_LAYERS = 16
-_MOST_WEIGHTS = 50_000_000  # of one network; with gradients and moments, actor and critic then take 1.6 GB
-_BYTES_PER_COPY = 29_000_000  # of a cart-pole in PyBullet
+_MOST_WEIGHTS = 50_000_000  # per network; with gradients and moments, actor and critic then take 1.6 GB
+_BYTES_PER_COPY = 29_000_000  # measured for a cart-pole in PyBullet
 
 
 def create(
@@ -57,10 +57,10 @@ def create(
     to_learn: bool = True,
     mixin: type | None = None,
 ) -> BaseAlgorithm:
-    """A fresh model for the environment. One that is not to learn gets no room for experience.
+    """Create a fresh model for the environment. A model that is not to learn gets no room for experience.
 
-    `longest_episode` is in steps; hindsight begins to learn when one has ended for sure. `mixin` is a class
-    whose methods go before those of the algorithm.
+    `longest_episode` is in steps; hindsight begins to learn after so many steps, when an episode has ended
+    for sure. `mixin` is a class whose methods go before those of the algorithm.
 
     Raises:
         UsageError: The algorithm is unknown, or refuses the settings or the spaces; or there is no such
@@ -118,7 +118,7 @@ def _without_experience(settings: Settings, algorithm: type[Model]) -> None:
 
 
 def _networks(training: Training, algorithm: type[Model], memory: int | None) -> Settings:
-    """The networks of a policy, with an LSTM of `memory` units, and their optimizer."""
+    """Return the networks of a policy, with an LSTM of `memory` units, and their optimizer."""
     layers = list(training.network.hidden)
     networks: Settings = {
         "net_arch": {"pi": layers, "vf": layers} if algorithm.on_policy else layers,
@@ -126,8 +126,8 @@ def _networks(training: Training, algorithm: type[Model], memory: int | None) ->
     }
     if memory is not None:
         networks["lstm_hidden_size"] = memory
-    if algorithm.base() == training.algorithm != "A2C":  # whose optimizer is one of Stable-Baselines3
-        epsilon = 1e-5 if algorithm.on_policy else 1e-8  # as by default
+    if algorithm.base() == training.algorithm != "A2C":  # the optimizer of A2C is one of Stable-Baselines3
+        epsilon = 1e-5 if algorithm.on_policy else 1e-8  # the defaults of Stable-Baselines3 and of torch
         networks |= {"optimizer_class": Adam, "optimizer_kwargs": {"eps": epsilon}}
     return networks
 
@@ -140,13 +140,14 @@ def _made(
     env: VecEnv,
     settings: Settings,
 ) -> BaseAlgorithm:
-    """The model of the library; its refusals become errors of deepbots."""
+    """Create the model of the library. Its errors become errors of deepbots."""
     made_of: Any = _imported(algorithm)
     if mixin is not None:
         made_of = type(made_of.__name__, (mixin, made_of), {})
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of batches that do not divide a rollout, which does no harm
+            # Batches that do not divide a rollout do no harm.
+            warnings.simplefilter("ignore")
             model: BaseAlgorithm = made_of(policy, env, **settings)
             return model
     except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:
@@ -184,7 +185,7 @@ def _no_torch(algorithm: type[Model], reason: str) -> str:
 
 
 def _device(wanted: str, *, to_learn: bool) -> str:
-    """`cpu` or `cuda`. A policy that was trained on a GPU acts on the CPU where there is none."""
+    """Return `cpu` or `cuda`. A policy that was trained on a GPU acts on the CPU if there is no GPU."""
     if wanted == "cuda" and to_learn and not torch.cuda.is_available():
         raise UsageError(
             "`train.device` is cuda, but torch finds no CUDA device; write `device: auto` to use the CPU"
@@ -204,10 +205,10 @@ def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
 
 @contextmanager
 def torch_settings() -> Iterator[None]:
-    """Within, torch uses one thread, since networks of this size only lose by handing work around; then the
-    caller's settings return."""
+    """Context in which torch uses one thread, since networks of this size are slower on several threads; then
+    the caller's settings return."""
     threads, cudnn = torch.get_num_threads(), torch.backends.cudnn
-    before = cudnn.deterministic, cudnn.benchmark  # which SB3 changes when it sets a seed for a GPU
+    before = cudnn.deterministic, cudnn.benchmark  # SB3 changes both when it sets a seed for a GPU
     torch.set_num_threads(1)
     try:
         yield
@@ -217,7 +218,7 @@ def torch_settings() -> Iterator[None]:
 
 
 def takes_masks(model: BaseAlgorithm) -> bool:
-    """Whether the policy wants to know which choices are forbidden."""
+    """Return whether the policy uses action masks."""
     return any(
         "action_masks" in signature(vars(kind)["predict"]).parameters
         for kind in type(model).__mro__
@@ -226,15 +227,19 @@ def takes_masks(model: BaseAlgorithm) -> bool:
 
 
 def collects_as_usual(training: Training, model: BaseAlgorithm) -> bool:
-    """Whether the algorithm has the rollouts of the built-in one that it is or is derived from."""
+    """Return whether the algorithm has the rollouts of the built-in one that it is or is derived from."""
     algorithm = _entry(training.algorithm)
     usual: Any = _imported(ALGORITHMS[algorithm.base()])
     return type(model).collect_rollouts is usual.collect_rollouts  # type: ignore[attr-defined]
 
 
 def check(training: Training) -> None:
-    """Raises: UsageError: The table does not hold the algorithm, it cannot be taught, or the networks would
-    be larger than any memory."""
+    """Check an algorithm and its networks.
+
+    Raises:
+        UsageError: The table does not contain the algorithm, it cannot be taught, or the networks would be
+            larger than any memory.
+    """
     if training.teacher is not None:
         check_teachable(training)
     hidden = training.network.hidden
@@ -248,7 +253,11 @@ def check(training: Training) -> None:
 
 
 def check_teachable(training: Training) -> None:
-    """Raises: UsageError: The algorithm cannot learn from a teacher."""
+    """Check that an algorithm can be taught.
+
+    Raises:
+        UsageError: The algorithm cannot learn from a teacher.
+    """
     if _entry(training.algorithm).base() == "RecurrentPPO":
         raise UsageError(
             f"{training.algorithm} cannot learn from a teacher; leave out `teacher` under `train`, and"
@@ -257,19 +266,20 @@ def check_teachable(training: Training) -> None:
 
 
 def check_memory(copies: int, memory: int | None = None) -> None:
-    """Whether so many worlds fit into this machine; `memory` in bytes, by default all that it has.
+    """Check that so many worlds fit into the memory of this machine. `memory` is in bytes, by default all
+    that it has.
 
     Raises:
-        UsageError: They do not.
+        UsageError: They do not fit.
     """
     _require_memory(f"{copies} environments need about", copies * _BYTES_PER_COPY, memory)
 
 
 def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None = None) -> None:
-    """Whether the remembered steps fit into this machine; `memory` as for `check_memory`.
+    """Check that the replay buffer fits into the memory of this machine; `memory` as for `check_memory`.
 
     Raises:
-        UsageError: They do not.
+        UsageError: It does not fit.
     """
     steps = settings.get("buffer_size", 0)
     parts = space.spaces.values() if isinstance(space, gym.spaces.Dict) else [space]
@@ -318,9 +328,9 @@ class DecayingNoise(ActionNoise):
     begins anywhere in the course of it.
 
     Args:
-        settings: Those of the scenario.
+        settings: The settings of the scenario.
         size: The shape of an action.
-        remaining: Gives the share of the training that is left, from 1 to 0.
+        remaining: Returns the share of the training that is left, from 1 to 0.
     """
 
     def __init__(

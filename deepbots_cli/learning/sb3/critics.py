@@ -1,5 +1,4 @@
-"""Whether the critic of an off-policy algorithm is right: what it predicted in recent states, and what
-followed there.
+"""Compares the predictions of the critic of an off-policy algorithm with the return that followed.
 
 A critic that is trained on its own predictions may overestimate: its errors are chosen by a policy that
 maximizes it (S. Fujimoto, H. van Hoof, D. Meger, ICML 2018). On FindBall, DDPG predicts 11.9 where 2.7
@@ -18,10 +17,10 @@ from stable_baselines3.common.preprocessing import get_action_dim
 from deepbots_cli.rollout.worlds import Array
 
 _SAMPLES = 256
-"""Steps that are compared at a time: one forward pass."""
+"""The number of steps that are compared at a time, in one forward pass."""
 _MIN_SAMPLES = 32
 _WINDOW = 4_000
-"""The largest number of rows of the replay buffer that are looked at; a row has a step of each copy of the
+"""The largest number of compared rows of the replay buffer; a row has a step of each copy of the
 environment."""
 _UNKNOWN = 0.05
 """The largest weight of the rewards that are not known yet, or that a time limit cut off."""
@@ -72,8 +71,8 @@ def check_critic(model: Any) -> CriticCheck | None:
 
 
 def _discounted(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> tuple[Array, Array]:
-    """The discounted return from each step (rows, copies), and the weight of the rewards that are missing in
-    it."""
+    """Return the discounted return from each step (rows, copies), and the weight of the rewards that are
+    missing in it."""
     followed, unknown = np.zeros(rewards.shape), np.ones(rewards.shape)
     later, missing = np.zeros(rewards.shape[1]), np.ones(rewards.shape[1])
     for step in range(len(rewards) - 1, -1, -1):
@@ -85,12 +84,11 @@ def _discounted(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> 
 
 
 def _values(model: Any, buffer: Any, places: tuple[Array, Array]) -> Array:
-    """The critic's values of stored steps, the smaller one of two critics."""
+    """Return the critic's values of stored steps, the smaller one of two critics."""
     seen: Any = buffer.observations
     stored = {key: part[places] for key, part in seen.items()} if isinstance(seen, dict) else seen[places]
-    actions = buffer.actions[places][
-        :, : get_action_dim(model.action_space)
-    ]  # the rest are labels of a teacher
+    # The columns behind the actions are labels of a teacher.
+    actions = buffer.actions[places][:, : get_action_dim(model.action_space)]
     with torch.no_grad():
         observations, _ = model.policy.obs_to_tensor(stored)
         if hasattr(model, "q_net"):

@@ -1,5 +1,4 @@
-"""The hyperparameters that a training takes: those of the scenario, our defaults, and the defaults of the
-library.
+"""The hyperparameters of a training: those of the scenario, our defaults, and the defaults of the library.
 
 Our defaults suit small networks and light worlds on a CPU. Every other default is the one of
 Stable-Baselines3 or sb3-contrib. It is read from the signature in the library's source, since importing the
@@ -62,8 +61,8 @@ def _batch(training: Training) -> int:
 
 
 _MANY_ENVIRONMENTS = 16
-"""Environments from which on batches grow with their number, so that an epoch has 8 of them: larger batches
-cost less per row."""
+"""The number of environments from which batches grow with their number, so that an epoch has 8 batches.
+Larger batches cost less per row."""
 
 
 _PPO = {
@@ -132,21 +131,21 @@ DEFAULTS: Mapping[str, Mapping[str, Default]] = {
 
 
 def default_values(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
-    """The values of our defaults; `environments` of the training counts every copy that the policy acts
-    for."""
+    """Return the values of our defaults; `environments` of the training counts every copy that the policy
+    acts for."""
     own = DEFAULTS.get(ALGORITHMS[training.algorithm].base(), {})
     return {name: default.value(training, total_timesteps, longest_episode) for name, default in own.items()}
 
 
 def longest_episode(scenario: Program) -> int:
-    """In steps of the agent, over the scenario and its stages."""
+    """Return the number of steps of the longest episode of the agent, over the scenario and its stages."""
     stages = [scenario, *(stage.program for stage in scenario.curriculum)]
     return max(stage.truncation.max_episode_steps(stage.period) for stage in stages)
 
 
 def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[EffectiveHyperparameter]:
-    """Every hyperparameter of the scenario's algorithm, in the order of the table of the language; none
-    without a known one."""
+    """Return every hyperparameter of the scenario's algorithm, in the order of the table of the language;
+    empty for an unknown algorithm."""
     training = scenario.agent.training
     if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
         return []
@@ -173,13 +172,13 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
 
 
 def library_of(algorithm: str) -> str:
-    """What the library is called that has the algorithm."""
+    """Return the title of the library that has the algorithm."""
     return _LIBRARY_TITLES[LIBRARIES.get(algorithm, "stable_baselines3")]
 
 
 @cache
 def library_defaults(algorithm: str) -> Mapping[str, object] | None:
-    """The defaults in the signature of the algorithm's class; None where the library is not installed.
+    """Return the defaults in the signature of the algorithm's class; None where the library is not installed.
 
     A default that is no literal is given as its text.
     """

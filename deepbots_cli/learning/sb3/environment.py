@@ -19,18 +19,18 @@ from deepbots_cli.rollout.worlds import Worlds, WorldsStep
 
 
 class CollectorEnvironment(VecEnv):
-    """Steps the worlds of a collector, which are closed by whoever made them."""
+    """Steps the worlds of a collector. The creator of the worlds closes them."""
 
     def __init__(self, collector: LocalCollector | ShardedCollector) -> None:
         self.collector = collector
         super().__init__(collector.rows, collector.observation_space, collector.action_space)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """The worlds keep the seeds that they were made with."""
+        """Do nothing, because the worlds keep the seeds that they were made with."""
         return [None] * self.num_envs
 
     def reset(self) -> VecEnvObs:
-        """The observations of the running episodes; the first ones begin if none has."""
+        """Return the observations of the running episodes. The first episodes begin if none has."""
         observations: VecEnvObs = self.collector.begin()
         return observations
 
@@ -53,11 +53,12 @@ class CollectorEnvironment(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
+        # A batch has its own masks.
         if (
             method_name == "action_masks"
             and isinstance(self.collector, LocalCollector)
             and (masks := self.collector.action_masks()) is not None
-        ):  # a batch has its own
+        ):
             return [masks[index] for index in self._get_indices(indices)]
         return [
             agent.get_wrapper_attr(method_name)(*method_args, **method_kwargs)
@@ -71,13 +72,12 @@ class CollectorEnvironment(VecEnv):
 
     def _agents(self, indices: VecEnvIndices) -> list[Any]:
         agents = self.collector.agents
-        return [
-            agents[index % len(agents)] for index in self._get_indices(indices)
-        ]  # with shards, one world stands for all
+        # With shards, the spaces of one world are used for all.
+        return [agents[index % len(agents)] for index in self._get_indices(indices)]
 
 
 def as_returned(step: WorldsStep) -> VecEnvStepReturn:
-    """A step of all rows, with what the library wants to know of the last step of an episode."""
+    """Return a step of all rows, with the entries that the library reads for the last step of an episode."""
     for row, episode, observation, timed_out in step.endings:
         step.infos[row] = {
             **step.infos[row],
@@ -95,15 +95,15 @@ class _Spaces(gym.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Any observation: the library asks for one before it learns."""
+        """Return any observation: the library calls this before it learns."""
         return self.observation_space.sample(), {}
 
 
 def spaces_only(
     observation_space: gym.Space[Any], action_space: gym.Space[Any], rows: int = 1
 ) -> CollectorEnvironment:
-    """An environment without a world: for a policy that is not to learn, or that learns from worlds in other
-    processes."""
+    """Return an environment without a world, for a policy that is not to learn, or that learns from worlds in
+    other processes."""
     return CollectorEnvironment(
         LocalCollector(Worlds([_Spaces(observation_space, action_space)] * rows, [0] * rows))
     )

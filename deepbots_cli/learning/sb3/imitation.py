@@ -1,14 +1,14 @@
-"""How policies imitate a teacher.
+"""Imitation of a teacher by a policy.
 
-With an on-policy algorithm, while the policy only imitates, `Lessons` keeps the states that it met, with what
-the teacher would do in each, and fits the policy to all of them (DAgger; S. Ross, G. Gordon, D. Bagnell,
-AISTATS 2011). The update of the library then trains the critic alone.
+With an on-policy algorithm, while the policy only imitates, `Lessons` keeps the visited states with the
+teacher's action in each, and fits the policy to all of them (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS
+2011). The update of the library then trains the critic alone.
 
-After this, a loss is added to that of the library, within `imitating`. Its algorithms ask their policy for
+After this, a loss is added to that of the library, within `imitating`. Its algorithms read from their policy
 values, log-probabilities and entropies of each batch (`evaluate_actions`), and add the entropies to the loss
 with a weight: these then contain the imitation loss too.
 
-With an off-policy algorithm that has an actor, the replay buffer keeps what the teacher would do beside each
+With an off-policy algorithm that has an actor, the replay buffer keeps the teacher's action beside each
 action (`keep_labels`). The loss of the actor is the negative value of its actions; within `imitating_labels`,
 an imitation loss is subtracted from these values (TD3+BC; S. Fujimoto, S. S. Gu, NeurIPS 2021). While the
 policy only imitates, the actor follows this loss alone, and the critic learns its value.
@@ -54,12 +54,13 @@ _ONLY_SCALE = 10.0
 
 
 class Lessons:
-    """The last states, and the actions of the teacher in them. Its arrays are those of a replay buffer, of
+    """The last states, and the actions of the teacher in them. The arrays are those of a replay buffer, of
     shape (steps, rows, ...).
 
     Args:
         model: The algorithm, whose rollout buffer has the shapes.
-        demonstrations: Of a recording: then these are its states, and others are not added.
+        demonstrations: The demonstrations of a recording, if it is the teacher. Then its states are the only
+            ones.
     """
 
     def __init__(self, model: Any, demonstrations: Demonstrations | None = None) -> None:
@@ -104,7 +105,7 @@ class Lessons:
         self.pos = (self.pos + len(taught)) % self.buffer_size
 
     def fit(self, new: int) -> float:
-        """Fit the policy after `new` states were added; the mean loss."""
+        """Fit the policy after `new` states were added. Returns the mean loss."""
         model, policy = self._model, self._model.policy
         policy.set_training_mode(True)
         if isinstance(model.action_space, spaces.Box) and not model.use_sde:
@@ -123,7 +124,7 @@ class Lessons:
         return float(np.mean(losses))
 
     def draw(self, count: int) -> tuple[Any, torch.Tensor]:
-        """Observations and actions of `count` random states."""
+        """Return observations and actions of `count` random states."""
         width = self.actions.shape[1]
         chosen = torch.randint((self.buffer_size if self.full else self.pos) * width, (count,)).numpy()
         at = chosen // width, chosen % width
@@ -135,12 +136,12 @@ class Lessons:
 
 @contextmanager
 def only_imitating(model: Any, lessons: Lessons, taught: Array | None) -> Iterator[None]:
-    """Within, the update of an on-policy algorithm trains the critic alone; afterwards, the policy is fitted
-    to all lessons.
+    """Context in which the update of an on-policy algorithm trains the critic alone; afterwards, the policy
+    is fitted to all lessons.
 
     Args:
-        taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...);
-            None with a recording.
+        taught: The teacher's actions in the states of the rollout buffer, of shape (steps, rows, ...); None
+            with a recording.
     """
     if taught is not None:
         lessons.add(taught)  # before the update, which reorders the rollout buffer
@@ -159,13 +160,13 @@ def only_imitating(model: Any, lessons: Lessons, taught: Array | None) -> Iterat
 
 @contextmanager
 def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[None]:
-    """Within, updates of an on-policy algorithm also imitate.
+    """Context in which updates of an on-policy algorithm also imitate.
 
     Args:
         model: The algorithm.
-        taught: What the teacher would do in the states of the rollout buffer, of shape (steps, rows, ...), or
-            the states of a recording.
-        weight: Of the imitation loss.
+        taught: The teacher's actions in the states of the rollout buffer, of shape (steps, rows, ...), or the
+            states of a recording.
+        weight: The weight of the imitation loss.
     """
     policy, ent_coef = model.policy, model.ent_coef
     lessons = taught if isinstance(taught, Lessons) else None
@@ -210,10 +211,10 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
 
 
 def keep_labels(model: Any) -> None:
-    """Let the replay buffer keep what the teacher would do beside each action: its rows of actions have twice
-    the width.
+    """Make the replay buffer keep the teacher's action beside each action: its rows of actions have twice the
+    width.
 
-    A label is `_UNKNOWN` where no teacher was asked, and in transitions with another goal than that of the
+    A label is `_UNKNOWN` if the teacher was not used, and in transitions with another goal than that of the
     episode.
     """
     buffer = model.replay_buffer
@@ -238,7 +239,7 @@ def keep_labels(model: Any) -> None:
 
 
 def mix_in(model: Any, demonstrations: Demonstrations) -> None:
-    """Let the replay buffer draw a fixed share of each batch from demonstrations, whose actions are their
+    """Make the replay buffer draw a fixed share of each batch from demonstrations, whose actions are their
     labels."""
     buffer = model.replay_buffer
     draw, device = buffer.sample, model.device
@@ -264,7 +265,7 @@ def mix_in(model: Any, demonstrations: Demonstrations) -> None:
         for mixed, own in ((samples.observations, shown), (samples.next_observations, following)):
             for key, part in own.items() if isinstance(own, dict) else [(None, own)]:
                 (mixed if key is None else mixed[key])[: len(at)] = part[at]
-        if samples.discounts is not None:  # of several steps, where these are single ones
+        if samples.discounts is not None:  # the samples span several steps, and demonstrations a single one
             samples.discounts[: len(at)] = model.gamma
         if hasattr(buffer, "labels"):
             buffer.labels[: len(at)] = actions[at]
@@ -282,8 +283,8 @@ def _tensors(seen: Any, device: Any) -> Any:
 
 
 def labeled(stored: Array, taught: Array | None) -> Array:
-    """Actions as a replay buffer with labels keeps them; `taught` is what the teacher would do, None if it
-    was not asked."""
+    """Return actions in the format of a replay buffer with labels. `taught` has the teacher's actions, and is
+    None without a teacher."""
     return np.concatenate(
         [stored, np.full_like(stored, _UNKNOWN) if taught is None else np.clip(taught, -1.0, 1.0)], axis=1
     )
@@ -291,11 +292,11 @@ def labeled(stored: Array, taught: Array | None) -> Array:
 
 @contextmanager
 def imitating_labels(model: Any, weight: float, *, only: bool, new: int) -> Iterator[None]:
-    """Within, the update of an off-policy algorithm also imitates.
+    """Context in which the update of an off-policy algorithm also imitates.
 
     Args:
         model: The algorithm.
-        weight: Of the imitation loss.
+        weight: The weight of the imitation loss.
         only: Whether the actor only imitates. Then it is also fitted to labels afterwards.
         new: Number of states since the last update.
     """
@@ -305,7 +306,7 @@ def imitating_labels(model: Any, weight: float, *, only: bool, new: int) -> Iter
     def with_teacher(evaluate: Callable[..., Any]) -> Callable[..., Any]:
         def values(observations: Any, actions: torch.Tensor) -> Any:
             evaluated = evaluate(observations, actions)
-            if not actions.requires_grad:  # of the replay buffer, not of the actor
+            if not actions.requires_grad:  # the actions are from the replay buffer, not from the actor
                 return evaluated
             loss = _distance(actions, buffer.labels)
             losses.append(float(loss.detach().mean()))
@@ -345,18 +346,18 @@ def _fit_actor(model: Any, steps: int) -> None:
 
 
 def _distance(actions: torch.Tensor, labels: torch.Tensor) -> torch.Tensor:
-    """Per row, the distance of actions from their labels; 0 where there is none."""
+    """Return, per row, the distance of actions from their labels; 0 without a label."""
     distances = torch.nn.functional.smooth_l1_loss(actions, labels, beta=_BETA, reduction="none").sum(1)
     return distances * (labels[:, 0] != _UNKNOWN)
 
 
 def agreement(model: Any, observations: Any, taught: Array) -> float:
-    """The share of the states in which the policy, without exploration, does what the teacher would do.
+    """Return the share of the states in which the policy, without exploration, agrees with the teacher.
 
     Args:
         model: The algorithm.
-        observations: Of shape (steps, rows, ...).
-        taught: What the teacher would do in them, of the same shape.
+        observations: The observations, of shape (steps, rows, ...).
+        taught: The teacher's actions in them, of the same shape.
     """
     seen = observations
     flat: Any = (
@@ -380,11 +381,11 @@ def agreement(model: Any, observations: Any, taught: Array) -> float:
 
 
 def _loss(model: Any, distribution: Any, taught: torch.Tensor) -> torch.Tensor:
-    """Per row: the cross-entropy of choices, and in ranges the distance of the mean from the teacher.
+    """Return, per row, the cross-entropy of choices, and in ranges the distance of the mean from the teacher.
 
-    Where the teacher is at the end of a range, a mean beyond it is as good: the action is clipped. On
-    PandaPush, this and a linear loss for large distances give 74 % success after 18,000 states, where a
-    quadratic loss gives 44 %.
+    If the teacher is at the end of a range, a mean beyond it is as good: the action is clipped. On PandaPush,
+    this and a linear loss for large distances give 74 % success after 18,000 states, where a quadratic loss
+    gives 44 %.
     """
     if isinstance(model.action_space, spaces.Box):
         mean = distribution.mode()

@@ -36,7 +36,8 @@ unsaved_members: Callable[[Any], list[str]] = methodcaller("_excluded_save_param
 
 
 def begin_learning(model: Any, total: int, callback: Any) -> Any:
-    """What `learn` does before its loop; returns the timesteps and the callback of the loop."""
+    """Prepare the model as `learn` does before its loop. Returns the timesteps and the callback of the
+    loop."""
     return model._setup_learn(total, callback)
 
 
@@ -50,7 +51,7 @@ def set_last(model: Any, observations: Any, starts: Array) -> None:
 
 
 def continue_training(model: Any, starts: Array) -> None:
-    """Go on from the present step, in the episodes of the worlds."""
+    """Continue from the present step, in the episodes of the worlds."""
     model._num_timesteps_at_start = model.num_timesteps
     set_last(model, model.env.reset(), starts)
     if (normalizer := model.get_vec_normalize_env()) is not None:
@@ -58,8 +59,8 @@ def continue_training(model: Any, starts: Array) -> None:
 
 
 def memory(model: Any) -> Any:
-    """The state of a recurrent policy between two steps: hidden state and cell of `pi` and of `vf`; None of
-    others."""
+    """Return the state of a recurrent policy between two steps: hidden state and cell of `pi` and of `vf`;
+    None for others."""
     return getattr(model, "_last_lstm_states", None)
 
 
@@ -68,12 +69,13 @@ def set_memory(model: Any, states: Any) -> None:
 
 
 def explore(model: Any, *arguments: Any) -> Any:
-    """The actions that an off-policy algorithm takes next, and as its replay buffer stores them."""
+    """Return the actions that an off-policy algorithm takes next, and these actions as its replay buffer
+    stores them."""
     return model._sample_action(*arguments)
 
 
 class Explorer:
-    """Mixed in before an off-policy algorithm: `explored` returns what `explore` returns, or replaces it."""
+    """A mixin for an off-policy algorithm: `explored` returns the result of `explore`, or replaces it."""
 
     explored: Callable[[Callable[[], Any]], Any]
 
@@ -88,14 +90,14 @@ episode_starts: Callable[[Any], Array] = attrgetter("_current_ep_start")
 
 
 def change_virtual_samples(buffer: Any, change: Callable[[Any], Any]) -> None:
-    """Of a buffer for hindsight: `change` its samples with another goal."""
+    """Replace the samples with another goal of a buffer for hindsight by the result of `change`."""
     draw = buffer._get_virtual_samples
     buffer._get_virtual_samples = lambda *arguments: change(draw(*arguments))
 
 
 @contextmanager
 def samples_noted(buffer: Any, note: Callable[[Array], None]) -> Iterator[None]:
-    """Within, `note` is called with the rows of each batch that a rollout buffer gives out."""
+    """Context in which `note` is called with the rows of each batch that a rollout buffer returns."""
     draw = buffer._get_samples
 
     def noted(rows: Array, *rest: Any) -> Any:

@@ -51,14 +51,15 @@ from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, P
 from deepbots_cli.rollout.worlds import WorldsStep
 
 AGREEMENT_STEPS = 64
-"""Steps of each copy of the environment after which an off-policy algorithm measures the agreement with a
-teacher."""
+"""The number of steps of each copy of the environment after which an off-policy algorithm measures the
+agreement with a teacher."""
 SCALAR_WINDOW_STEPS = 256
-"""Steps of each copy of the environment that the scalars of an off-policy algorithm describe."""
+"""The number of steps of each copy of the environment that the scalars of an off-policy algorithm
+describe."""
 
 
 class SavesPlainly:
-    """Mixed in before an algorithm."""
+    """A mixin for an algorithm."""
 
     def save(self, path: str | Path, *_: Any, **__: Any) -> None:
         """Write the model as a run keeps it, for a callback: Stable-Baselines3 would also pickle the
@@ -86,9 +87,8 @@ class StableLearner(Learner):
             env = CollectorEnvironment(collector)
         if collector is not None and setup.training.normalize is not None:
             gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
-            env = VecNormalize(
-                env, norm_obs=False, gamma=gamma
-            )  # rewards by a running standard deviation of the return
+            # The rewards are divided by a running standard deviation of the return.
+            env = VecNormalize(env, norm_obs=False, gamma=gamma)
         self.model: Any = algorithms.create(
             setup.training,
             env,
@@ -150,7 +150,7 @@ class StableLearner(Learner):
         self.model.logger.record("teacher/agreement", self.agreement)
 
     def _prepared(self, shown: Demonstrations | None) -> Demonstrations | None:
-        """Demonstrations as the policy takes them: with the channels of images first."""
+        """Return demonstrations in the format of the policy, with the channels of images first."""
         if shown is None:
             return None
         observations, following = (
@@ -169,10 +169,10 @@ class StableLearner(Learner):
         deterministic: bool = False,
         action_masks: Any = None,
     ) -> tuple[Any, Any]:
-        """As of the algorithm.
+        """Return the action that the algorithm chooses.
 
         Raises:
-            RunError: An action is not finite: weights so large that none follows are a problem of the run.
+            RunError: An action is not finite, because the weights of the run are too large.
         """
         actions = (
             networks.likeliest_actions(self.model.policy, observation)
@@ -281,7 +281,7 @@ class StableLearner(Learner):
 
     @property
     def _buffer(self) -> Any:
-        """What is kept of earlier fragments: a replay buffer, lessons, or nothing (None)."""
+        """The store of earlier fragments: a replay buffer, lessons, or nothing (None)."""
         return self.model.replay_buffer
 
     @property
@@ -304,7 +304,8 @@ class StableLearner(Learner):
 
 
 class OnPolicyLearner(StableLearner):
-    """PPO, A2C, MaskablePPO and RecurrentPPO, which learn from the experience of the present policy."""
+    """The learner of PPO, A2C, MaskablePPO and RecurrentPPO, which learn from the experience of the present
+    policy."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -376,7 +377,7 @@ class OnPolicyLearner(StableLearner):
                 model.train()
 
     def _imitation(self) -> AbstractContextManager[None]:
-        """What a teacher adds to an update."""
+        """Return the context of an update with a teacher."""
         model, plan = self.model, self._plan
         if self._shown is not None:
             if plan.only:
@@ -390,7 +391,7 @@ class OnPolicyLearner(StableLearner):
         return imitating(model, self._taught, plan.weight)
 
     def recent(self) -> tuple[Any, Array, Array | None]:
-        """Those of the last rollout."""
+        """Return the experience of the last rollout."""
         buffer = self.model.rollout_buffer
         return buffer.observations, buffer.actions, buffer.log_probs
 
@@ -409,8 +410,8 @@ class _Explorer(internals.Explorer, SavesPlainly):
 
     Attributes:
         recorded: The fragment of the shards, through which it steps; None without shards.
-        teach: Returns what a decision becomes where the teacher drives; None without a lesson.
-        keeps_labels: Whether the replay buffer keeps what a teacher would do.
+        teach: Returns a decision after the teacher replaced some of it; None without a lesson.
+        keeps_labels: Whether the replay buffer keeps the actions of a teacher.
     """
 
     recorded: Fragment | None = None
@@ -437,7 +438,7 @@ class _Explorer(internals.Explorer, SavesPlainly):
 
 
 class OffPolicyLearner(StableLearner):
-    """DQN, SAC, TD3, DDPG and TQC, which learn from a replay buffer."""
+    """The learner of DQN, SAC, TD3, DDPG and TQC, which learn from a replay buffer."""
 
     is_off_policy = True
     actor_kind = rollouts.ExplorationActor
@@ -475,9 +476,8 @@ class OffPolicyLearner(StableLearner):
                 replay_buffer=model.replay_buffer,
                 log_interval=self._log_interval,
             )
-            if (
-                shards is not None
-            ):  # at the end of an episode, the library has reset the noise of the next one
+            # At the end of an episode, the library has reset the noise of the next one.
+            if shards is not None:
                 self._actor.remember(memory)
                 if self.setup.training.staleness:
                     shards.ask_ahead(self._actor, model.train_freq.frequency)
@@ -491,7 +491,7 @@ class OffPolicyLearner(StableLearner):
                 model.train(batch_size=model.batch_size, gradient_steps=steps)
 
     def _imitation(self) -> AbstractContextManager[None]:
-        """What a teacher adds to an update."""
+        """Return the context of an update with a teacher."""
         model, plan = self.model, self._plan
         if not model.keeps_labels:
             return nullcontext()
@@ -506,7 +506,7 @@ class OffPolicyLearner(StableLearner):
         return imitating_labels(model, plan.weight, only=plan.only, new=new) if plan.weight else nullcontext()
 
     def recent(self) -> tuple[Any, Array, Array | None]:
-        """Those of the last steps in the replay buffer."""
+        """Return the newest experience of the replay buffer."""
         seen, rows = self.model.replay_buffer.observations, self._recent_rows
         width = get_action_dim(self.model.action_space)
         observations = (
@@ -515,7 +515,7 @@ class OffPolicyLearner(StableLearner):
         return observations, rows(self.model.replay_buffer.actions)[..., :width], None
 
     def _recent_rows(self, column: Array) -> Array:
-        """The last rows of a column of the replay buffer."""
+        """Return the last rows of a column of the replay buffer."""
         buffer = self._buffer
         rows = (
             np.arange(buffer.pos - min(SCALAR_WINDOW_STEPS, buffer.size()), buffer.pos) % buffer.buffer_size
@@ -536,9 +536,8 @@ class _MonitorCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         if not self._monitor.defines_success:
-            self.model.ep_success_buffer = deque(
-                maxlen=0
-            )  # or TensorBoard would show a success rate of 0 beside any return
+            # Otherwise TensorBoard would show a success rate of 0 beside any return.
+            self.model.ep_success_buffer = deque(maxlen=0)
 
     def _on_step(self) -> bool:
         return self._monitor.on_step()

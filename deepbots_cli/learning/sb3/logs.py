@@ -1,5 +1,5 @@
-"""The log of a training: scalars for TensorBoard and for the loggers of other packages, and what of them is
-not yet written."""
+"""The log of a training: scalars for TensorBoard and for the loggers of other packages, and the entries that
+are not yet written."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class TrainingLog(Logger):
         self._run = run
 
     def open(self, training: Training, *, is_new: bool) -> None:
-        """Open the files. One of a new training begins with the scenario as text, and a page of
+        """Open the files. The file of a new training begins with the scenario as text, and a page of
         hyperparameters."""
         _wait_for_next_second(self._run.tensorboard)
         self._tensorboard = TensorBoardOutputFormat(str(self._run.tensorboard))
@@ -61,11 +61,11 @@ class TrainingLog(Logger):
         self._tensorboard.write(content, dict.fromkeys(content, ()))
 
     def flush(self) -> None:
-        """Write the file of TensorBoard out, whose size a checkpoint notes."""
+        """Flush the file of TensorBoard, whose size is part of a checkpoint."""
         self._tensorboard.writer.flush()
 
     def pending(self) -> Pending:
-        """What was recorded and is not yet written, without pictures and the like."""
+        """Return the entries that are recorded but not yet written, without pictures and the like."""
         values = {
             name: encoded(value)
             for name, value in self.name_to_value.items()
@@ -82,7 +82,7 @@ class TrainingLog(Logger):
 
 
 def encoded(value: Any) -> Any:
-    """A number of numpy with its type, and without NaN, which JSON does not have."""
+    """Return a number of numpy with its type, and without NaN, which JSON does not have."""
     if isinstance(value, np.generic):
         plain, dtype = value.tolist(), str(value.dtype)
         return NumpyScalar(dtype=dtype, value=plain if math.isfinite(plain) else None)  # type: ignore[arg-type]
@@ -90,7 +90,7 @@ def encoded(value: Any) -> Any:
 
 
 def number_of(value: Any) -> Any:
-    """The number that `encoded` returned."""
+    """Return the number that `encoded` returned."""
     return value.number() if isinstance(value, NumpyScalar) else value
 
 
@@ -103,5 +103,5 @@ def _wait_for_next_second(folder: Path) -> None:
     names = [path.name.split(".") for path in folder.glob("events.out.tfevents.*")]
     newest = max((int(name[3]) for name in names if len(name) > 3 and name[3].isdigit()), default=0)
     wait = newest + 1 - time.time()
-    if 0 < wait <= _MAX_WAIT_S:  # a file that is farther in the future is of another clock
+    if 0 < wait <= _MAX_WAIT_S:  # a file that is farther in the future has the time of another clock
         time.sleep(wait)

@@ -31,7 +31,7 @@ from deepbots_cli.learning.learner import Initialization
 from deepbots_cli.learning.sb3 import internals
 
 Tensors = Mapping[str, Mapping[str, Any]]
-"""What a model file holds: a state dictionary for each part (`policy`, `policy.optimizer`), and
+"""The content of a model file: a state dictionary for each part (`policy`, `policy.optimizer`), and
 `pytorch_variables`."""
 
 _VARIABLES = "pytorch_variables"
@@ -55,12 +55,13 @@ _HINDSIGHT_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
 
 @contextmanager
 def overflow_explained() -> Iterator[None]:
-    """Within, a distribution of torch with parameters that are not finite becomes one sentence.
+    """Context that turns torch's error about parameters of a distribution that are not finite into a
+    RunError.
 
-    torch raises a plain ValueError for these, so the module that raises it tells it from others.
+    torch raises a plain ValueError for these, which is recognized by the module that raises it.
 
     Raises:
-        RunError: There was one.
+        RunError: The parameters are not finite.
     """
     try:
         yield
@@ -103,7 +104,7 @@ def save(path: Path, model: BaseAlgorithm) -> None:
     with atomic_write(path, StorageError) as draft, draft.open("wb") as stream:
         stream.write(content.getbuffer())
         stream.flush()
-        os.fsync(stream.fileno())  # for a power cut
+        os.fsync(stream.fileno())  # so that the model survives a power cut
 
 
 def load(path: Path, model: BaseAlgorithm) -> None:
@@ -135,8 +136,7 @@ def load(path: Path, model: BaseAlgorithm) -> None:
 
 
 def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
-    """Take over each tensor of the policy that has the same name and shape in the file; optimizers begin
-    afresh.
+    """Copy each tensor of the policy that has the same name and shape in the file. Optimizers begin afresh.
 
     Raises:
         RunError: The file is missing, damaged, or no model.
@@ -172,7 +172,7 @@ def _variables(model: BaseAlgorithm) -> Iterator[tuple[str, torch.Tensor]]:
 
 
 def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
-    """The state dictionaries of a model file, by part."""
+    """Return the state dictionaries of a model file, by part."""
     if not path.is_file():
         raise RunError(f"{path} is missing")
     if path.stat().st_size > limit:
@@ -183,7 +183,8 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
             for name in archive.namelist():
                 if name.endswith(".pth"):
                     content = archive.read(name)
-                    if not content.startswith(b"PK\x03\x04"):  # torch would take it for a file of before 2020
+                    # torch would read other content as a file from before 2020.
+                    if not content.startswith(b"PK\x03\x04"):
                         raise ValueError("it contains objects other than plain tensors")
                     with _opened(io.BytesIO(content), len(content)) as inner:
                         _check_pickle(inner)
@@ -196,7 +197,7 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
         raise RunError(
             f"{path} is damaged, or was not written by deepbots (it contains objects other than tensors)"
         ) from error
-    except Exception as error:  # the readers of damaged files raise a dozen kinds
+    except Exception as error:  # reading a damaged file raises a dozen kinds of exceptions
         reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else "cut short"
         raise RunError(f"{path} is damaged, or was not written by deepbots ({reason})") from error
     if "policy" not in tensors or not all(isinstance(value, dict) for value in tensors.values()):
@@ -205,7 +206,7 @@ def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
 
 
 def _opened(source: Path | io.BytesIO, size: int) -> zipfile.ZipFile:
-    """An archive whose members take no more room than the file itself."""
+    """Open an archive whose members are no larger than the file itself."""
     archive = zipfile.ZipFile(source)
     members = archive.infolist()
     if len({item.filename for item in members}) < len(members):
@@ -245,8 +246,8 @@ def _check_tensors(
 def _check_optimizer(
     path: Path, where: str, optimizer: torch.optim.Optimizer, theirs: Mapping[str, Any]
 ) -> None:
-    """Moments of the right names and shapes for parameters that exist; what `param_groups` says is not taken
-    over."""
+    """Check that an optimizer has moments of the right names and shapes for parameters that exist.
+    `param_groups` is not taken over."""
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     moments, state = _moments(optimizer), theirs.get("state")
     if not isinstance(state, dict):
@@ -291,7 +292,8 @@ def _refuse(path: Path, missing: str, strange: str) -> None:
 
 
 def _moments(optimizer: torch.optim.Optimizer) -> list[str]:
-    """What an optimizer remembers of each parameter, found out with a parameter of no concern."""
+    """Return the names of the moments that an optimizer keeps of each parameter, found with a separate
+    parameter."""
     probe = torch.nn.Parameter(torch.zeros(1))
     probe.grad = torch.zeros(1)
     build: Any = type(optimizer)

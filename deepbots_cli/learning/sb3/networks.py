@@ -23,11 +23,11 @@ from deepbots_cli.scenario.training import ALGORITHMS
 
 
 def likeliest_actions(policy: Any, observations: Any) -> Array | None:
-    """The likeliest actions for rows of observations, equal to the bit to those of `policy.predict`.
+    """Return the likeliest actions for rows of observations, equal to the bit to those of `policy.predict`.
 
     `predict` sets the mode of every module, checks every observation and makes a distribution: 0.36 ms for 8
-    rows, where this takes 0.07. None for a policy that is more than layers over an array, and where an output
-    is not finite: `predict` then says so.
+    rows, where this takes 0.07. None for a policy that is more than layers over an array, and if an output is
+    not finite, which `predict` then reports.
     """
     space = policy.action_space
     is_rows = (
@@ -52,12 +52,12 @@ def likeliest_actions(policy: Any, observations: Any) -> Array | None:
 def sampled_actions(
     policy: Any, seen: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None:
-    """Actions drawn for rows of observations, their values and log-probabilities, equal to the bit to those
-    of `policy(seen)`.
+    """Draw actions for rows of observations. Returns actions, values and log-probabilities, equal to the bit
+    to those of `policy(seen)`.
 
     The random numbers are the same, too. A call of the policy makes modules and distributions ready: 0.32 ms
-    for 8 rows, where this takes 0.17. None for a policy that is more than layers over an array, and where an
-    output is not finite: the policy then says so.
+    for 8 rows, where this takes 0.17. None for a policy that is more than layers over an array, and if an
+    output is not finite, which the policy then reports.
     """
     if not _is_layers(policy) or seen.ndim != 2 or seen.dtype != torch.float32:
         return None
@@ -78,7 +78,7 @@ def sampled_actions(
 
 
 def _is_layers(policy: Any) -> bool:
-    """Whether a policy is nothing but layers over an array, for one choice or for ranges."""
+    """Return whether a policy consists only of layers over an array, for one choice or for ranges."""
     if type(policy) is not ActorCriticPolicy or type(policy.features_extractor) is not FlattenExtractor:
         return False
     space = policy.action_space
@@ -90,7 +90,7 @@ def _is_layers(policy: Any) -> bool:
 
 @dataclass(frozen=True)
 class PolicyNetwork:
-    """What a policy computes, as modules of torch.
+    """The computation of a policy, as modules of torch.
 
     Attributes:
         extractors: The first layers of each part of an observation, by name; None if the parts enter the
@@ -98,7 +98,7 @@ class PolicyNetwork:
         pictures: The parts that are divided by 255.
         transposed: The parts whose channels come first in the network.
         memory: The LSTM of a recurrent policy, after the extractors.
-        layers: From there to the logits of choices or the values of ranges.
+        layers: The layers up to the logits of choices or the values of ranges.
     """
 
     extractors: Mapping[str, nn.Module] | None
@@ -109,10 +109,10 @@ class PolicyNetwork:
 
 
 def policy_network(training: Training, policy: Any) -> PolicyNetwork:
-    """The layers of the policy that an algorithm made.
+    """Return the layers of the policy that an algorithm made.
 
     Raises:
-        UsageError: It has no modules of torch.
+        UsageError: The policy has no modules of torch.
     """
     if next(policy.parameters(), None) is None:
         raise UsageError(
@@ -130,7 +130,8 @@ def policy_network(training: Training, policy: Any) -> PolicyNetwork:
         squashed = base in ("SAC", "TQC")
         extractor = actor.features_extractor
         layers = nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()) if squashed else actor.mu
-    extractors = getattr(extractor, "extractors", None)  # of an observation with several parts
+    # An observation with several parts has an extractor for each of them.
+    extractors = getattr(extractor, "extractors", None)
     space = policy.observation_space
     parts = space.spaces if extractors is not None else {"observation": space}
     images = frozenset(name for name, part in parts.items() if is_image_space(part))
@@ -150,10 +151,10 @@ def _plain(module: nn.Module) -> nn.Module:
 
 
 def critic_values(training: Training, policy: Any, observations: Sequence[Any]) -> Array | None:
-    """The critic's value of each observation: V, or Q of the action of the policy, the smaller one of two
-    critics.
+    """Return the critic's value of each observation: V, or Q of the action of the policy, the smaller one of
+    two critics.
 
-    None for a policy without a network of torch, or with a memory.
+    The result is None for a policy without a network of torch, or with a memory.
     """
     base = ALGORITHMS[training.algorithm].base()
     if not observations or base == "RecurrentPPO" or next(policy.parameters(), None) is None:
@@ -171,9 +172,8 @@ def critic_values(training: Training, policy: Any, observations: Sequence[Any]) 
         elif base == "DQN":
             values = policy.q_net(seen).max(dim=1, keepdim=True).values
         else:
-            predicted = policy.critic(
-                seen, policy(seen, deterministic=True)
-            )  # the actor of SAC and TQC would sample
+            # Without `deterministic`, the actor of SAC and TQC would sample.
+            predicted = policy.critic(seen, policy(seen, deterministic=True))
             # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
             values = (
                 predicted.mean(dim=2) if isinstance(predicted, torch.Tensor) else torch.cat(predicted, dim=1)

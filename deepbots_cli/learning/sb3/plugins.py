@@ -54,20 +54,28 @@ class CsvLogger(KVWriter):
 
 
 def _read(name: str, plugin: Any) -> Iterator[tuple[str, Any]]:
-    """Raises: TypeError: The entry point names nothing that can be called."""
+    """Check that an entry point names something that can be called.
+
+    Raises:
+        TypeError: The entry point names nothing that can be called.
+    """
     if not callable(plugin):
         raise TypeError(f"{plugin!r} is neither a class nor a function")
     yield name, plugin
 
 
 CALLBACKS: PluginTable[Callable[[], BaseCallback]] = PluginTable("deepbots.callbacks", {}, _read)
-"""Called without arguments."""
+"""The callbacks by name. A callback is created without arguments."""
 LOGGERS: PluginTable[Callable[[Path], KVWriter]] = PluginTable("deepbots.loggers", {"csv": CsvLogger}, _read)
-"""Called with the folder of the run."""
+"""The loggers by name. A logger is created with the folder of the run."""
 
 
 def check(callbacks: Sequence[str], loggers: Sequence[str]) -> None:
-    """Raises: UsageError: A name that no package registers, or one that is given twice."""
+    """Check the names of callbacks or loggers.
+
+    Raises:
+        UsageError: No package registers a name, or a name is given twice.
+    """
     for what, names, table in (("callback", callbacks, CALLBACKS), ("logger", loggers, LOGGERS)):
         for name in names:
             if name not in table:
@@ -92,7 +100,7 @@ class PluginCallback(BaseCallback):
         super().__init__()
         self.name = name
         self.stopped = False
-        """Whether it has ended the training."""
+        """Whether the callback has ended the training."""
         self._callback = _made("callback", name, CALLBACKS[name], BaseCallback)
 
     def _call(self, function: Callable[..., R], *arguments: Any) -> R:
@@ -156,7 +164,7 @@ def _made(what: str, name: str, make: Callable[[], T], kind: type) -> T:
 
 @contextmanager
 def _failure_explained(sentence: str) -> Iterator[None]:
-    """Within, an error of a plug-in becomes a sentence, with the line that raised it."""
+    """Context in which an error of a plug-in becomes a sentence, with the line that raised it."""
     try:
         yield
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Rollouts from fragments: actors, and the rollout buffer filled with what an actor collected.
+"""Rollouts from fragments: actors, and the rollout buffer filled with the experience of an actor.
 
 They do what `collect_rollouts` of the library does, with the same random numbers in the same order, so that
 weights are equal to the bit.
@@ -23,7 +23,7 @@ from deepbots_cli.rollout.collector import Decision, Fragment
 from deepbots_cli.rollout.worlds import Array
 
 _ACTING_NETWORKS = ("actor", "q_net")
-"""What of the policy of an off-policy algorithm chooses actions."""
+"""The attributes of off-policy policies that are the network that chooses actions."""
 _LSTM_BUFFERS = ("hidden_states_pi", "cell_states_pi", "hidden_states_vf", "cell_states_vf")
 
 
@@ -166,7 +166,7 @@ class ExplorationActor:
         _load_weights(self._model, parameters)
 
     def memory(self) -> Mapping[str, Array]:
-        """The drift of the noise of each row; NaN where there is none."""
+        """Return the drift of the noise of each row; NaN where there is none."""
         if not self.noises:
             return {}
         nothing = np.full(self._model.action_space.shape, np.nan)
@@ -224,8 +224,8 @@ def fill(model: Any, fragment: Fragment) -> None:
 
 
 def _rewards(model: Any, fragment: Fragment) -> Array:
-    """Normalized if the scenario asks for it, and with the value of what would have followed where a time
-    limit ended the episode."""
+    """Return the rewards, normalized if the scenario sets this. At a time limit, the value of the state after
+    it is added."""
     rewards, normalizer = fragment.rewards.copy(), model.get_vec_normalize_env()
     if normalizer is not None:
         ends = [*fragment.starts[1:], fragment.following_starts]
@@ -243,7 +243,8 @@ def _rewards(model: Any, fragment: Fragment) -> Array:
 
 
 def _memory_after(model: Any, fragment: Fragment, number: int, row: int) -> tuple[Any, ...]:
-    """What `predict_values` of a recurrent policy takes after a step of a row, beside the observation."""
+    """Return the arguments of `predict_values` of a recurrent policy after a step of a row, beside the
+    observation."""
     if "cell_states_vf" not in fragment.columns:
         return ()
     if number + 1 < len(fragment.rewards):
@@ -261,7 +262,7 @@ def _floats(model: Any, truths: Array) -> torch.Tensor:
 
 
 def prepared(model: Any, observations: Any) -> Any:
-    """Observations as the policy takes them: with the channels of pictures first."""
+    """Return observations in the format of the policy, with the channels of pictures first."""
     return (
         model.env.transpose_observations(observations)
         if isinstance(model.env, VecTransposeImage)

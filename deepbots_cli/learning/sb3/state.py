@@ -1,5 +1,5 @@
-"""What a checkpoint keeps of an algorithm of Stable-Baselines3 beside its model: the part that is JSON, and
-the replay buffer.
+"""The state of an algorithm of Stable-Baselines3 in a checkpoint, beside its model: the part that is JSON,
+and the replay buffer.
 
 Between two rollouts the rollout buffer is empty, and every local variable of the library's loops has its
 initial value. The rows of a replay buffer are written once, into files that several checkpoints share.
@@ -84,7 +84,7 @@ class ReplayFiles:
         return self._folder / f"{first:012d}-{last:012d}.npz"
 
     def append(self, buffer: ReplayBuffer, added: int) -> None:
-        """Write the rows that are new; forget the segments of which nothing is left in the buffer."""
+        """Write the new rows, and forget the segments of which nothing is left in the buffer."""
         first = max(self.segments[-1][1] if self.segments else self.offset, added - buffer.buffer_size)
         self.segments = [segment for segment in self.segments if segment[1] > added - buffer.buffer_size]
         if first == added:
@@ -97,12 +97,12 @@ class ReplayFiles:
         flush_to_disk(path)
 
     def forget(self, added: int) -> None:
-        """Begin with an empty buffer after the steps so far; the files go with the checkpoints that have
-        them."""
+        """Begin with an empty buffer after the steps so far. The files are removed with the checkpoints that
+        have them."""
         self.segments, self.offset = [], added
 
     def _rows(self, buffer: ReplayBuffer, first: int, last: int) -> Array:
-        """The rows of the ring for the steps from `first` to before `last`."""
+        """Return the rows of the ring for the steps from `first` to before `last`."""
         return (np.arange(first, last) - self.offset) % buffer.buffer_size
 
     def refill(
@@ -136,9 +136,8 @@ class ReplayFiles:
             rows = self._rows(buffer, first, last)[-buffer.buffer_size :]
             for name, column in columns.items():
                 column[rows] = read[name][-len(rows) :]
-            check_actions(
-                read["actions"][..., : get_action_dim(action_space)], action_space
-            )  # the rest are labels of a teacher
+            # The columns behind the actions are labels of a teacher.
+            check_actions(read["actions"][..., : get_action_dim(action_space)], action_space)
         buffer.pos = (added - self.offset) % buffer.buffer_size
         buffer.full = added - self.offset >= buffer.buffer_size
         if isinstance(buffer, HerReplayBuffer):
@@ -149,7 +148,7 @@ class ReplayFiles:
             episode_starts(buffer)[:] = starts
 
     def _find_episodes(self, buffer: HerReplayBuffer, oldest: int, added: int, *, begin_anew: bool) -> None:
-        """The length of each episode that ended and is whole; 0 elsewhere, which is not drawn from."""
+        """Set the length of each complete episode that has ended; 0 elsewhere, which is not drawn from."""
         rows = self._rows(buffer, oldest, added)
         buffer.ep_length[:] = 0
         for row in range(buffer.n_envs):
@@ -160,13 +159,13 @@ class ReplayFiles:
                     buffer.ep_start[episode, row] = episode[0]
                 if (not begin_anew or first) and (
                     buffer.ep_start[episode, row] == episode[0]
-                ).all():  # else its beginning was overwritten
+                ).all():  # otherwise its beginning was overwritten
                     buffer.ep_length[episode, row] = end - first
                 first = end
 
 
 def _columns(buffer: ReplayBuffer) -> dict[str, Array]:
-    """The arrays of a replay buffer that have a row for each step."""
+    """Return the arrays of a replay buffer that have a row for each step."""
     columns: dict[str, Array] = {}
     for name in (name for name in _BUFFER_COLUMNS if hasattr(buffer, name)):
         value = getattr(buffer, name)
