@@ -192,7 +192,7 @@ class Reader:
         self._motion = engine.motion("dog")
         self._joints = engine.joint_states("dog", JOINTS)
         self._torques = engine.joint_torques("dog", JOINTS)
-        self._touches = [engine.contact(("dog", f"{leg}_toe"), [], ground=True) for leg in legs]
+        self._touches = [engine.contact(("dog", f"{leg}_toe"), [("ground", None)]) for leg in legs]
         self._forces = [engine.contact_force(("dog", f"{leg}_upper")) for leg in legs]
         self._air = np.zeros(len(legs))
 
