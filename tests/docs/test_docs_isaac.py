@@ -170,7 +170,7 @@ FORMULAS: dict[str, Formula] = {
     "joint_acc_l2": lambda now, last: -2.5e-7 * np.sum(((now.dq - last.dq) / TIMESTEP) ** 2),
     "action_rate_l2": lambda now, last: -0.01 * np.sum((now.action - last.action) ** 2),
     "feet_air_time": lambda now, last: 0.125 * np.sum((now.air - 0.5) * (now.touch & ~last.touch)),
-    "undesired_contacts": lambda now, _: -np.sum(now.thigh_force > 1.0),
+    "undesired_contacts": lambda now, _: -np.count_nonzero(now.thigh_force > 1.0),
     "flat_orientation_l2": lambda now, _: -np.sum(now.down[:2] ** 2),
     "joint_pos_limits": lambda now, _: -np.sum(np.maximum(LOW - now.q, 0.0) + np.maximum(now.q - HIGH, 0.0)),
 }
@@ -180,8 +180,8 @@ FORMULAS: dict[str, Formula] = {
 def seen_from(turned: tuple[float, float, float, float], vector: Any) -> np.ndarray:
     """A vector of the world in a frame that a quaternion (x, y, z, w) turns."""
     axis, w = np.array(turned[:3]), turned[3]
-    vector = np.asarray(vector)
-    return vector - 2.0 * w * np.cross(axis, vector) + 2.0 * np.cross(axis, np.cross(axis, vector))
+    across = np.cross(axis, vector)
+    return np.array(vector) - 2.0 * w * across + 2.0 * np.cross(axis, across)
 
 
 class Reader:
