@@ -123,6 +123,15 @@ def test_a_line_compiles_in_a_scenario_that_extends_the_quadruped(row: Row, tmp_
     assert [finding for finding in findings if finding.severity == "error"] == []
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("row", WITH_LINES, ids=lambda row: row.names[0])
+def test_an_episode_begins_with_a_line(row: Row, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    with closing(api.make(scenario(tmp_path, row.lines))) as environment:
+        environment.reset(seed=1)
+        assert np.isfinite(environment.step(environment.action_space.sample())[1])
+
+
 def test_the_numbers_of_the_page_are_those_of_its_tables() -> None:
     counts = Counter(row.kind for row in ROWS for _ in row.names)
     assert set(counts) == {"line", "Not needed", "Not yet", "Left out"}
@@ -170,7 +179,7 @@ FORMULAS: dict[str, Formula] = {
     "joint_acc_l2": lambda now, last: -2.5e-7 * np.sum(((now.dq - last.dq) / TIMESTEP) ** 2),
     "action_rate_l2": lambda now, last: -0.01 * np.sum((now.action - last.action) ** 2),
     "feet_air_time": lambda now, last: 0.125 * np.sum((now.air - 0.5) * (now.touch & ~last.touch)),
-    "undesired_contacts": lambda now, _: -np.count_nonzero(now.thigh_force > 1.0),
+    "undesired_contacts": lambda now, _: -float(np.count_nonzero(now.thigh_force > 1.0)),
     "flat_orientation_l2": lambda now, _: -np.sum(now.down[:2] ** 2),
     "joint_pos_limits": lambda now, _: -np.sum(np.maximum(LOW - now.q, 0.0) + np.maximum(now.q - HIGH, 0.0)),
 }
