@@ -58,8 +58,8 @@ def transient_line(text: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callable[[int, int], None]]:
-    """Context with a function that shows the numbers of completed and of all items, again from 1 for the next row of
-    them.
+    """Context with a function that shows the numbers of completed and of all items, again from 1 for the next
+    row of them.
 
     Unless `always`, there is at most one line in 30 s if standard error is no terminal.
     """
