@@ -432,3 +432,8 @@ class EngineFactory(Protocol):
     """The class that `engines/` registers under a name."""
 
     def __call__(self, world: WorldModel) -> Engine: ...
+
+
+def cast_rays(engine: Engine, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool) -> RayReader:
+    """Return a reader of rays; an engine of another package may lack `upright` and still cast other rays."""
+    return engine.rays(part, rays, reach, upright=True) if upright else engine.rays(part, rays, reach)

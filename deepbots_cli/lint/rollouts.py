@@ -43,7 +43,7 @@ from deepbots_cli.lint.simulation import (
     simulation_plan,
     variant_plan,
 )
-from deepbots_cli.port import Engine, JointReader, MotionReader, PoseReader
+from deepbots_cli.port import Engine, JointReader, MotionReader, PoseReader, cast_rays
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Cartesian as CartesianActuator
 from deepbots_cli.program.robots import Sensor
@@ -826,7 +826,7 @@ def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tup
     begins = [ray[0] for ray in rays]
     ends = [*begins, *(frames.compose(ray, ((reach, 0.0, 0.0), frames.IDENTITY_ROTATION))[0] for ray in rays)]
     upright = sensor.beams.upright
-    pose, cast = engine.pose(*part), engine.rays(part, rays, reach, **({"upright": True} if upright else {}))
+    pose, cast = engine.pose(*part), cast_rays(engine, part, rays, reach, upright=upright)
 
     def measured() -> tuple[float, float]:
         (_, _, height), turn = pose()

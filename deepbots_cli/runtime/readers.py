@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quaternion, Triple
-from deepbots_cli.port import CameraImage, Engine, Part, PoseReader, RayReader, VelocityReader
+from deepbots_cli.port import CameraImage, Engine, Part, PoseReader, RayReader, VelocityReader, cast_rays
 from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RayConfig
 from deepbots_cli.runtime.paths import PaintedGround
 from deepbots_cli.runtime.sensing import Instrument, Normals, Site, Values
@@ -244,9 +244,8 @@ def ranging(site: Site) -> Instrument:
     beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
     start = ((-beams.behind, 0.0, 0.0), IDENTITY_ROTATION)
     rays = [frames.compose(frames.compose(mount, frames.frame(ray)), start) for ray in beams.rays]
-    cast = site.engine.rays(
-        (site.robot, site.link), rays, beams.reach, **({"upright": True} if beams.upright else {})
-    )
+    part = (site.robot, site.link)
+    cast = cast_rays(site.engine, part, rays, beams.reach, upright=beams.upright)
     read = _combined(_from_frames(cast, beams.behind), beams)
     if beams.lookup is None:
         return Instrument(read)

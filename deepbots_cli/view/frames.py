@@ -19,7 +19,7 @@ from deepbots_cli import frames
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.port import ZERO_VECTOR
+from deepbots_cli.port import ZERO_VECTOR, Engine, RayReader, cast_rays
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices
@@ -88,6 +88,10 @@ class SensorRays(NamedTuple):
     directions: NDArray[np.float64]
     reach: float
     upright: bool = False
+
+    def reader(self, engine: Engine, rays: Sequence[Frame]) -> RayReader:
+        """Return a reader of how far the rays, as frames along x, are free."""
+        return cast_rays(engine, self.part, rays, self.reach, upright=self.upright)
 
     def lines(self, frame: WorldFrame, key: str) -> NDArray[np.float32]:
         """Return each ray from its start to the end of its free part: x, y, z (world frame) and red, green,
@@ -331,10 +335,7 @@ class FrameReader:
             {key: beam for key, (beam, _) in beams.items()},
             {key: tap.fields for key, (_, tap) in self._message_recorders.items()},
         )
-        self._rays = {
-            key: engine.rays(beam.part, rays, beam.reach, **({"upright": True} if beam.upright else {}))
-            for key, (beam, rays) in beams.items()
-        }
+        self._rays = {key: beam.reader(engine, rays) for key, (beam, rays) in beams.items()}
         self._pushes = list(self._pushed_links(models))
         self._pooled = {thing.name for thing in world.objects if thing.pooled}
         self._variants = {thing.name: thing.variants[0].name for thing in world.objects if thing.variants}
