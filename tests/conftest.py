@@ -98,9 +98,10 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lint simulates in this process: one of its own costs 1 s of CPU, and `lint/test_simulation_process.py`
     has it."""
     from deepbots_cli.compiler.inputs import Inputs
+    from deepbots_cli.lint.report import SimulationReport
     from deepbots_cli.lint.rollouts import Simulator, compiled
     from deepbots_cli.lint.search import ExploitSearch
-    from deepbots_cli.lint.simulation import Limits, SimulationReport
+    from deepbots_cli.lint.simulation import Limits
 
     def measure(
         inputs: Inputs, limits: Limits, permissions: Permissions, search: bool = False

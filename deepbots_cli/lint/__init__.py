@@ -21,8 +21,8 @@ exploits.py      rewards that pay for something other than success              
 pages.py         the pages of findings, of which `rule_pages` contains the texts
 context.py       the code of a rule, and what a rule is given: the scenario, its analysis, places in its text,
                  the report of its simulation
-simulation.py    plan, process and report of a simulation; simulation_process.py, rollouts.py and search.py
-                 run in that process
+simulation.py    plan and process of a simulation; report.py its report; simulation_process.py, rollouts.py,
+                 watches.py and search.py run in that process
 fixes.py         applies fixes; settings.py which files are linted, and how
 """
 
@@ -52,7 +52,8 @@ from deepbots_cli.lint import (
 )
 from deepbots_cli.lint.context import RuleContext, SimulatedRule, Simulation, StaticRule
 from deepbots_cli.lint.exploits import EXPLOIT_RULES, Exploit, ExploitContext
-from deepbots_cli.lint.simulation import EXPLOIT_LIMITS, Limits, SimulationReport, measure
+from deepbots_cli.lint.report import SimulationReport
+from deepbots_cli.lint.simulation import EXPLOIT_LIMITS, Limits, measure
 
 _MODULES = (names, world, robots, observations, saturation, rewards, incentives, cycles, shaping, endings)
 STATIC_RULES: tuple[StaticRule, ...] = tuple(

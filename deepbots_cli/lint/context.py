@@ -13,7 +13,8 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Finding, Span
-from deepbots_cli.lint.simulation import SimulationPosition, SimulationReport, TermStatistics, simulation_plan
+from deepbots_cli.lint.report import SimulationPosition, SimulationReport, TermStatistics
+from deepbots_cli.lint.simulation import simulation_plan
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression

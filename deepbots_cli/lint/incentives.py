@@ -15,7 +15,8 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
-from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, SimulatedEpisode
+from deepbots_cli.lint.report import SimulatedEpisode
+from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM
 from deepbots_cli.program.values import Expression
 
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})

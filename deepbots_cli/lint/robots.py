@@ -22,16 +22,8 @@ from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
-from deepbots_cli.lint.simulation import (
-    ARENA,
-    MAX_SINK,
-    TOPPLING_S,
-    Clearance,
-    SimulationPosition,
-    UnreachedPose,
-    casts_rays,
-    driven_wheels,
-)
+from deepbots_cli.lint.report import ARENA, MAX_SINK, TOPPLING_S, Clearance, SimulationPosition, UnreachedPose
+from deepbots_cli.lint.simulation import casts_rays, driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.meshes import mesh_bounds

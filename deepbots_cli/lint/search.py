@@ -21,8 +21,9 @@ from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.lint.exploits import is_better_than_success
+from deepbots_cli.lint.report import DrivenEpisode, DriverKind
 from deepbots_cli.lint.rollouts import episode_result
-from deepbots_cli.lint.simulation import DrivenEpisode, DriverKind, work_per_step
+from deepbots_cli.lint.simulation import work_per_step
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionPart, Choices, idle_action
 from deepbots_cli.rollout import Driver, Start, Step, steps
