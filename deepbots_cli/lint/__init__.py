@@ -168,7 +168,9 @@ def simulate(
     source = checked.document.source
     report = measure(checked.inputs, limits, permissions=checked.document.permissions)
     if report.fault is not None:
-        return SimulationFindings([internal_error_finding("the simulation", source, report.fault)])
+        return SimulationFindings(
+            [internal_error_finding("the simulation", source, report.fault.description)]
+        )
     simulation = Simulation(checked, checked.program, checked.namespace, report)
     active = [rule for rule in SIMULATED_RULES if preview or not RULES[rule.code].deep_preview]
     findings = [
@@ -205,7 +207,9 @@ def find_exploits(checked: CheckedScenario, *, limits: Limits = EXPLOIT_LIMITS) 
     assert checked.namespace is not None
     report = measure(checked.inputs, limits, permissions=checked.document.permissions, search=True)
     if report.fault is not None:
-        fault = internal_error_finding("the search for exploits", checked.document.source, report.fault)
+        fault = internal_error_finding(
+            "the search for exploits", checked.document.source, report.fault.description
+        )
         return FoundExploits([Exploit(fault, None)], 0)
     context = ExploitContext(checked, checked.program, checked.namespace, report.driven)
     exploits = [exploit for rule in EXPLOIT_RULES for exploit in rule(context)]
@@ -219,7 +223,7 @@ def find_exploits(checked: CheckedScenario, *, limits: Limits = EXPLOIT_LIMITS) 
 
 def _why_incomplete(report: SimulationReport) -> str | None:
     if report.stop is not None:
-        return str(report.stop.get("text"))
+        return report.stop.text
     return f"stopped after {report.halt.description}" if report.halt is not None else None
 
 

@@ -314,12 +314,12 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
 @rule("DB607")
 def outside_space(simulation: Simulation) -> Iterator[Finding]:
     """A number of the observation is NaN, or outside of the observation space."""
-    stop = simulation.report.stop or {}
-    if stop.get("kind") == "space":
+    stop = simulation.report.stop
+    if stop is not None and stop.kind == "space":
         for entry in simulation.program.agent.observation:
             names = [
                 name
-                for name in map(str, stop["entries"])
+                for name in stop.numbers
                 if name.partition(".")[0] == entry.value.name or name == entry.value.name
             ]
             if names:
@@ -350,7 +350,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
     still = [
         number
         for number in ranged_numbers(simulation.analysis)
-        if number.place in simulation.report.constant_numbers
+        if number.place in simulation.report.summary.constant_numbers
     ]
     still = [number for number in still if -1.0 < _constant(simulation, number) < 1.0]
     for _, group in groupby(still, key=lambda number: number.entry.value.name):
@@ -368,7 +368,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB608", entry.value.span, headline, help, notes=(simulation.summary,))
     pictures = [entry for entry in simulation.program.agent.observation if entry.value.typed.type.picture]
     for place, entry in enumerate(pictures, start=len(simulation.program.agent.numbers)):
-        if place in simulation.report.constant_numbers:
+        if place in simulation.report.summary.constant_numbers:
             help = (
                 "check the place and the view of its camera, or add a script under `scripts` that changes it"
             )

@@ -1,10 +1,17 @@
-"""The report of the process that simulates a scenario, from which rules make findings."""
+"""The report of the process that simulates a scenario, from which rules make findings.
+
+The process writes a line for each entry, and the report is read from these lines.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+
+from pydantic import TypeAdapter
 
 End = Literal["success", "failure", "limit", "left"]
 """How an episode ended: by the task, by truncation, or left after enough steps."""
@@ -32,6 +39,73 @@ class Halt:
 
     kind: Literal["crash", "hang", "memory", "slow", "killed"]
     description: str
+
+
+@dataclass(frozen=True)
+class Activity:
+    """The process begins to build, to reset, or to run an episode of a policy."""
+
+    name: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class FastestBody:
+    """A body is much faster than all bodies before it in its episode; the speed is in m/s."""
+
+    body: str
+    speed: float
+
+
+@dataclass(frozen=True)
+class EarlyEnding:
+    """An ending holds at the start of the episode with this seed."""
+
+    name: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Something makes the rest of the plan impossible.
+
+    Attributes:
+        kind: `build` if the world cannot be built, `speed` if a body is implausibly fast, `lost` if its pose is
+            not finite, `engine` if the engine raises an error, `value` if an expression has no value, `space`
+            if an observation is outside of its space, and `shortened` if a search plays only the beginning of
+            each episode.
+        text: The message of the error.
+        body: The body that is too fast or lost.
+        joint: Its joint, if the joint is too fast.
+        motion: The quantity that is too large, or `nan`.
+        value: Its size, in m/s or rad/s.
+        lines: The lines of generated code in which an expression had no value, the innermost first.
+        terms: The terms of the reward that are not finite.
+        numbers: The numbers of the observation that are outside of its space.
+    """
+
+    kind: Literal["build", "speed", "lost", "engine", "value", "space", "shortened"]
+    text: str = ""
+    body: str = ""
+    joint: str | None = None
+    motion: Literal["velocity", "spin", "joint", "nan"] | None = None
+    value: float = 0.0
+    lines: Sequence[str] = ()
+    terms: Sequence[str] = ()
+    numbers: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An exception of deepbots ended the process."""
+
+    description: str
+    traceback: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """The process has done everything that it could."""
 
 
 @dataclass(frozen=True)
@@ -161,80 +235,109 @@ class PolicyStatistics(NamedTuple):
     terms: Sequence[TermStatistics]
 
 
+@dataclass(frozen=True)
+class Summary:
+    """Measurements over all episodes of a completed plan.
+
+    Attributes:
+        measured: The statistics of each policy.
+        constant_numbers: The places of the numbers of the observation that never changed; pictures after them.
+        zero_terms: The places of the terms of the reward that were always 0.
+        clearances: Robot, sensor, and how high its rays passed over all bodies, if they met nothing.
+        depths: Robot, sensor, and how far below the ground (m) its rays began, if they met nothing.
+        rolling: The motion of robots on driven wheels.
+        tilts: How far (rad) robots with a free base tilt at least within `TOPPLING_S` of doing nothing.
+    """
+
+    measured: Mapping[str, PolicyStatistics] = field(default_factory=dict)
+    constant_numbers: Sequence[int] = ()
+    zero_terms: Sequence[int] = ()
+    clearances: Sequence[tuple[str, str, Clearance]] = ()
+    depths: Sequence[tuple[str, str, float]] = ()
+    rolling: Mapping[str, Rolling] = field(default_factory=dict)
+    tilts: Mapping[str, float] = field(default_factory=dict)
+
+
+Entry: TypeAlias = (
+    Activity
+    | FastestBody
+    | EarlyEnding
+    | MeasuredOverlap
+    | UnreachedPose
+    | SimulatedEpisode
+    | DrivenEpisode
+    | Summary
+    | Stop
+    | Fault
+    | Done
+)
+_KINDS: dict[str, type[Entry]] = {kind.__name__: kind for kind in get_args(Entry)}
+_LINE: TypeAdapter[tuple[str, dict[str, Any]]] = TypeAdapter(tuple[str, dict[str, Any]])
+
+
+def encode(entry: Entry) -> bytes:
+    """Return the line of an entry, without its end."""
+    return json.dumps([type(entry).__name__, asdict(entry)]).encode()
+
+
+def decode(line: bytes) -> Entry | None:
+    """Return the entry of a line; None if the line is cut off or is no entry."""
+    try:
+        kind, fields = _LINE.validate_json(line)
+        return _adapter(kind).validate_python(fields) if kind in _KINDS else None
+    except ValueError:
+        return None
+
+
+@cache
+def _adapter(kind: str) -> TypeAdapter[Entry]:
+    return TypeAdapter(_KINDS[kind])
+
+
 @dataclass
 class SimulationReport:
-    """The lines that the simulating process has written. Names in it are only ever looked up in the scenario.
+    """The entries that the simulating process has written. Names in it are only looked up in the scenario.
 
-    `endings_at_reset` maps endings to the seeds with which they hold at the start; `constant_numbers` and
-    `zero_terms` are the places of the numbers that never changed and of the terms that were always 0.
-    `clearances` and `depths` are about sensors whose rays met nothing: how high they passed over all bodies,
-    and how far below the ground (m) they began. `rolling` is about robots on driven wheels, and `tilts` (rad)
-    about robots with a free base: how far each tilts at least within `TOPPLING_S` of doing nothing. `done`
-    says whether the plan was completed, `fault` which exception of deepbots ended it.
+    `where` is the present step. `endings_at_reset` maps endings to the seeds with which they hold at the
+    start. `done` says whether the process completed its plan or was stopped by a `stop`; otherwise `halt` or
+    `fault` says what ended it.
     """
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)
-    fastest: tuple[str, float] | None = None
+    fastest: FastestBody | None = None
     overlaps: list[MeasuredOverlap] = field(default_factory=list)
     endings_at_reset: dict[str, list[int]] = field(default_factory=dict)
     misses: list[UnreachedPose] = field(default_factory=list)
     episodes: list[SimulatedEpisode] = field(default_factory=list)
     driven: list[DrivenEpisode] = field(default_factory=list)
-    measured: dict[str, PolicyStatistics] = field(default_factory=dict)
-    constant_numbers: Sequence[int] = ()
-    zero_terms: Sequence[int] = ()
-    clearances: dict[tuple[str, str], Clearance] = field(default_factory=dict)
-    depths: dict[tuple[str, str], float] = field(default_factory=dict)
-    rolling: dict[str, Rolling] = field(default_factory=dict)
-    tilts: Mapping[str, float] = field(default_factory=dict)
-    stop: Mapping[str, Any] | None = None
+    summary: Summary = Summary()
+    stop: Stop | None = None
     halt: Halt | None = None
-    fault: str | None = None
+    fault: Fault | None = None
     done: bool = False
 
-    def add_line(self, line: Mapping[str, Any]) -> None:  # one case per kind of line  # noqa: C901
-        """Add one line of the process."""
-        match line:
-            case {"at": [str(doing), int(seed)]}:
-                self.where, self.fastest = SimulationPosition(doing, seed, 0), None
-            case {"fast": [str(body), int() | float() as speed]}:
-                self.fastest = (body, speed)
-            case {
-                "overlap": {
-                    "one": [str(a), str(b)],
-                    "other": [str(c), str(d)],
-                    "depth": float(depth),
-                    "seed": int(seed),
-                }
-            }:
-                self.overlaps.append(MeasuredOverlap((a, b), (c, d), depth, seed))
-            case {"early": [str(ending), int(seed)]}:
-                self.endings_at_reset.setdefault(ending, []).append(seed)
-            case {"miss": Mapping() as row}:
-                self.misses.append(UnreachedPose(**row))
-            case {"episode": Mapping() as row}:
-                self.episodes.append(SimulatedEpisode(**row))
-            case {"driven": Mapping() as row}:
-                self.driven.append(DrivenEpisode(**row))
-            case {"measured": Mapping() as policies}:
-                for by, (steps, rows, numbers, terms) in policies.items():
-                    numbers = [NumberStatistics(*row) for row in numbers]
-                    terms = [TermStatistics(*row) for row in terms]
-                    self.measured[by] = PolicyStatistics(steps, rows, numbers, terms)
-            case {"still": still, "silent": silent}:
-                self.constant_numbers, self.zero_terms = still, silent
-            case {"clearances": rows, "depths": depths}:
-                self.clearances = {
-                    (robot, sensor): Clearance(*clearance) for robot, sensor, *clearance in rows
-                }
-                self.depths = {(robot, sensor): depth for robot, sensor, depth in depths}
-            case {"rolling": Mapping() as robots}:
-                self.rolling = {robot: Rolling(*counts) for robot, counts in robots.items()}
-            case {"tilts": Mapping() as tilts}:
-                self.tilts = tilts
-            case {"stop": Mapping() as stop}:
-                self.stop = stop
-            case {"fault": str(fault)}:
-                self.fault = fault
-            case {"done": True}:
+    def add(self, entry: Entry) -> None:
+        """Add an entry of the process."""
+        match entry:
+            case Activity():
+                self.where, self.fastest = SimulationPosition(entry.name, entry.seed, 0), None
+            case FastestBody():
+                self.fastest = entry
+            case EarlyEnding():
+                self.endings_at_reset.setdefault(entry.name, []).append(entry.seed)
+            case MeasuredOverlap():
+                self.overlaps.append(entry)
+            case UnreachedPose():
+                self.misses.append(entry)
+            case SimulatedEpisode():
+                self.episodes.append(entry)
+            case DrivenEpisode():
+                self.driven.append(entry)
+            case Summary():
+                self.summary = entry
+            case Stop():
+                self.stop = entry
+            case Fault():
+                self.fault = entry
+            case Done():
                 self.done = True

@@ -303,7 +303,11 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
     analysis = simulation.analysis
     final = {term.name for term, _ in analysis.reward.split_by_end()[1]}
     for place, term in enumerate(simulation.program.agent.reward):
-        if place not in simulation.report.zero_terms or term.name in final or term.foreign is not None:
+        if (
+            place not in simulation.report.summary.zero_terms
+            or term.name in final
+            or term.foreign is not None
+        ):
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
             headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"

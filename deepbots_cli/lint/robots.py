@@ -364,7 +364,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
     """No action moves or turns a robot, although its wheels turn: they slip, or do not touch the ground."""
     if not simulation.is_complete:
         return
-    for robot, rolling in simulation.report.rolling.items():
+    for robot, rolling in simulation.report.summary.rolling.items():
         if (
             rolling.wheel > _MIN_WHEEL_TURN
             and rolling.distance < _MAX_STAY_M
@@ -395,7 +395,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
 def topples(simulation: Simulation) -> Iterator[Finding]:
     """A robot with a free base topples while nothing is done, and the scenario does not measure whether it
     falls."""
-    for name, tilt in simulation.report.tilts.items():
+    for name, tilt in simulation.report.summary.tilts.items():
         robot = next(each for each in simulation.program.robots if each.name == name)
         if tilt <= _TOPPLED or simulation.program.disturbances or _is_watched(simulation, robot):
             continue
@@ -544,10 +544,10 @@ def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
     if not simulation.is_complete:
         return
     heights = Heights(simulation.analysis)
-    for (robot, sensor), depth in simulation.report.depths.items():
+    for robot, sensor, depth in simulation.report.summary.depths:
         if heights.depth(robot, sensor) is None:
             yield _buried(simulation.values, robot, sensor, depth, notes=(simulation.summary,))
-    for (robot, sensor), clearance in simulation.report.clearances.items():
+    for robot, sensor, clearance in simulation.report.summary.clearances:
         if heights.needs_simulation(robot, sensor):
             yield _passing_over(simulation.values, robot, sensor, clearance, notes=(simulation.summary,))
 

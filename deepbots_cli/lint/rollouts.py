@@ -11,7 +11,7 @@ import math
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import count, islice, repeat
 from math import inf
 from pathlib import Path
@@ -23,7 +23,19 @@ from numpy.typing import NDArray
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError
-from deepbots_cli.lint.report import End
+from deepbots_cli.lint.report import (
+    Activity,
+    EarlyEnding,
+    End,
+    Entry,
+    MeasuredOverlap,
+    NumberStatistics,
+    PolicyStatistics,
+    SimulatedEpisode,
+    Stop,
+    Summary,
+    TermStatistics,
+)
 from deepbots_cli.lint.simulation import (
     HELD_RANDOM,
     HOLD_STEPS,
@@ -65,7 +77,7 @@ class Simulator:
     def __init__(
         self,
         program: Program,
-        write: Callable[[dict[str, Any]], None],
+        write: Callable[[Entry], None],
         begin_step: Callable[[int], None],
         permissions: Permissions,
     ) -> None:
@@ -94,64 +106,55 @@ class Simulator:
         except StoppedError:
             return
         self._write(
-            {
-                "measured": {
-                    by: counter.rows_by_part()
-                    for by, counter in self._counters.items()
-                    if by != _VARIANTS_LABEL
-                }
-            }
+            Summary(
+                {
+                    policy: counter.statistics()
+                    for policy, counter in self._counters.items()
+                    if policy != _VARIANTS_LABEL
+                },
+                self._constant_numbers(),
+                self._silent(),
+                [(*key, clearance) for key, clearance in self._rays.clearances.items()],
+                [(*key, depth) for key, depth in self._rays.depths.items() if 0.0 < depth < inf],
+                self._wheels.robots,
+                {name: tilt for name, (_, tilt) in self._tilts.tilts.items()},
+            )
         )
-        self._write({"still": self._constant_numbers(), "silent": self._silent()})
-        depths = [[*both, depth] for both, depth in self._rays.depths.items() if 0.0 < depth < inf]
-        self._write(
-            {
-                "clearances": [[*both, *clearance] for both, clearance in self._rays.clearances.items()],
-                "depths": depths,
-            }
-        )
-        self._write({"rolling": self._wheels.robots})
-        self._write({"tilts": {name: tilt for name, (_, tilt) in self._tilts.tilts.items()}})
 
     def _build(self, program: Program) -> Supervisor:
-        self._write({"at": ["build", 0]})
+        self._write(Activity("build", 0))
         try:
             return api.build(program, permissions=self._permissions)
         except DeepbotsError as error:
-            self._write({"stop": {"kind": "build", "text": str(error)}})
+            self._write(Stop("build", str(error)))
             raise StoppedError from None
 
     # Starts
 
     def _check_starts(self) -> None:
         """Find bodies that overlap before anything moves, thus before the world settles."""
-        deepest: dict[tuple[str, str], dict[str, Any]] = {}
+        deepest: dict[tuple[str, str], MeasuredOverlap] = {}
         program = replace(self._program, reset=replace(self._program.reset, settle=0.0))
         with closing(self._build(program)) as environment:
             for seed in range(self._plan.resets):
                 self._reset(environment, seed, report=not self._program.reset.settle)
                 for pair in environment.engine.overlaps():
-                    deepest_here = deepest.setdefault((pair.one[0], pair.other[0]), {"depth": 0.0})
-                    if pair.depth > deepest_here["depth"]:
-                        deepest_here |= {
-                            "one": list(pair.one),
-                            "other": list(pair.other),
-                            "depth": pair.depth,
-                            "seed": seed,
-                        }
+                    bodies = pair.one[0], pair.other[0]
+                    if pair.depth > (deepest[bodies].depth if bodies in deepest else 0.0):
+                        deepest[bodies] = MeasuredOverlap(pair.one, pair.other, pair.depth, seed)
         for overlap in deepest.values():
-            self._write({"overlap": overlap})
+            self._write(overlap)
 
     def _reset(self, environment: Supervisor, seed: int, *, report: bool) -> None:
         """Reset; with `report`, write whether an ending already holds."""
-        self._write({"at": ["reset", seed]})
+        self._write(Activity("reset", seed))
         try:
             environment.reset(seed=seed)
         except DeepbotsError as error:
             if not (isinstance(error, EvaluationError) and environment.terminated):
                 raise self._stopped(environment, error) from None
-            if report:
-                self._write({"early": [environment.ended_by, seed]})
+            if report and environment.ended_by is not None:
+                self._write(EarlyEnding(environment.ended_by, seed))
 
     def _check_first_commands(self, environment: Supervisor, arms: ArmWatch) -> None:
         """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a
@@ -161,7 +164,7 @@ class Simulator:
             return
         for seed in range(_FIRST_EPISODES):
             arms.is_watching = True
-            self._write({"at": [by, seed]})
+            self._write(Activity(by, seed))
             try:
                 for _ in self._steps(environment, Rollout(by, seed, _FIRST_STEPS)):
                     if arms.commands:
@@ -173,7 +176,7 @@ class Simulator:
     def _write_misses(self, arms: ArmWatch, by: str, seed: int) -> None:
         arms.is_watching = False
         for miss in arms.take_misses(by, seed):
-            self._write({"miss": asdict(miss)})
+            self._write(miss)
 
     # Episodes
 
@@ -193,7 +196,7 @@ class Simulator:
             ):
                 continue
             counter = self._counters.setdefault(counted_as or rollout.policy, Counter(self._program))
-            self._write({"at": [rollout.policy, rollout.seed]})
+            self._write(Activity(rollout.policy, rollout.seed))
             if arms is not None:
                 arms.is_watching = rollout.script is not None
             try:
@@ -228,17 +231,17 @@ class Simulator:
             self._tilts.check(step.number * environment.scenario.period)
             violation = speeds.check(step.number * environment.scenario.period)
             if speeds.new_maximum:
-                self._write({"fast": speeds.new_maximum})
+                self._write(speeds.new_maximum)
             if violation:
-                self._write({"stop": {"kind": "speed", **violation}})
+                self._write(violation)
                 raise StoppedError
             if not environment.observation_space.contains(step.observation):
-                self._write({"stop": {"kind": "space", "entries": _outside(environment, step.observation)}})
+                self._write(Stop("space", numbers=_outside(environment, step.observation)))
                 raise StoppedError
         self._tilts.close()
         if report:
             result = episode_result(step, rewards, self._program.agent.discount)
-            self._write({"episode": {"policy": rollout.policy, "seed": rollout.seed, **result}})
+            self._write(SimulatedEpisode(rollout.policy, rollout.seed, **result))
 
     def _steps(self, environment: Supervisor, rollout: Rollout) -> Iterator[Step]:
         """The steps of an episode; the number of each is written before it begins."""
@@ -286,15 +289,14 @@ class Simulator:
 
     def _stopped(self, environment: Supervisor, error: DeepbotsError) -> StoppedError:
         """Write what stopped an episode; returns the exception to raise."""
-        entry: dict[str, Any] = {"text": str(error), "step": environment.step_count}
         lost = SpeedWatch(environment).lost()
         if lost:
-            entry |= {"kind": "lost", "body": lost[0]}
+            stop = Stop("lost", str(error), lost[0])
         elif isinstance(error, EngineError):
-            entry |= {"kind": "engine"}
+            stop = Stop("engine", str(error))
         else:
-            entry |= {"kind": "value", "lines": _lines(error), "terms": _infinite(environment)}
-        self._write({"stop": entry})
+            stop = Stop("value", str(error), lines=_lines(error), terms=_infinite(environment))
+        self._write(stop)
         return StoppedError()
 
 
@@ -359,18 +361,22 @@ class Counter:
             else self._pictures[place - numbers] in self._changed
         )
 
-    def rows_by_part(self) -> list[Any]:
-        """Steps, rows, and the statistics of numbers and terms, as `report.PolicyStatistics` takes
-        them."""
+    def statistics(self) -> PolicyStatistics:
+        """Return the statistics of all steps."""
         if not self.steps:
-            return [0, 0, [], []]
+            return PolicyStatistics(0, 0, [], [])
         numbers = zip(
             *(part.tolist() for part in (self.low, self.high, self.at_low, self.at_high)), strict=True
         )
         terms = zip(
             *(part.tolist() for part in (self.sums, self.sizes, self.least, self.greatest)), strict=True
         )
-        return [self.steps, self.rows, list(numbers), list(terms)]
+        return PolicyStatistics(
+            self.steps,
+            self.rows,
+            [NumberStatistics(*row) for row in numbers],
+            [TermStatistics(*row) for row in terms],
+        )
 
 
 def episode_result(

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.document import Permissions
@@ -22,7 +22,7 @@ from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import rotate
-from deepbots_cli.lint.report import Halt, SimulationReport
+from deepbots_cli.lint.report import Fault, Halt, SimulationReport, decode
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Motor, Robot, Sensor
@@ -226,20 +226,17 @@ def measure(
 
 
 def _read(out: bytes) -> SimulationReport:
-    """Read lines of JSON, and `~17` before step 17; a last line that is cut off is ignored."""
+    """Read the lines of entries, and `~17` before step 17; a last line that is cut off is ignored."""
     report = SimulationReport()
     for line in out.split(b"\n"):
         if line.startswith(b"~") and line[1:].isdigit():
             report.where = report.where._replace(step=int(line[1:]))
             continue
-        try:
-            entry: Any = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(entry, dict):
-            if "fault" in entry and os.environ.get("DEEPBOTS_DEBUG") == "1":
-                raise RuntimeError(f"the simulation failed by a fault of deepbots\n{entry.get('traceback')}")
-            report.add_line(entry)
+        entry = decode(line)
+        if isinstance(entry, Fault) and os.environ.get("DEEPBOTS_DEBUG") == "1":
+            raise RuntimeError(f"the simulation failed by a fault of deepbots\n{entry.traceback}")
+        if entry is not None:
+            report.add(entry)
     return report
 
 

@@ -7,11 +7,20 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from math import acos, atan2, dist, hypot, inf, radians, remainder, tau
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from deepbots_cli import footprint, frames
 from deepbots_cli.frames import Triple
-from deepbots_cli.lint.report import ARENA, MAX_SINK, TOPPLING_S, Clearance, Rolling, UnreachedPose
+from deepbots_cli.lint.report import (
+    ARENA,
+    MAX_SINK,
+    TOPPLING_S,
+    Clearance,
+    FastestBody,
+    Rolling,
+    Stop,
+    UnreachedPose,
+)
 from deepbots_cli.lint.simulation import casts_rays, driven_wheels
 from deepbots_cli.port import Engine, JointReader, MotionReader, PoseReader
 from deepbots_cli.program import Program, generated
@@ -62,35 +71,35 @@ class SpeedWatch:
             if not thing.fixed
         ]
         self._fastest = 1.0
-        self.new_maximum: list[Any] = []
+        self.new_maximum: FastestBody | None = None
 
-    def check(self, time: float) -> dict[str, Any]:
-        """The first implausible speed after `time` seconds; empty if there is none."""
-        self.new_maximum = []
+    def check(self, time: float) -> Stop | None:
+        """The first implausible speed after `time` seconds; None if there is none."""
+        self.new_maximum = None
         for watched in self._watched:
             velocity, spin = (math.hypot(*part) for part in watched.motion()[1])
             if not math.isfinite(velocity + spin):
-                return {"body": watched.body, "what": "nan"}
+                return Stop("speed", body=watched.body, motion="nan")
             if velocity > self._fastest * _MIN_SPEED_GROWTH:
-                self._fastest, self.new_maximum = velocity, [watched.body, velocity]
+                self._fastest, self.new_maximum = velocity, FastestBody(watched.body, velocity)
             if velocity > _MAX_SPEED + self._fall * time:
-                return {"body": watched.body, "what": "velocity", "value": velocity}
+                return Stop("speed", body=watched.body, motion="velocity", value=velocity)
             if spin > _MAX_SPIN and spin * self._substep > _HALF_TURN:
-                return {"body": watched.body, "what": "spin", "value": spin}
+                return Stop("speed", body=watched.body, motion="spin", value=spin)
             speed = self._joint(watched)
             if speed:
                 return speed
-        return {}
+        return None
 
-    def _joint(self, watched: _WatchedBody) -> dict[str, Any]:
+    def _joint(self, watched: _WatchedBody) -> Stop | None:
         states: Sequence[Sequence[float]] = watched.states() if watched.states else ()
         for name, turns, state in zip(watched.joints, watched.revolute, states, strict=True):
             speed = abs(state[1])
             if not math.isfinite(state[0] + speed):
-                return {"body": watched.body, "joint": name, "what": "nan"}
+                return Stop("speed", body=watched.body, joint=name, motion="nan")
             if speed > (max(_MAX_SPIN, _HALF_TURN / self._substep) if turns else _MAX_SPEED):
-                return {"body": watched.body, "joint": name, "what": "joint", "value": speed}
-        return {}
+                return Stop("speed", body=watched.body, joint=name, motion="joint", value=speed)
+        return None
 
     def lost(self) -> list[str]:
         """The bodies whose motion is no longer a number."""
