@@ -257,9 +257,11 @@ def _distance(goal: Goal, agent: Supervisor) -> float:
     """How far what is achieved is from what is desired, both as the policy sees them."""
     size = len(goal.low)
     seen = agent.goal.tolist()
-    halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
     return math.hypot(
-        *((one - other) * half for one, other, half in zip(seen[:size], seen[size:], halves, strict=True))
+        *(
+            (one - other) * half
+            for one, other, half in zip(seen[:size], seen[size:], goal.halves, strict=True)
+        )
     )
 
 

@@ -272,6 +272,16 @@ class Goal:
         return tuple(ObservedValue(name, self.unit, low, high) for name, low, high in rows)
 
     @cached_property
+    def middles(self) -> tuple[float, ...]:
+        """The middle of the range of each component, which the policy sees as 0."""
+        return tuple((high + low) / 2 for low, high in zip(self.low, self.high, strict=True))
+
+    @cached_property
+    def halves(self) -> tuple[float, ...]:
+        """Half of the range of each component, which the policy sees as 1."""
+        return tuple((high - low) / 2 for low, high in zip(self.low, self.high, strict=True))
+
+    @cached_property
     def targets(self) -> tuple[Scalar, ...]:
         """The tree of what is desired, per component."""
         desired = self.desired.scalars
