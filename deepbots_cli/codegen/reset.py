@@ -278,7 +278,7 @@ def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str])
 
 # Draws
 
-_ROUNDING = 1e-9
+_PERIOD_ROUNDING = 1e-9
 """In s: a period of a whole number of steps must not become one more by rounding."""
 
 
@@ -362,7 +362,7 @@ def _print_first_period(
     supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str
 ) -> None:
     if value.period is not None:
-        printer.line(f"{_due(supervisor, name)} = {printer.value(value.period)} - {_ROUNDING!r}")
+        printer.line(f"{_due(supervisor, name)} = {printer.value(value.period)} - {_PERIOD_ROUNDING!r}")
 
 
 def _print_when_due(

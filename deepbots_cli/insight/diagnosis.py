@@ -33,7 +33,6 @@ from deepbots_cli.insight.ends import (
 from deepbots_cli.insight.linted import linted_scenario
 from deepbots_cli.insight.missed import missed_condition
 from deepbots_cli.insight.observations import (
-    SAME_TOLERANCE,
     constant_observation,
     saturated_observation,
     sensor_without_reading,
@@ -86,6 +85,7 @@ from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.failures import Failure
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
+from deepbots_cli.program.task import SAME_OBSERVATION
 
 _UNLEARNABLE = {
     "DB705": "Failing early pays",
@@ -344,7 +344,7 @@ def action_without_effect(t: TrainingEvidence) -> Numbers | None:
     dead, steps = [], 0
     for part, traces in t.constant_actions.items():
         pairs = list(combinations(traces.values(), 2))
-        if pairs and max(_difference(one, other, own) for one, other in pairs) < SAME_TOLERANCE:
+        if pairs and max(_difference(one, other, own) for one, other in pairs) < SAME_OBSERVATION:
             dead.append(part)
             steps = min(trace.steps for trace in traces.values())
     if not dead or not steps:

@@ -7,10 +7,7 @@ import numpy as np
 from deepbots_cli.insight.statements import Numbers, Percentage, list_text, statement
 from deepbots_cli.insight.trace import Array
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence
-from deepbots_cli.program.task import Observation
-
-SAME_TOLERANCE = 1e-6
-"""Numbers of the observation, from -1 to 1, that differ by less are equal."""
+from deepbots_cli.program.task import SAME_OBSERVATION, Observation
 
 
 @statement(
@@ -21,10 +18,10 @@ SAME_TOLERANCE = 1e-6
 )
 def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
     spans = _spans(t)
-    still = [name for name, (span, _) in spans.items() if span < SAME_TOLERANCE]
+    still = [name for name, (span, _) in spans.items() if span < SAME_OBSERVATION]
     if not still:
         return None
-    at_end = [name for name in still if abs(spans[name][1]) > 1 - SAME_TOLERANCE]
+    at_end = [name for name in still if abs(spans[name][1]) > 1 - SAME_OBSERVATION]
     guess = "these sensors detect nothing, or nothing changes these values"
     if len(at_end) == len(still):
         guess = "they are always at an end of their range, like a sensor that detects nothing"
@@ -74,7 +71,7 @@ def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
 )
 def constant_observation(t: TrainingEvidence) -> Numbers | None:
     spans = _spans(t)
-    names = [name for name, (span, _) in spans.items() if SAME_TOLERANCE <= span < 0.01]
+    names = [name for name, (span, _) in spans.items() if SAME_OBSERVATION <= span < 0.01]
     if not names:
         return None
     share = len(names) / len(spans)

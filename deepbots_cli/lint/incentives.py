@@ -22,7 +22,7 @@ from deepbots_cli.program.values import Expression
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
 """Facts that are 0 while nothing moves."""
 _CLOCKS = frozenset({"time", "step"})
-_ROUNDING = 1e-12
+_MIN_FACTOR = 1e-12
 """Factors that cancel leave no more than this."""
 MIN_BREAK_EVEN = 0.5
 """A scenario whose success pays is reported if more of the episodes than this share would have to succeed."""
@@ -278,7 +278,7 @@ class _StillRanges(Ranges):
                 shares[key] = part, factor + shares.get(key, (part, 0.0))[1]
         total = NEVER
         for part, factor in shares.values():
-            if abs(factor) > _ROUNDING:
+            if abs(factor) > _MIN_FACTOR:
                 total = iv.add(total, iv.multiply(self.of(part), iv.single(factor)))
         return total
 

@@ -23,7 +23,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
 
-_ROUNDING = 1e-6
+_RELATIVE_ROUNDING = 1e-6
 """Relative difference that rounding alone may cause."""
 _MIN_COVERED_SHARE = 0.25
 """Share of the range of a noisy value that an exact value covers at least."""
@@ -56,7 +56,7 @@ class RangedNumber(NamedTuple):
 
     @property
     def slack(self) -> float:
-        return _ROUNDING * (self.high - self.low)
+        return _RELATIVE_ROUNDING * (self.high - self.low)
 
     def is_outside(self, known: Interval) -> bool:
         """Whether values of this range never lie in the range of the observation (DB602)."""
@@ -260,7 +260,7 @@ def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Line
     if not hidden.terms or exact.terms.keys() != hidden.terms.keys():
         return False
     factors = [exact.terms[term] / of for term, of in hidden.terms.items()]
-    if any(abs(factor - factors[0]) > _ROUNDING * abs(factors[0]) for factor in factors):
+    if any(abs(factor - factors[0]) > _RELATIVE_ROUNDING * abs(factors[0]) for factor in factors):
         return False
     offset = exact.offset - factors[0] * hidden.offset
     ends = sorted((end - offset) / factors[0] for end in (shown.low, shown.high))

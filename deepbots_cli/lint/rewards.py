@@ -23,7 +23,7 @@ from deepbots_cli.program.values import Expression
 
 _DOMINANCE_RATIO = 100.0
 """A term that is so many times what an ending pays makes that invisible."""
-_ROUNDING = 1e-9
+_RELATIVE_ROUNDING = 1e-9
 _MIN_STEPS = 200
 """Fewer simulated steps allow no conclusion."""
 _MAX_SHOWN_CHARACTERS = 40
@@ -369,13 +369,13 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
     """No episode can reach the required mean return, or every episode does."""
     for analysis, wanted, path in _wanted_returns(context):
         possible = return_range(analysis)
-        if wanted > possible.high + _ROUNDING * abs(possible.high):
+        if wanted > possible.high + _RELATIVE_ROUNDING * abs(possible.high):
             headline = (
                 f"no episode reaches the required return of {wanted:g}: the highest possible return"
                 f" is {possible.high:.4g}"
             )
             yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
-        elif wanted > (limited := highest_return(analysis.ideal)) + _ROUNDING * abs(limited):
+        elif wanted > (limited := highest_return(analysis.ideal)) + _RELATIVE_ROUNDING * abs(limited):
             headline = (
                 f"no episode reaches the required return of {wanted:g}: limits of speed allow at most"
                 f" {limited:.4g}"

@@ -47,13 +47,11 @@ from deepbots_cli.lint.simulation import (
 )
 from deepbots_cli.lint.watches import ArmWatch, RayWatch, SpeedWatch, TiltWatch, WheelWatch
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import idle_action
+from deepbots_cli.program.task import SAME_OBSERVATION, idle_action
 from deepbots_cli.rollout import Driver, Start, Step, steps
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 
-_ROUNDING = 1e-6
-"""Numbers of the observation, from -1 to 1, that differ by less are equal."""
 _MIN_TERM_SIZE = 1e-9
 """The same for a term of the reward."""
 _FIRST_EPISODES, _FIRST_STEPS = 2, 10
@@ -356,7 +354,7 @@ class Counter:
         """Whether an entry was not the same throughout."""
         numbers = len(self._columns)
         return (
-            bool(self.high[place] - self.low[place] > _ROUNDING)
+            bool(self.high[place] - self.low[place] > SAME_OBSERVATION)
             if place < numbers
             else self._pictures[place - numbers] in self._changed
         )

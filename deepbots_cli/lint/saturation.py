@@ -21,7 +21,7 @@ from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
 from deepbots_cli.program.values import Expression
 
-_ROUNDING = 1e-6
+_RELATIVE_ROUNDING = 1e-6
 """Relative difference that rounding alone may cause."""
 _RANGE_FACTOR = 1.2
 """Suggested ranges are larger than needed by this factor."""
@@ -97,7 +97,7 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
     if not number.entry.clip:
         return nan
     if quantity == analysis.identity(number.node):
-        slack = _ROUNDING * max(abs(bound.low), abs(bound.high))
+        slack = _RELATIVE_ROUNDING * max(abs(bound.low), abs(bound.high))
         edge = number.high if threshold.above else number.low
         is_short = edge < limit - slack if threshold.above else edge > limit + slack
         return edge if is_short and not number.is_outside(interval) else nan
@@ -216,7 +216,7 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
         meant = analysis.resolve_aliases(node)
         drawn = analysis.start.of(meant) if isinstance(meant, Draw) else None
         drawn = analysis.start.initial(meant) if isinstance(meant, EngineRead) else drawn
-        slack = _ROUNDING * (high - low)
+        slack = _RELATIVE_ROUNDING * (high - low)
         if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
             headline = (
                 "`desired` can be outside its range: it is drawn"

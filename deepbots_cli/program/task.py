@@ -19,6 +19,9 @@ from deepbots_cli.robots.model import Vector
 MAX_OBSERVED_NUMBERS = 100_000
 MAX_OBSERVED_BYTES = 10_000_000
 
+SAME_OBSERVATION = 1e-6
+"""Numbers of the observation, from -1 to 1, that differ by less are equal."""
+
 MAX_CONDITIONS = 1000
 """Of one choice in a script: Python's compiler goes down one level for each."""
 
