@@ -16,8 +16,8 @@ from deepbots_cli.program.task import SAME_OBSERVATION, Observation
     advice="Check the position and direction of these sensors, and that something is in their range:"
     " `deepbots view RUN` draws the rays of sensors. Or remove the values from `observation`.",
 )
-def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
-    spans = _spans(t)
+def sensor_without_reading(evidence: TrainingEvidence) -> Numbers | None:
+    spans = _spans(evidence)
     still = [name for name, (span, _) in spans.items() if span < SAME_OBSERVATION]
     if not still:
         return None
@@ -26,40 +26,40 @@ def sensor_without_reading(t: TrainingEvidence) -> Numbers | None:
     if len(at_end) == len(still):
         guess = "they are always at an end of their range, like a sensor that detects nothing"
     share = len(still) / len(spans)
-    values = list_text([f"{name} always {_unscaled(t, name, spans[name][1])}" for name in still])
+    values = list_text([f"{name} always {_unscaled(evidence, name, spans[name][1])}" for name in still])
     return {
         "likelihood": 0.95 if share >= 0.75 else 0.35 * share,
         "count": len(still),
         "of": len(spans),
-        "moments": t.probe_moments,
+        "moments": evidence.probe_moments,
         "names": still,
         "values": values,
         "guess": guess,
     }
 
 
-def _spans(t: TrainingEvidence) -> dict[str, tuple[float, float]]:
+def _spans(evidence: TrainingEvidence) -> dict[str, tuple[float, float]]:
     """Of each number of the observation: how far it moves in the short episodes, and its first value.
 
     The previous action is left out, and so are parameters and what is made of them: no sensor measures them.
     """
-    if t.probe_moments < 2 * MIN_EPISODES:
+    if evidence.probe_moments < 2 * MIN_EPISODES:
         return {}
-    seen = np.concatenate([trace.observations for trace in t.probes])
+    seen = np.concatenate([trace.observations for trace in evidence.probes])
     spans = zip(np.ptp(seen, axis=0), seen[0], strict=True)
     return {
         number.full_name: (float(span), float(first))
-        for number, (span, first) in zip(t.program.agent.numbers, spans, strict=True)
-        if number.name != "previous_action" and t.facts.is_measured(number)
+        for number, (span, first) in zip(evidence.program.agent.numbers, spans, strict=True)
+        if number.name != "previous_action" and evidence.facts.is_measured(number)
     }
 
 
-def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
+def _unscaled(evidence: TrainingEvidence, name: str, value: float) -> str:
     """A number of the observation, from -1 to 1, as the value that it stands for."""
-    number = next(each for each in t.program.agent.numbers if each.full_name == name)
+    number = next(each for each in evidence.program.agent.numbers if each.full_name == name)
     if number.is_truth:
         return "true" if value else "false"
-    return t.facts.range_text(number, number.low + (value + 1) / 2 * (number.high - number.low))
+    return evidence.facts.range_text(number, number.low + (value + 1) / 2 * (number.high - number.low))
 
 
 @statement(
@@ -69,8 +69,8 @@ def _unscaled(t: TrainingEvidence, name: str, value: float) -> str:
     advice="Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists"
     " the ranges.",
 )
-def constant_observation(t: TrainingEvidence) -> Numbers | None:
-    spans = _spans(t)
+def constant_observation(evidence: TrainingEvidence) -> Numbers | None:
+    spans = _spans(evidence)
     names = [name for name, (span, _) in spans.items() if SAME_OBSERVATION <= span < 0.01]
     if not names:
         return None
@@ -79,7 +79,7 @@ def constant_observation(t: TrainingEvidence) -> Numbers | None:
         "likelihood": 0.95 if share >= 0.75 else 0.35 * share,
         "count": len(names),
         "of": len(spans),
-        "moments": t.probe_moments,
+        "moments": evidence.probe_moments,
         "names": list_text(names),
         "span": max(spans[name][0] for name in names),
     }
@@ -91,17 +91,17 @@ def constant_observation(t: TrainingEvidence) -> Numbers | None:
     " The clipped values differ by up to {lost} times the range.",
     advice="Widen their ranges under `observation`: the policy cannot distinguish values outside a range.",
 )
-def saturated_observation(t: TrainingEvidence) -> Numbers | None:
-    if t.probe_moments < 2 * MIN_EPISODES:
+def saturated_observation(evidence: TrainingEvidence) -> Numbers | None:
+    if evidence.probe_moments < 2 * MIN_EPISODES:
         return None
     beyond = {
-        entry.name: _beyond(t, entry)
-        for entry in t.program.agent.observation
+        entry.name: _beyond(evidence, entry)
+        for entry in evidence.program.agent.observation
         if entry.clip and entry.name != "previous_action"
     }
     cut = {
         n.full_name: part
-        for e in t.program.agent.observation
+        for e in evidence.program.agent.observation
         for n, part in zip(e.numbers, beyond.get(e.name, ()), strict=False)
     }
     shares = {name: float((part != 0).mean()) for name, part in cut.items()}
@@ -128,13 +128,13 @@ def saturated_observation(t: TrainingEvidence) -> Numbers | None:
     }
 
 
-def _beyond(t: TrainingEvidence, entry: Observation) -> list[Array]:
+def _beyond(evidence: TrainingEvidence, entry: Observation) -> list[Array]:
     """By how much each number of an entry lies above its range, or below it (negative), in all moments, as a
     share of the range."""
-    key = t.probes[0].instrumented.observed_signals.get(entry.name)
+    key = evidence.probes[0].instrumented.observed_signals.get(entry.name)
     if key is None or entry.value.typed.type.boolean:
         return []
-    rows = np.array([values[key] for trace in t.probes for values in trace.values], float)
+    rows = np.array([values[key] for trace in evidence.probes for values in trace.values], float)
     return [
         (row - row.clip(low, high)) / (high - low)
         for row, low, high in zip(rows.T, entry.low, entry.high, strict=True)

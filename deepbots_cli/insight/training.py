@@ -265,35 +265,38 @@ class TrainingEvidence:
         return values[steps > self.first_step] if self.first_step and not tag.startswith("train/") else values
 
 
-def returns_rise(t: TrainingEvidence) -> tuple[float, float, float, float] | None:
+def returns_rise(evidence: TrainingEvidence) -> tuple[float, float, float, float] | None:
     """Mean returns of the first half and of the last quarter of the present stage, their difference, and
     twice its standard error.
 
     None where the return does not rise, or levels off.
     """
-    early, late = t.episodes_between(0.0, 0.5).returns, t.episodes_between(0.75, 1.0).returns
-    if len(t.episodes) < 2 * MIN_EPISODES:
+    early, late = evidence.episodes_between(0.0, 0.5).returns, evidence.episodes_between(0.75, 1.0).returns
+    if len(evidence.episodes) < 2 * MIN_EPISODES:
         return None
     gain = float(late.mean() - early.mean())
     chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
     # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it
     # levels off.
-    start, before = (float(t.episodes_between(share, share + 0.25).returns.mean()) for share in (0.0, 0.5))
+    start, before = (
+        float(evidence.episodes_between(share, share + 0.25).returns.mean()) for share in (0.0, 0.5)
+    )
     if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
         return None
     return float(early.mean()), float(late.mean()), gain, chance
 
 
-def usual_settings(t: TrainingEvidence) -> Mapping[str, Any]:
+def usual_settings(evidence: TrainingEvidence) -> Mapping[str, Any]:
     """The hyperparameters that the training would take if the scenario gave none, by name."""
-    program = t.run.program
+    program = evidence.run.program
     training = program.agent.training
     if training is None:
         return {}
     bare = replace(training, hyperparameters=(), action_noise=None, replay=None)
     unset = program.with_agents(training=bare)
     return {
-        entry.name: entry.value for entry in effective_hyperparameters(unset, t.run.record.total_timesteps)
+        entry.name: entry.value
+        for entry in effective_hyperparameters(unset, evidence.run.record.total_timesteps)
     }
 
 
@@ -462,17 +465,21 @@ class _Probes:
         return [self.world.trace("a short episode", error=error)]
 
 
-def _repeat_failed(t: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
+def _repeat_failed(evidence: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
     """The first episodes without success of the quoted evaluation, until the deadline."""
-    kept = quoted_episodes(t.run) if t.final_episodes and t.run.program.defines_success else None
-    if kept is None or t.run.program.agent.copies is not None or time.monotonic() > deadline:
+    kept = (
+        quoted_episodes(evidence.run)
+        if evidence.final_episodes and evidence.run.program.defines_success
+        else None
+    )
+    if kept is None or evidence.run.program.agent.copies is not None or time.monotonic() > deadline:
         return []
     numbers = [number for number, each in enumerate(kept[1].outcomes) if not each.is_success][
         :FAILED_EPISODES
     ]
     traces = []
     try:
-        for trace in trace_episodes(t.run, numbers, **kept[1].replay_options, permissions=permissions):
+        for trace in trace_episodes(evidence.run, numbers, **kept[1].replay_options, permissions=permissions):
             traces.append(trace)
             if time.monotonic() > deadline:
                 break
@@ -481,11 +488,11 @@ def _repeat_failed(t: TrainingEvidence, deadline: float, permissions: Permission
     return traces
 
 
-def _teachers(t: TrainingEvidence) -> list[str]:
+def _teachers(evidence: TrainingEvidence) -> list[str]:
     """The script that teaches the policy, or else those that could; none where no success compares them with
     it."""
-    agent = t.program.agent
-    if not t.program.defines_success or agent.copies is not None or agent.training is None:
+    agent = evidence.program.agent
+    if not evidence.program.defines_success or agent.copies is not None or agent.training is None:
         return []
     if agent.training.teacher is not None:
         return [agent.training.teacher.script]
