@@ -9,6 +9,23 @@ from deepbots_cli.insight.trace import Array
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence
 from deepbots_cli.program.task import SAME_OBSERVATION, Observation
 
+_MOST, _MOST_LIKELIHOOD = 0.75, 0.95
+"""The share of the numbers that counts as most of them, and the likelihood of a cause that concerns most."""
+_PER_CONSTANT_SHARE, _PER_CLIPPED_SHARE = 0.35, 0.55
+"""The likelihood of a cause that concerns fewer, per share of the numbers: of constant and of clipped ones."""
+_MAX_CONSTANT_SPAN = 0.01
+"""A number of the observation, from -1 to 1, that varies by less hardly changes."""
+_MIN_CLIPPED_SHARE, _MIN_LOST_SPREAD = 0.4, 0.1
+"""A number is saturated if it is clipped in this share of the moments, and the clipped values differ by this
+share of its range."""
+_ALMOST_ALWAYS, _ALMOST_ALWAYS_LIKELIHOOD = 0.8, 0.85
+"""The share of the moments that counts as almost always, and the likelihood if the saturated numbers are
+clipped almost always."""
+
+
+def _likelihood(share: float, per_share: float) -> float:
+    return _MOST_LIKELIHOOD if share >= _MOST else per_share * share
+
 
 @statement(
     "sensor_without_reading",
@@ -28,7 +45,7 @@ def sensor_without_reading(evidence: TrainingEvidence) -> Numbers | None:
     share = len(still) / len(spans)
     values = list_text([f"{name} always {_unscaled(evidence, name, spans[name][1])}" for name in still])
     return {
-        "likelihood": 0.95 if share >= 0.75 else 0.35 * share,
+        "likelihood": _likelihood(share, _PER_CONSTANT_SHARE),
         "count": len(still),
         "of": len(spans),
         "moments": evidence.probe_moments,
@@ -71,12 +88,12 @@ def _unscaled(evidence: TrainingEvidence, name: str, value: float) -> str:
 )
 def constant_observation(evidence: TrainingEvidence) -> Numbers | None:
     spans = _spans(evidence)
-    names = [name for name, (span, _) in spans.items() if SAME_OBSERVATION <= span < 0.01]
+    names = [name for name, (span, _) in spans.items() if SAME_OBSERVATION <= span < _MAX_CONSTANT_SPAN]
     if not names:
         return None
     share = len(names) / len(spans)
     return {
-        "likelihood": 0.95 if share >= 0.75 else 0.35 * share,
+        "likelihood": _likelihood(share, _PER_CONSTANT_SHARE),
         "count": len(names),
         "of": len(spans),
         "moments": evidence.probe_moments,
@@ -109,16 +126,22 @@ def saturated_observation(evidence: TrainingEvidence) -> Numbers | None:
     # it is always the same one.
     spreads = {name: max(_spread(part[part > 0]), _spread(part[part < 0])) for name, part in cut.items()}
     worst = sorted(
-        (name for name, share in shares.items() if share >= 0.4 and spreads[name] >= 0.1),
+        (
+            name
+            for name, share in shares.items()
+            if share >= _MIN_CLIPPED_SHARE and spreads[name] >= _MIN_LOST_SPREAD
+        ),
         key=lambda name: -shares[name],
     )
     if not worst:
         return None
     part, mean = len(worst) / len(shares), float(np.mean([shares[name] for name in worst]))
+    likelihood = _likelihood(part, _PER_CLIPPED_SHARE)
     # Numbers that are almost always beyond an end come before the length of the training.
-    by_mean = 0.85 if mean >= 0.8 else 0.55 * part
+    if mean >= _ALMOST_ALWAYS:
+        likelihood = max(likelihood, _ALMOST_ALWAYS_LIKELIHOOD)
     return {
-        "likelihood": 0.95 if part >= 0.75 else by_mean,
+        "likelihood": likelihood,
         "count": len(worst),
         "of": len(shares),
         "names": list_text(worst),

@@ -39,13 +39,23 @@ HELD_RANDOM = f"random actions held for {HOLD_STEPS} steps each"
 IDLE = "doing nothing"
 
 _RESETS = 24
+"""Resets with different seeds: an overlap in one of eight starts is found with a probability of 96 %."""
 _RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH_STEPS = 24, 250, 1500
+"""Episodes of random actions, the steps of each, and the steps in all after which no further one begins."""
 _OTHER_EPISODES, _OTHER_STEPS = 2, 500
+"""Episodes without action and of each script, and the steps of each."""
 _VARIANT_STEPS = 100
+"""Steps of an episode in a case or a stage."""
 _MAX_WORK = 200_000.0
-_MAX_SETTLING = 50_000
-_PIXELS = 250.0
+"""The work of a plan, as in `work_per_step`. The plans of the shipped scenarios take 21 000 to 189 000."""
+_MAX_VARIANT_WORK = _MAX_WORK / 20
+"""The work of an episode in a case or a stage."""
+_MAX_SETTLING_STEPS = 50_000
+"""Physics steps in which the world settles, over all resets."""
+_PIXELS_PER_PHYSICS_STEP = 250.0
+"""Pixels of a camera that count as one physics step of a robot."""
 _MIN_STEPS = 10
+"""Steps of an episode at least, however much work a step takes."""
 _MAX_AXIS_RISE = 0.3
 """Of an axis of a wheel, per length."""
 
@@ -93,13 +103,13 @@ def simulation_plan(program: Program) -> Plan:
         for each in (*drawn, *others)
     )
     settling = program.reset.settle / program.world.timestep * program.world.substeps
-    resets = max(2, min(_RESETS, int(_MAX_SETTLING / max(settling, 1.0))))
+    resets = max(2, min(_RESETS, int(_MAX_SETTLING_STEPS / max(settling, 1.0))))
     return Plan(resets, rollouts, max(_MIN_STEPS, int(_ENOUGH_STEPS * share)))
 
 
 def variant_plan(program: Program) -> tuple[Rollout, ...]:
     """The episodes in a case or a stage, where something has been constant so far."""
-    steps = max(_MIN_STEPS, min(_VARIANT_STEPS, int(_MAX_WORK / 20 / work_per_step(program))))
+    steps = max(_MIN_STEPS, min(_VARIANT_STEPS, int(_MAX_VARIANT_WORK / work_per_step(program))))
     return (
         Rollout(HELD_RANDOM, 1, steps),
         *(Rollout(by, 0, steps, script) for by, script in _others(program) if script),
@@ -119,7 +129,8 @@ def work_per_step(program: Program) -> float:
     copies = program.agent.copies.count if program.agent.copies else 1
     pixels = sum(entry.shape[0] * entry.shape[1] for entry in program.agent.images)
     return (
-        len(program.robots) * (program.world.substeps * program.action_repeat + 10) + pixels / _PIXELS
+        len(program.robots) * (program.world.substeps * program.action_repeat + 10)
+        + pixels / _PIXELS_PER_PHYSICS_STEP
     ) * copies
 
 
