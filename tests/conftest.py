@@ -123,7 +123,7 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
         report.add(Done())
         return report
 
-    monkeypatch.setattr("deepbots_cli.lint.measure", measure)
+    monkeypatch.setattr("deepbots_cli.lint.run.measure", measure)
 
 
 @pytest.fixture(scope="session", autouse=True)
