@@ -14,7 +14,8 @@ collapse.py    the cause of a training that falls apart
 robot_log.py   the log of a robot beside the simulation: values with another distribution
 transfer.py    what differs between two worlds of a scenario, such as two engines, and which change explains
                it
-inspection.py  the tables of `deepbots inspect`: a scenario, a run or a robot file
+inspection.py  the tables of `deepbots inspect`: a scenario, a run or a robot file; timing.py the ages of
+               actions and observations
 speed.py       steps per second of engines and of batches, and where the time goes
 retry.py       trainings that follow one another with the values that the diagnosis advises
 report.py      one HTML file about a run or a group: result, curves, episodes, scenario; figures.py its
