@@ -90,8 +90,8 @@ CameraReader = Callable[[], CameraImage]
 class Overlap(NamedTuple):
     """Two links that lie within each other, by `depth` in m."""
 
-    one: Part
-    other: Part
+    one: tuple[str, str]
+    other: tuple[str, str]
     depth: float
 
 

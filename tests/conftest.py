@@ -6,7 +6,6 @@ PyBullet or for a file of pybullet_data are skipped.
 """
 
 import gc
-import json
 import os
 import sys
 import tempfile
@@ -98,17 +97,20 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lint simulates in this process: one of its own costs 1 s of CPU, and `lint/test_simulation_process.py`
     has it."""
     from deepbots_cli.compiler.inputs import Inputs
+    from deepbots_cli.lint.report import Done, Entry, SimulationReport, decode, encode
     from deepbots_cli.lint.rollouts import Simulator, compiled
     from deepbots_cli.lint.search import ExploitSearch
-    from deepbots_cli.lint.simulation import Limits, SimulationReport
+    from deepbots_cli.lint.simulation import Limits
 
     def measure(
         inputs: Inputs, limits: Limits, permissions: Permissions, search: bool = False
     ) -> SimulationReport:
         report = SimulationReport()
 
-        def write(entry: dict[str, object]) -> None:
-            report.add_line(json.loads(json.dumps(entry)))
+        def write(entry: Entry) -> None:
+            read = decode(encode(entry))
+            assert read is not None
+            report.add(read)
 
         def begin_step(number: int) -> None:
             report.where = report.where._replace(step=number)
@@ -118,10 +120,10 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
             (ExploitSearch if search else Simulator)(
                 compiled(Path(folder)), write, begin_step, permissions=permissions
             ).run()
-        report.add_line({"done": True})
+        report.add(Done())
         return report
 
-    monkeypatch.setattr("deepbots_cli.lint.measure", measure)
+    monkeypatch.setattr("deepbots_cli.lint.run.measure", measure)
 
 
 @pytest.fixture(scope="session", autouse=True)

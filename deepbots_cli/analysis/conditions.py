@@ -15,7 +15,7 @@ from deepbots_cli.expressions.types import Invocation, Known, Operation, Referen
 from deepbots_cli.program.values import Expression
 
 if TYPE_CHECKING:
-    from deepbots_cli.analysis import Analysis
+    from deepbots_cli.analysis.analysis import Analysis
 
 ORDER_PRESERVING = frozenset({"running_max", "running_min", "low_pass", "hold"})
 """The functions with a memory that rise with their argument."""

@@ -13,7 +13,7 @@ from itertools import islice, product
 from math import floor, isfinite
 from typing import NamedTuple
 
-from deepbots_cli.analysis import Analysis
+from deepbots_cli.analysis.analysis import Analysis
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, hull, single

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 
 if TYPE_CHECKING:
-    from deepbots_cli.analysis import Analysis
+    from deepbots_cli.analysis.analysis import Analysis
 
 
 class Identities:

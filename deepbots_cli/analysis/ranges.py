@@ -21,7 +21,7 @@ from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, S
 from deepbots_cli.program.resets import Placement, Region, Top
 
 if TYPE_CHECKING:
-    from deepbots_cli.analysis import Analysis
+    from deepbots_cli.analysis.analysis import Analysis
 
 _MAX_CONDITIONS = 64
 """The number of conditions of a conjunction that are compared with each other."""

@@ -11,7 +11,7 @@ from deepbots_cli.expressions.scalar import Scalar, State
 from deepbots_cli.program.values import Expression
 
 if TYPE_CHECKING:
-    from deepbots_cli.analysis import Analysis
+    from deepbots_cli.analysis.analysis import Analysis
 
 Terms = list[tuple[Expression, Scalar]]
 

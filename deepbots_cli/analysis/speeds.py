@@ -22,7 +22,7 @@ from deepbots_cli.program.robots import Motor
 from deepbots_cli.robots.model import Cylinder, Joint, RobotModel, Sphere
 
 if TYPE_CHECKING:
-    from deepbots_cli.analysis import Analysis
+    from deepbots_cli.analysis.analysis import Analysis
 
 _TOLERANCE = 1.1
 """An e-puck that turns back in each timestep exceeds the speed of its wheels by 4 %, since it tilts; one that

@@ -240,7 +240,7 @@ def _options(place: Placement, printer: Printer) -> str:
     return "".join(parts)
 
 
-# Variations
+# What varies
 
 
 def _is_vector(variation: RandomizedParameter) -> bool:
@@ -280,7 +280,7 @@ def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str])
 
 # Draws
 
-_ROUNDING = 1e-9
+_PERIOD_ROUNDING = 1e-9
 """The tolerance in s with which a period of a whole number of steps does not become one more by rounding."""
 
 
@@ -363,7 +363,7 @@ def _print_first_period(
     supervisor: SupervisorPrinter, printer: Printer, value: Expression, name: str
 ) -> None:
     if value.period is not None:
-        printer.line(f"{_due(supervisor, name)} = {printer.value(value.period)} - {_ROUNDING!r}")
+        printer.line(f"{_due(supervisor, name)} = {printer.value(value.period)} - {_PERIOD_ROUNDING!r}")
 
 
 def _print_when_due(

@@ -90,12 +90,12 @@ _OFF_POLICY: Mapping[str, _Scale] = {
     "{fall}. {reasons}",
     advice="{advice} The best model is from before the fall: `deepbots view`, `eval` and `export` use it.",
 )
-def fell_apart(t: TrainingEvidence) -> Numbers | None:
-    fall = t.decline
+def fell_apart(evidence: TrainingEvidence) -> Numbers | None:
+    fall = evidence.decline
     if fall is None:
         return None
     text, numbers = fall.text, {name: value for name, value in fall.as_json().items() if name != "text"}
-    if (paid := _return_meanwhile(t, fall)) is not None and paid[1] >= paid[0]:
+    if (paid := _return_meanwhile(evidence, fall)) is not None and paid[1] >= paid[0]:
         before, after = paid
         return {
             **numbers,
@@ -103,20 +103,22 @@ def fell_apart(t: TrainingEvidence) -> Numbers | None:
             "fall": text[0].upper() + text[1:],
             "reasons": f"Meanwhile the mean return rose from {before:.4g} to {after:.4g}: the reward pays"
             " for something other than"
-            f" success{_paying_term(t)}.",
+            f" success{_paying_term(evidence)}.",
             "advice": "Make a success earn more than everything else that an episode can collect; `deepbots"
             " lint` and"
             " `lint --exploits` look for such payments.",
             "suspects": [],
         }
-    causes = suspects(t, fall)[:_SHOWN]
+    causes = suspects(evidence, fall)[:_SHOWN]
     reasons = " ".join(
         f"{number}{suspect.reason}." for number, suspect in zip(("", "Or "), causes, strict=False)
     )
     if not reasons:
         reasons = "No setting is unusual: later updates may still be too large for a policy that has learned."
-    advice = _fallback(t) if not causes else f"Write {', or '.join(suspect.advice for suspect in causes)}."
-    settings = {suspect.path: suspect.advised for suspect in causes[:1]} or _fallback_settings(t)
+    advice = (
+        _fallback(evidence) if not causes else f"Write {', or '.join(suspect.advice for suspect in causes)}."
+    )
+    settings = {suspect.path: suspect.advised for suspect in causes[:1]} or _fallback_settings(evidence)
     return {
         **numbers,
         # Before the rows of single settings; after faults of the reward if no setting is far from usual.
@@ -129,20 +131,20 @@ def fell_apart(t: TrainingEvidence) -> Numbers | None:
     }
 
 
-def _return_meanwhile(t: TrainingEvidence, fall: Decline) -> tuple[float, float] | None:
+def _return_meanwhile(evidence: TrainingEvidence, fall: Decline) -> tuple[float, float] | None:
     """Return the mean return of the evaluations at the best model and of the last ones; None for a fall of
     the return."""
     if fall.measure != "success_rate":
         return None
-    own = [(each["steps"], fmean(each["returns"])) for each in t.evaluations if "steps" in each]
+    own = [(each["steps"], fmean(each["returns"])) for each in evidence.evaluations if "steps" in each]
     best = [value for steps, value in own if steps == fall.best_steps]
     late = [value for steps, value in own if steps >= fall.last_steps]
     return (best[0], fmean(late)) if best and late else None
 
 
-def _paying_term(t: TrainingEvidence) -> str:
+def _paying_term(evidence: TrainingEvidence) -> str:
     """Return the reward term that rose most, in words; empty where none rose."""
-    rise = rising_term(t)
+    rise = rising_term(evidence)
     return (
         ""
         if rise is None
@@ -150,15 +152,15 @@ def _paying_term(t: TrainingEvidence) -> str:
     )
 
 
-def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:
+def suspects(evidence: TrainingEvidence, fall: Decline) -> list[Suspect]:
     """Return the settings that explain a fall, the most likely first, and only those whose value is not the
     advised one."""
-    training = t.program.agent.training
+    training = evidence.program.agent.training
     if training is None:
         return []
-    is_off_policy = "buffer_size" in t.settings
+    is_off_policy = "buffer_size" in evidence.settings
     scales = _OFF_POLICY if is_off_policy else _ON_POLICY
-    causes = [_of_scale(t, fall, name, scale) for name, scale in scales.items()]
+    causes = [_of_scale(evidence, fall, name, scale) for name, scale in scales.items()]
     rules: tuple[Callable[[TrainingEvidence, Decline], Suspect | None], ...] = (
         _overestimates,
         _reward_scale,
@@ -170,7 +172,7 @@ def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:
         _advantages,
         _after_teacher,
     )
-    causes += [rule(t, fall) for rule in rules]
+    causes += [rule(evidence, fall) for rule in rules]
     named = [
         each for each in causes if each is not None and each.weight >= SUSPECTED and each.now != each.advised
     ]
@@ -180,9 +182,9 @@ def suspects(t: TrainingEvidence, fall: Decline) -> list[Suspect]:
     return list(by_path.values())
 
 
-def _of_scale(t: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> Suspect | None:
+def _of_scale(evidence: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> Suspect | None:
     """Detect a number that is too large or too small."""
-    value, default = _value_at(t, name, fall.since_steps), usual_settings(t).get(name)
+    value, default = _value_at(evidence, name, fall.since_steps), usual_settings(evidence).get(name)
     usual = scale.usual
     if usual is None:
         usual = default if isinstance(default, int | float) else 3e-4
@@ -193,7 +195,7 @@ def _of_scale(t: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> S
     size = f"{times:.2g} times" if scale.times > 1 else f"{times:.2g} times smaller than"
     reason = f"`{name}` is {value:g}, {size} the usual {usual:g}"
     if scale.acts_by_updates:
-        divergence = _since(t, "train/approx_kl", fall.best_steps)
+        divergence = _since(evidence, "train/approx_kl", fall.best_steps)
         if len(divergence):
             high = float(np.quantile(divergence, 0.9))
             weight *= 1.0 if high >= _LARGE_UPDATE else 0.6
@@ -203,19 +205,19 @@ def _of_scale(t: TrainingEvidence, fall: Decline, name: str, scale: _Scale) -> S
                 f" {fall.best_steps:,} steps"
             )
     if name == "ent_coef":
-        before, after = (-_part(t, "train/entropy_loss", *ends) for ends in _before_and_after(fall))
+        before, after = (-_part(evidence, "train/entropy_loss", *ends) for ends in _before_and_after(fall))
         if len(before) and len(after):
             rise = float(after.mean() - before.mean())
             weight *= 1.2 if rise > 0 else 0.8
             reason += f"; the entropy went from {before.mean():.2g} to {after.mean():.2g}"
-    now = t.settings.get(name)
+    now = evidence.settings.get(name)
     text = f"{now.start:g} -> {now.end:g}" if isinstance(now, Schedule) else f"{value:g}"
-    return Suspect(f"train.{name}", text, _advised(t, name, usual, default), reason, weight)
+    return Suspect(f"train.{name}", text, _advised(evidence, name, usual, default), reason, weight)
 
 
-def _advised(t: TrainingEvidence, name: str, usual: float, default: Any) -> str:
+def _advised(evidence: TrainingEvidence, name: str, usual: float, default: Any) -> str:
     """Return the value to write."""
-    if name == "batch_size" and (rows := _rows(t)):
+    if name == "batch_size" and (rows := _rows(evidence)):
         return f"{next((size for size in (256, 128, 64, 32) if rows % size == 0 and size < rows), rows)}"
     if name == "ent_coef" and isinstance(default, str):
         return default
@@ -225,15 +227,17 @@ def _advised(t: TrainingEvidence, name: str, usual: float, default: Any) -> str:
     return f"{usual:g}" if usual != int(usual) or usual < 10_000 else f"{int(usual):_}"
 
 
-def _overestimates(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+def _overestimates(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect a critic that overestimates. A single critic is replaced by two; for two, the rate is
     lowered."""
-    predicted, followed = (_since(t, f"critic/{name}", fall.best_steps) for name in ("value", "followed"))
+    predicted, followed = (
+        _since(evidence, f"critic/{name}", fall.best_steps) for name in ("value", "followed")
+    )
     if not len(predicted):
         return None
     value, real = float(np.median(predicted)), float(np.median(followed))
     # Of small values, the ratio says little: the scale is that of the returns that the policy had.
-    scale = max(abs(real), 0.1 * float(np.abs(_part(t, "critic/followed", 0.0, math.inf)).max()), 1e-9)
+    scale = max(abs(real), 0.1 * float(np.abs(_part(evidence, "critic/followed", 0.0, math.inf)).max()), 1e-9)
     if value - real < (_OVERESTIMATES - 1) * scale:
         return None
     reason = (
@@ -241,7 +245,7 @@ def _overestimates(t: TrainingEvidence, fall: Decline) -> Suspect | None:
         f" {real:.3g} follow"
     )
     weight = min(2.0, 0.6 + (value - real) / scale)
-    algorithm, base = t.program.agent.training.algorithm, _base(t)  # type: ignore[union-attr]  # of a training
+    algorithm, base = evidence.program.agent.training.algorithm, _base(evidence)  # type: ignore[union-attr]  # of a training
     if base == "DDPG":
         return Suspect(
             "train.algorithm",
@@ -250,24 +254,24 @@ def _overestimates(t: TrainingEvidence, fall: Decline) -> Suspect | None:
             f"{reason}; TD3 and SAC take the smaller one of two critics",
             weight,
         )
-    rate = _value_at(t, "learning_rate", fall.since_steps)
+    rate = _value_at(evidence, "learning_rate", fall.since_steps)
     if rate is None:
         return None
     return Suspect("train.learning_rate", f"{rate:g}", f"{rate / 3:.1g}", reason, weight)
 
 
-def _reward_scale(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+def _reward_scale(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect returns that are too large for a critic."""
-    training = t.program.agent.training
-    if training is None or training.normalize == "reward" or not t.evaluations:
+    training = evidence.program.agent.training
+    if training is None or training.normalize == "reward" or not evidence.evaluations:
         return None
-    size = float(np.mean([abs(value) for each in t.evaluations for value in each["returns"]]))
-    high = max(abs(value) for each in t.evaluations for value in each["returns"])
+    size = float(np.mean([abs(value) for each in evidence.evaluations for value in each["returns"]]))
+    high = max(abs(value) for each in evidence.evaluations for value in each["returns"])
     if size <= 0:
         return None
     weight = math.log(high / _USUAL_RETURN) / math.log(_LARGE_RETURN) if high > 0 else 0.0
     reason = f"the rewards are large: the returns of evaluations are up to {high:,.4g}"
-    explained = _since(t, "train/explained_variance", fall.best_steps)
+    explained = _since(evidence, "train/explained_variance", fall.best_steps)
     if len(explained):
         median = float(np.median(explained))
         weight += 0.3 if median < 0.3 else 0.0
@@ -275,11 +279,11 @@ def _reward_scale(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     return Suspect("train.normalize", "", "reward", reason, weight)
 
 
-def _discount(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+def _discount(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect a discount factor of 1, with which errors of the critic do not fade, or one that hides later
     rewards."""
-    gamma = t.number_setting("gamma")
-    length = t.program.truncation.max_episode_steps(t.program.period)
+    gamma = evidence.number_setting("gamma")
+    length = evidence.program.truncation.max_episode_steps(evidence.program.period)
     if gamma is None:
         return None
     wanted = min(0.99, max(0.9, round(1 - 4 / length, 3)))
@@ -300,37 +304,37 @@ def _discount(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     return Suspect("train.gamma", f"{gamma:g}", f"{wanted:g}", reason, weight)
 
 
-def _trace(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+def _trace(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect a `gae_lambda` of 1, which gives noisy advantages, or a small one, whose advantages depend on an
     inaccurate critic."""
-    trace = t.number_setting("gae_lambda")
-    if trace is None or _base(t) == "A2C" or 0.6 <= trace < 0.995:
+    trace = evidence.number_setting("gae_lambda")
+    if trace is None or _base(evidence) == "A2C" or 0.6 <= trace < 0.995:
         return None
     return Suspect(
         "train.gae_lambda", f"{trace:g}", "0.9", f"`gae_lambda` is {trace:g}, and 0.8 to 0.95 is usual", 0.8
     )
 
 
-def _small_rollouts(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+def _small_rollouts(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect updates from too few steps."""
-    rows, steps = _rows(t), t.number_setting("n_steps")
-    if not rows or not steps or "n_epochs" not in t.settings:
+    rows, steps = _rows(evidence), evidence.number_setting("n_steps")
+    if not rows or not steps or "n_epochs" not in evidence.settings:
         return None
     usual = max(32.0, 256 / rows * steps)
     reason = f"an update uses {rows:,.0f} steps only (`n_steps` in each world), and 256 or more are usual"
     return Suspect("train.n_steps", f"{steps:g}", f"{usual:.0f}", reason, math.log(256 / rows) / math.log(8))
 
 
-def _updates_per_step(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+def _updates_per_step(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect too many gradient steps of an off-policy algorithm for each new step."""
-    training = t.program.agent.training
-    updates = t.number_setting("gradient_steps")
-    often = t.number_setting("train_freq")
+    training = evidence.program.agent.training
+    updates = evidence.number_setting("gradient_steps")
+    often = evidence.number_setting("train_freq")
     if (
         training is None
         or updates is None
         or often is None
-        or "buffer_size" not in t.settings
+        or "buffer_size" not in evidence.settings
         or updates <= 0
     ):
         return None
@@ -341,16 +345,19 @@ def _updates_per_step(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     return Suspect("train.gradient_steps", f"{updates:g}", "-1", reason, math.log(ratio) / math.log(6))
 
 
-def _noise(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+def _noise(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect action noise that hides the actions of the policy, or no noise."""
-    noise = t.settings.get("action_noise")
+    noise = evidence.settings.get("action_noise")
     sigma = getattr(noise, "sigma", None)
     if sigma is None:
         return None
-    value = _at(sigma, t, fall.since_steps)
+    value = _at(sigma, evidence, fall.since_steps)
     now = f"{sigma.start:g} -> {sigma.end:g}" if sigma.start != sigma.end else f"{sigma.start:g}"
     weight = math.log(value / 0.2) / math.log(4) if value > 0 else 0.7
-    is_given = t.program.agent.training is not None and t.program.agent.training.action_noise is not None
+    is_given = (
+        evidence.program.agent.training is not None
+        and evidence.program.agent.training.action_noise is not None
+    )
     path, advised = (
         ("train.action_noise.sigma", "0.3 -> 0.1")
         if is_given
@@ -365,24 +372,24 @@ def _noise(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     )
 
 
-def _advantages(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+def _advantages(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect advantages as large as the rewards."""
-    if "n_epochs" not in t.settings or t.settings.get("normalize_advantage") is not False:
+    if "n_epochs" not in evidence.settings or evidence.settings.get("normalize_advantage") is not False:
         return None
     reason = "`normalize_advantage` is false, so that updates are as large as the rewards"
     return Suspect("train.normalize_advantage", "false", "true", reason, 0.9)
 
 
-def _after_teacher(t: TrainingEvidence, fall: Decline) -> Suspect | None:
+def _after_teacher(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     """Detect a policy that was better while it imitated than after it learned by itself."""
-    weights = _part(t, "teacher/weight", 0.0, math.inf)
+    weights = _part(evidence, "teacher/weight", 0.0, math.inf)
     if not len(weights):
         return None
-    steps, values = t.scalars["teacher/weight"]
+    steps, values = evidence.scalars["teacher/weight"]
     alone = steps[values < 1.0]
     if not len(alone) or fall.since_steps < alone[0]:
         return None
-    rate = _value_at(t, "learning_rate", fall.since_steps)
+    rate = _value_at(evidence, "learning_rate", fall.since_steps)
     if rate is None:
         return None
     reason = (
@@ -392,9 +399,9 @@ def _after_teacher(t: TrainingEvidence, fall: Decline) -> Suspect | None:
     return Suspect("train.learning_rate", f"{rate:g}", f"{rate / 5:.1g}", reason, 0.75)
 
 
-def _fallback(t: TrainingEvidence) -> str:
+def _fallback(evidence: TrainingEvidence) -> str:
     """Return the advice if no setting is unusual."""
-    settings = _fallback_settings(t)
+    settings = _fallback_settings(evidence)
     change = " and ".join(f"`{path}: {value}`" for path, value in settings.items())
     return (
         f"Write {change}, so that updates become smaller."
@@ -403,8 +410,8 @@ def _fallback(t: TrainingEvidence) -> str:
     )
 
 
-def _fallback_settings(t: TrainingEvidence) -> dict[str, str]:
-    rate = t.settings.get("learning_rate")
+def _fallback_settings(evidence: TrainingEvidence) -> dict[str, str]:
+    rate = evidence.settings.get("learning_rate")
     if isinstance(rate, int | float) and rate > 0:
         return {"train.learning_rate": f"{rate:g} -> {rate / 10:g}"}
     if isinstance(rate, Schedule) and rate.start > 0:
@@ -415,42 +422,46 @@ def _fallback_settings(t: TrainingEvidence) -> dict[str, str]:
 # Numbers
 
 
-def _base(t: TrainingEvidence) -> str:
-    training = t.program.agent.training
+def _base(evidence: TrainingEvidence) -> str:
+    training = evidence.program.agent.training
     algorithm = None if training is None else ALGORITHMS.get(training.algorithm)
     return "" if algorithm is None else algorithm.base()
 
 
-def _rows(t: TrainingEvidence) -> int:
+def _rows(evidence: TrainingEvidence) -> int:
     """Steps of all rows between two updates of an on-policy algorithm; 0 for another one."""
-    training, steps, copies = t.program.agent.training, t.number_setting("n_steps"), t.program.agent.copies
-    if training is None or steps is None or "buffer_size" in t.settings:
+    training, steps, copies = (
+        evidence.program.agent.training,
+        evidence.number_setting("n_steps"),
+        evidence.program.agent.copies,
+    )
+    if training is None or steps is None or "buffer_size" in evidence.settings:
         return 0
     return int(steps) * training.environments * (copies.count if copies else 1)
 
 
-def _at(value: Schedule, t: TrainingEvidence, steps: float) -> float:
-    share = min(1.0, steps / max(1, t.run.record.total_timesteps))
+def _at(value: Schedule, evidence: TrainingEvidence, steps: float) -> float:
+    share = min(1.0, steps / max(1, evidence.run.record.total_timesteps))
     return value.start + share * (value.end - value.start)
 
 
-def _value_at(t: TrainingEvidence, name: str, steps: float) -> float | None:
+def _value_at(evidence: TrainingEvidence, name: str, steps: float) -> float | None:
     """Return a hyperparameter after so many steps; None where it is no number."""
-    value = t.settings.get(name)
-    return _at(value, t, steps) if isinstance(value, Schedule) else t.number_setting(name)
+    value = evidence.settings.get(name)
+    return _at(value, evidence, steps) if isinstance(value, Schedule) else evidence.number_setting(name)
 
 
 def _before_and_after(fall: Decline) -> tuple[tuple[float, float], tuple[float, float]]:
     return (0.5 * fall.best_steps, float(fall.best_steps)), (float(fall.since_steps), math.inf)
 
 
-def _part(t: TrainingEvidence, tag: str, first: float, last: float) -> Any:
+def _part(evidence: TrainingEvidence, tag: str, first: float, last: float) -> Any:
     """Return the finite values of a scalar between two numbers of steps."""
-    if tag not in t.scalars:
+    if tag not in evidence.scalars:
         return np.zeros(0)
-    steps, values = t.scalars[tag]
+    steps, values = evidence.scalars[tag]
     return values[(steps >= first) & (steps <= last) & np.isfinite(values)]
 
 
-def _since(t: TrainingEvidence, tag: str, first: float) -> Any:
-    return _part(t, tag, first, math.inf)
+def _since(evidence: TrainingEvidence, tag: str, first: float) -> Any:
+    return _part(evidence, tag, first, math.inf)

@@ -257,9 +257,11 @@ def _distance(goal: Goal, agent: Supervisor) -> float:
     """Return the distance of the achieved goal from the desired one, both as observed."""
     size = len(goal.low)
     seen = agent.goal.tolist()
-    halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
     return math.hypot(
-        *((one - other) * half for one, other, half in zip(seen[:size], seen[size:], halves, strict=True))
+        *(
+            (one - other) * half
+            for one, other, half in zip(seen[:size], seen[size:], goal.halves, strict=True)
+        )
     )
 
 

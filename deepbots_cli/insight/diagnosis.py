@@ -33,7 +33,6 @@ from deepbots_cli.insight.ends import (
 from deepbots_cli.insight.linted import linted_scenario
 from deepbots_cli.insight.missed import missed_condition
 from deepbots_cli.insight.observations import (
-    SAME_TOLERANCE,
     constant_observation,
     saturated_observation,
     sensor_without_reading,
@@ -86,6 +85,7 @@ from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.failures import Failure
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
+from deepbots_cli.program.task import SAME_OBSERVATION
 
 _UNLEARNABLE = {
     "DB705": "Failing early pays",
@@ -100,9 +100,9 @@ _EXPLOITS = {"DB708", "DB716", "DB717"}
 """Findings of payments that a policy can collect without success."""
 
 
-def _success_earns_more(t: TrainingEvidence) -> bool:
+def _success_earns_more(evidence: TrainingEvidence) -> bool:
     """Return whether the successes at the end of the training have the higher mean return."""
-    late = t.episodes_between(0.75, 1.0)
+    late = evidence.episodes_between(0.75, 1.0)
     is_success = late.successes > 0
     successes, others = late.returns[is_success], late.returns[~is_success]
     return min(len(successes), len(others)) >= MIN_EPISODES and float(successes.mean()) > float(others.mean())
@@ -110,8 +110,8 @@ def _success_earns_more(t: TrainingEvidence) -> bool:
 
 _REFUTED: Mapping[str, Callable[[TrainingEvidence], bool]] = {
     "DB708": _success_earns_more,
-    "DB711": lambda t: len(t.episodes) > 1 and float(np.ptp(t.episodes.returns)) > 0.0,
-    "DB807": lambda t: bool(t.episodes.successes.any()),
+    "DB711": lambda evidence: len(evidence.episodes) > 1 and float(np.ptp(evidence.episodes.returns)) > 0.0,
+    "DB807": lambda evidence: bool(evidence.episodes.successes.any()),
 }
 """The tests of whether the episodes of a training refute a finding of lint."""
 
@@ -162,7 +162,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     if not (len(training.episodes) or training.has_failed):
         return []
     causes = CAUSES
-    if learned:  # failing starts are of interest if the scenario does not define how many may fail
+    if learned:  # starts that fail are of interest where the scenario does not say how many may
         starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
         explored = (exploration_too_large,) if learned == "evaluated" else ()
         causes = (
@@ -234,23 +234,23 @@ _COMMANDS: Mapping[str, str] = {
 a failed episode."""
 
 
-def _next_command(t: TrainingEvidence, statement: Statement) -> str:
+def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
     """Return the next command after a cause: the training with the advised values, or a command that shows
     the fault."""
-    run, path = t.run, quote(str(t.run.path))
+    run, path = evidence.run, quote(str(evidence.run.path))
     if statement.settings.keys() == {TOTAL_TIMESTEPS}:
         return f"deepbots resume {path} --timesteps {statement.settings[TOTAL_TIMESTEPS]}"
     if statement.settings:
         return join(
             training_command(run, [f"{setting}={value}" for setting, value in statement.settings.items()])
         )
-    if t.is_running:
+    if evidence.is_running:
         return ""
     if statement.cause == "not_finite" and (failure := latest_failure(run.path)) is not None:
         return f"deepbots diagnose {quote(str(failure))}"
-    has_failed_episode = not all(each.is_success for each in t.final_episodes) and (
-        t.run.program.defines_success
-        or any(each.ended_by in t.run.program.failures for each in t.final_episodes)
+    has_failed_episode = not all(each.is_success for each in evidence.final_episodes) and (
+        evidence.run.program.defines_success
+        or any(each.ended_by in evidence.run.program.failures for each in evidence.final_episodes)
     )
     form = _COMMANDS.get(
         statement.cause, "diagnose {run} --episode failed" if has_failed_episode else "view {run}"
@@ -258,12 +258,12 @@ def _next_command(t: TrainingEvidence, statement: Statement) -> str:
     return "deepbots " + form.format(
         run=path,
         path=statement.evidence.get("path"),
-        scenario=t.scenario_argument,
+        scenario=evidence.scenario_argument,
         script=statement.evidence.get("script"),
     )
 
 
-def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None:
+def has_learned(evidence: TrainingEvidence) -> Literal["exploring", "evaluated"] | None:
     """Return where the policy has learned the task: in the episodes of the training, or only in evaluations,
     which do not explore.
 
@@ -271,32 +271,37 @@ def has_learned(t: TrainingEvidence) -> Literal["exploring", "evaluated"] | None
     evaluation after the training excludes it. In a scenario without `solved`, the task is learned at a
     success rate of 80 %.
     """
-    solved, succeeds = t.run.program.agent.solved, t.run.program.defines_success
+    solved, succeeds = evidence.run.program.agent.solved, evidence.run.program.defines_success
     required = 0.8 if solved is None else solved.success_rate or 0.0
 
     def suffices(successes: Sequence[float]) -> bool:
         """Return whether successes suffice in a scenario without `solved`."""
         return solved is None and succeeds and len(successes) >= MIN_EPISODES and fmean(successes) >= required
 
-    final = SuccessRate([each.is_success for each in t.final_episodes])
+    final = SuccessRate([each.is_success for each in evidence.final_episodes])
     excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
     if not excluded and (
-        _met_while_exploring(t) or (t.is_last_stage and suffices(t.episodes.successes[-100:]))
+        _met_while_exploring(evidence)
+        or (evidence.is_last_stage and suffices(evidence.episodes.successes[-100:]))
     ):
         return "exploring"
-    evaluated = t.evaluations[-1]["successes"] if t.evaluations and t.program.defines_success else ()
-    last = evaluated if t.is_last_stage else [each.is_success for each in t.final_episodes]
-    return "evaluated" if t.solved or suffices(last) else None
+    evaluated = (
+        evidence.evaluations[-1]["successes"]
+        if evidence.evaluations and evidence.program.defines_success
+        else ()
+    )
+    last = evaluated if evidence.is_last_stage else [each.is_success for each in evidence.final_episodes]
+    return "evaluated" if evidence.solved or suffices(last) else None
 
 
-def _met_while_exploring(t: TrainingEvidence) -> bool:
+def _met_while_exploring(evidence: TrainingEvidence) -> bool:
     """Return whether episodes of the training, which explore, met `solved`."""
-    solved, result = t.run.program.agent.solved, t.run.record.result
+    solved, result = evidence.run.program.agent.solved, evidence.run.record.result
     if result is None or result.solved_at is None:
         return False
     if result.confirmed_at is None or solved is None:  # versions before 0.2 did not confirm
         return True
-    recent = t.episodes[-solved.episodes :] if t.is_last_stage else t.episodes[:0]
+    recent = evidence.episodes[-solved.episodes :] if evidence.is_last_stage else evidence.episodes[:0]
     return len(recent) > 0 and meets_solved(
         solved, float(recent.returns.mean()), float(recent.successes.mean())
     )
@@ -311,10 +316,10 @@ def _met_while_exploring(t: TrainingEvidence) -> bool:
     advice="Change the start under `reset` or the threshold of the ending. `deepbots lint --deep SCENARIO`"
     " counts the starts that end at once.",
 )
-def ending_at_reset(t: TrainingEvidence) -> Numbers | None:
-    if t.failure is None or not t.failure.ends_at_reset:
+def ending_at_reset(evidence: TrainingEvidence) -> Numbers | None:
+    if evidence.failure is None or not evidence.failure.ends_at_reset:
         return None
-    return {"likelihood": 1.0, "steps": t.steps, "error": _error(t.failure)}
+    return {"likelihood": 1.0, "steps": evidence.steps, "error": _error(evidence.failure)}
 
 
 def _error(failure: Failure) -> str:
@@ -328,11 +333,15 @@ def _error(failure: Failure) -> str:
     advice="Use max(...) to keep divisors and arguments of sqrt and log above 0, or lower"
     " `train.learning_rate`. `deepbots diagnose RUN/failures/NNNN.json` explains the episode.",
 )
-def not_finite(t: TrainingEvidence) -> Numbers | None:
-    if not t.has_failed or (t.failure is not None and t.failure.ends_at_reset):
+def not_finite(evidence: TrainingEvidence) -> Numbers | None:
+    if not evidence.has_failed or (evidence.failure is not None and evidence.failure.ends_at_reset):
         return None
-    reason = "the last value in its log is not a number (NaN)" if t.failure is None else _error(t.failure)
-    return {"likelihood": 1.0, "steps": t.steps, "error": reason, "episodes": len(t.episodes)}
+    reason = (
+        "the last value in its log is not a number (NaN)"
+        if evidence.failure is None
+        else _error(evidence.failure)
+    )
+    return {"likelihood": 1.0, "steps": evidence.steps, "error": reason, "episodes": len(evidence.episodes)}
 
 
 @statement(
@@ -342,21 +351,25 @@ def not_finite(t: TrainingEvidence) -> Numbers | None:
     advice="Check `apply` of the robot, the limits of its motors (`deepbots inspect RUN`), and the wheels or"
     " joints that it drives.",
 )
-def action_without_effect(t: TrainingEvidence) -> Numbers | None:
-    own = [place for place, number in enumerate(t.program.agent.numbers) if number.name != "previous_action"]
+def action_without_effect(evidence: TrainingEvidence) -> Numbers | None:
+    own = [
+        place
+        for place, number in enumerate(evidence.program.agent.numbers)
+        if number.name != "previous_action"
+    ]
     dead, steps = [], 0
-    for part, traces in t.constant_actions.items():
+    for part, traces in evidence.constant_actions.items():
         pairs = list(combinations(traces.values(), 2))
-        if pairs and max(_difference(one, other, own) for one, other in pairs) < SAME_TOLERANCE:
+        if pairs and max(_difference(one, other, own) for one, other in pairs) < SAME_OBSERVATION:
             dead.append(part)
             steps = min(trace.steps for trace in traces.values())
     if not dead or not steps:
         return None
     return {
-        "likelihood": 0.98 if len(dead) == len(t.constant_actions) else 0.8,
+        "likelihood": 0.98 if len(dead) == len(evidence.constant_actions) else 0.8,
         "parts": list_text(dead),
         "count": len(dead),
-        "of": len(t.constant_actions),
+        "of": len(evidence.constant_actions),
         "steps": steps,
         "difference": 0.0,
     }
@@ -383,12 +396,18 @@ def _difference(one: Trace, other: Trace, numbers: Sequence[int]) -> float:
     advice="Loosen the threshold of '{ending}', or start farther away from it: `deepbots diagnose RUN"
     " --episode failed` shows the value and the threshold.",
 )
-def ending_at_once(t: TrainingEvidence) -> Numbers | None:
-    lengths, longest = t.episodes.lengths, t.program.truncation.max_episode_steps(t.program.period)
+def ending_at_once(evidence: TrainingEvidence) -> Numbers | None:
+    lengths, longest = (
+        evidence.episodes.lengths,
+        evidence.program.truncation.max_episode_steps(evidence.program.period),
+    )
     if len(lengths) < MIN_EPISODES:
         return None
-    long, (name, count) = float(np.quantile(lengths, 0.9)), Counter(t.episodes.endings).most_common(1)[0]
-    if long > min(12, 0.2 * longest) or name not in t.program.failures:
+    long, (name, count) = (
+        float(np.quantile(lengths, 0.9)),
+        Counter(evidence.episodes.endings).most_common(1)[0],
+    )
+    if long > min(12, 0.2 * longest) or name not in evidence.program.failures:
         return None
     return {
         "likelihood": 0.96,
@@ -405,13 +424,17 @@ def ending_at_once(t: TrainingEvidence) -> Numbers | None:
     "{meaning}: {finding} ({code}).{others}",
     advice="{help}: `deepbots lint {path}` shows the lines.{copy}",
 )
-def lint_warns(t: TrainingEvidence) -> Numbers | None:
-    linted = linted_scenario(t.run)
+def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
+    linted = linted_scenario(evidence.run)
     meanings = {
-        code: text for code, text in _UNLEARNABLE.items() if not (code in _REFUTED and _REFUTED[code](t))
+        code: text
+        for code, text in _UNLEARNABLE.items()
+        if not (code in _REFUTED and _REFUTED[code](evidence))
     }
     # A training that has learned its task may still find a payment without success, if it goes on.
-    concerned = [finding for finding in linted.findings if finding.code in _EXPLOITS or not has_learned(t)]
+    concerned = [
+        finding for finding in linted.findings if finding.code in _EXPLOITS or not has_learned(evidence)
+    ]
     findings = sorted(concerned, key=lambda finding: finding.code not in meanings)
     if not findings:
         return None
@@ -444,17 +467,19 @@ def lint_warns(t: TrainingEvidence) -> Numbers | None:
     " {last}.",
     advice="Set `train.learning_rate` to {usual}.",
 )
-def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
-    rate, usual = t.number_setting("learning_rate"), _usual_rate(t)
-    if rate is None or _names_rate(t):
+def learning_rate_too_high(evidence: TrainingEvidence) -> Numbers | None:
+    rate, usual = evidence.number_setting("learning_rate"), _usual_rate(evidence)
+    if rate is None or _names_rate(evidence):
         return None
     clipped, kl = (
-        float(t.curve(f"train/{name}").max(initial=0.0)) for name in ("clip_fraction", "approx_kl")
+        float(evidence.curve(f"train/{name}").max(initial=0.0)) for name in ("clip_fraction", "approx_kl")
     )
     times = rate / usual
     if not (((clipped >= 0.5 or kl >= 0.3) and times > 2) or times >= 20):
         return None
-    first, last = (float(t.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0)))
+    first, last = (
+        float(evidence.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0))
+    )
     unlikely = 0.75 if times > 5 else 0.5
     return {
         "likelihood": 0.93 if times >= 20 else unlikely,
@@ -469,23 +494,23 @@ def learning_rate_too_high(t: TrainingEvidence) -> Numbers | None:
     }
 
 
-def _names_rate(t: TrainingEvidence) -> bool:
+def _names_rate(evidence: TrainingEvidence) -> bool:
     """Return whether the cause of a fall names the learning rate."""
-    return t.decline is not None and any(
-        each.path == "train.learning_rate" for each in suspects(t, t.decline)
+    return evidence.decline is not None and any(
+        each.path == "train.learning_rate" for each in suspects(evidence, evidence.decline)
     )
 
 
-def _usual_rate(t: TrainingEvidence) -> float:
+def _usual_rate(evidence: TrainingEvidence) -> float:
     """Return the default learning rate, of deepbots or the library."""
-    training = t.program.agent.training
+    training = evidence.program.agent.training
     defaults: Any = (
         None
         if training is None
-        else default_values(training, t.run.record.total_timesteps, longest_episode(t.program))
+        else default_values(training, evidence.run.record.total_timesteps, longest_episode(evidence.program))
     )
     rate = (defaults or {}).get("learning_rate")
-    return float(rate) if isinstance(rate, int | float) else 3e-4  # the default of Stable-Baselines3
+    return float(rate) if isinstance(rate, int | float) else 3e-4  # of the library
 
 
 @statement(
@@ -494,14 +519,20 @@ def _usual_rate(t: TrainingEvidence) -> float:
     " return went only from {first} to {last}{divergence}.",
     advice="Set `train.learning_rate` to {usual}.",
 )
-def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
-    rate, usual, kl = t.number_setting("learning_rate"), _usual_rate(t), t.curve("train/approx_kl")
-    if not rate or len(t.episodes) < 2 * MIN_EPISODES or returns_rise(t) is not None:
+def learning_rate_too_low(evidence: TrainingEvidence) -> Numbers | None:
+    rate, usual, kl = (
+        evidence.number_setting("learning_rate"),
+        _usual_rate(evidence),
+        evidence.curve("train/approx_kl"),
+    )
+    if not rate or len(evidence.episodes) < 2 * MIN_EPISODES or returns_rise(evidence) is not None:
         return None
     # In an update of PPO with a usual rate, the KL divergence is about 0.01.
     if usual < 10 * rate or (kl.max() > 1e-3 if len(kl) else usual < 50 * rate):
         return None
-    first, last = (float(t.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0)))
+    first, last = (
+        float(evidence.episodes_between(*ends).returns.mean()) for ends in ((0.0, 0.25), (0.75, 1.0))
+    )
     divergence = (
         f", and the largest KL divergence, by which an update changes the policy, is {kl.max():.2g}"
         if len(kl)
@@ -512,7 +543,7 @@ def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
         "rate": rate,
         "usual": usual,
         "times": usual / rate,
-        "steps": t.steps,
+        "steps": evidence.steps,
         "first": first,
         "last": last,
         "divergence": divergence,
@@ -528,16 +559,16 @@ def learning_rate_too_low(t: TrainingEvidence) -> Numbers | None:
     advice="Set `train.normalize` to `reward`, which divides rewards by their standard deviation for"
     " learning only, or scale all terms down.",
 )
-def rewards_too_large(t: TrainingEvidence) -> Numbers | None:
-    training, explained = t.program.agent.training, t.curve("train/explained_variance")
+def rewards_too_large(evidence: TrainingEvidence) -> Numbers | None:
+    training, explained = evidence.program.agent.training, evidence.curve("train/explained_variance")
     if (
         training is None
         or training.normalize == "reward"
         or len(explained) < MIN_EPISODES
-        or len(t.episodes) < 2 * MIN_EPISODES
+        or len(evidence.episodes) < 2 * MIN_EPISODES
     ):
         return None
-    late = t.episodes_between(0.75, 1.0).returns
+    late = evidence.episodes_between(0.75, 1.0).returns
     median = float(np.median(explained[-max(1, len(explained) // 4) :]))
     if median > 0.3 or np.abs(late).mean() < _LARGE_RETURN:
         return None
@@ -551,20 +582,24 @@ def rewards_too_large(t: TrainingEvidence) -> Numbers | None:
     " its weight.",
     advice="Set `train.gamma` to {wanted}.",
 )
-def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
-    gamma, won = t.number_setting("gamma"), t.episodes.lengths[t.episodes.successes > 0]
+def horizon_too_short(evidence: TrainingEvidence) -> Numbers | None:
+    gamma, won = evidence.number_setting("gamma"), evidence.episodes.lengths[evidence.episodes.successes > 0]
     if gamma is None or gamma >= 1.0:
         return None
     seen = len(won) >= MIN_EPISODES
     length = (
-        float(np.median(won)) if seen else float(t.program.truncation.max_episode_steps(t.program.period))
+        float(np.median(won))
+        if seen
+        else float(evidence.program.truncation.max_episode_steps(evidence.program.period))
     )
     if length * (1.0 - gamma) < _HIDDEN:
         return None
     is_far = length * (1.0 - gamma) > 5 * _HIDDEN
-    if not (seen or is_far) and (t.facts.terms_towards_success or not t.program.defines_success):
-        return None  # the rewards on the way are enough
-    wanted = min(0.999, round(1.0 - 3.0 / length, 3))  # the last reward then has a weight of 5 %
+    if not (seen or is_far) and (
+        evidence.facts.terms_towards_success or not evidence.program.defines_success
+    ):
+        return None  # rewards on the way do
+    wanted = min(0.999, round(1.0 - 3.0 / length, 3))  # a weight of 5 %
     if wanted <= gamma:
         return None
     # A factor that is far too small; else rewards on the way may do.
@@ -586,20 +621,20 @@ def horizon_too_short(t: TrainingEvidence) -> Numbers | None:
     advice="{remedy}, or loosen the condition for success. You can already use the policy: `deepbots view`,"
     " `eval` and `export` run it without exploration.",
 )
-def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
-    hidden, until = hides_success(t), criterion(t)
+def exploration_hides_success(evidence: TrainingEvidence) -> Numbers | None:
+    hidden, until = hides_success(evidence), criterion(evidence)
     if hidden is None:
         return None
     counts = until is not None and until.episodes is not None and until.metric != "steps"
     by_evaluation = ["let evaluations end the stage, with `in evaluation` in its `until`"] if counts else []
     shorten = "shorten the time for which the success condition must be true"
-    less = _exploration_changes(t, 0.1)
+    less = _exploration_changes(evidence, 0.1)
     remedy = " and ".join([*by_evaluation, *map(str, less)]) or shorten
     return {
         "likelihood": 0.923,
         "without": hidden[0],
         "with": hidden[1],
-        "where": f" in stage '{t.stage}'" if t.stage else "",
+        "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
         "remedy": _sentence(remedy),
         "settings": _settings(less),
     }
@@ -612,20 +647,20 @@ def exploration_hides_success(t: TrainingEvidence) -> Numbers | None:
     " actions leads out of them.",
     advice="{advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}",
 )
-def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
-    needed = needs_exploration(t)
+def success_needs_exploration(evidence: TrainingEvidence) -> Numbers | None:
+    needed = needs_exploration(evidence)
     if needed is None:
         return None
     otherwise = "If it still needs the noise then, let no action be standing still"
-    if not t.facts.shows_previous_action:
+    if not evidence.facts.shows_previous_action:
         otherwise += ", or show the policy its previous action (`previous_action: auto` under `observation`)"
     return {
-        **training_length(t),
+        **training_length(evidence),
         "otherwise": f"{otherwise}.",
         "likelihood": 0.923,
         "with": needed[0],
         "without": needed[1],
-        "where": f" in stage '{t.stage}'" if t.stage else "",
+        "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
     }
 
 
@@ -636,19 +671,19 @@ def success_needs_exploration(t: TrainingEvidence) -> Numbers | None:
     " succeeds in {success}.",
     advice="Let evaluations end the stage, with `in evaluation` in its `until`.",
 )
-def exploration_delays_stage(t: TrainingEvidence) -> Numbers | None:
+def exploration_delays_stage(evidence: TrainingEvidence) -> Numbers | None:
     worst: dict[str, Any] = {}
-    for place, stage in enumerate(t.stages[: t.stage_index]):
-        until, after = stage.until, t.episodes_of(t.stages[place + 1].name)
+    for place, stage in enumerate(evidence.stages[: evidence.stage_index]):
+        until, after = stage.until, evidence.episodes_of(evidence.stages[place + 1].name)
         if until is None or until.metric == "steps" or until.episodes is None or not len(after):
             continue
         values = "successes" if until.metric == "success_rate" else "returns"
-        done = [each for each in t.all_evaluations if each.get("stage") == stage.name]
+        done = [each for each in evidence.all_evaluations if each.get("stage") == stage.name]
         reached = [
             k for k in range(len(done)) if all(fmean(each[values]) >= until.threshold for each in done[k:])
         ]
         delay = int(after.steps[0] - done[reached[0]]["steps"]) if reached else 0
-        if delay > max(worst.get("delay", 0), 0.1 * t.planned):
+        if delay > max(worst.get("delay", 0), 0.1 * evidence.planned):
             rate = EvaluationRate([each["successes"] for each in done[reached[0] :]])
             worst = {
                 "likelihood": 0.5,
@@ -682,15 +717,15 @@ def _settings(changes: Sequence[Change]) -> dict[str, str]:
     return {change.path: change.after for change in changes}
 
 
-def _exploration_changes(t: TrainingEvidence, factor: float) -> list[Change]:
+def _exploration_changes(evidence: TrainingEvidence, factor: float) -> list[Change]:
     """Return changes of the options for exploration that the algorithm has."""
-    changes, settings, verb = list[Change](), t.settings, "raise" if factor > 1 else "lower"
-    weight, chance = t.number_setting("ent_coef"), t.number_setting("exploration_final_eps")
+    changes, settings, verb = list[Change](), evidence.settings, "raise" if factor > 1 else "lower"
+    weight, chance = evidence.number_setting("ent_coef"), evidence.number_setting("exploration_final_eps")
     noise = getattr(settings.get("action_noise"), "sigma", None)
     if weight is not None and (weight or factor > 1):
         changes.append(Change("train.ent_coef", f"{weight:g}", f"{weight * factor or 0.01:.2g}", verb))
     elif isinstance(settings.get("ent_coef"), str):
-        size = len(t.program.agent.range_names)
+        size = len(evidence.program.agent.range_names)
         changes.append(
             Change(
                 "train.target_entropy",
@@ -703,7 +738,7 @@ def _exploration_changes(t: TrainingEvidence, factor: float) -> list[Change]:
         wanted = (
             f"{max(0.3, 2 * noise.start):.2g}" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
         )
-        training = t.program.agent.training
+        training = evidence.program.agent.training
         is_given = training is not None and training.action_noise is not None
         path, value = ("train.action_noise.sigma", wanted)
         if not is_given:
@@ -721,16 +756,16 @@ def _exploration_changes(t: TrainingEvidence, factor: float) -> list[Change]:
     " {entropy}), with `ent_coef` {weight}. The mean return of late training episodes is {late}{evaluated}.",
     advice="Lower `train.ent_coef` from {weight} to {wanted}.",
 )
-def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
-    weight, random = t.number_setting("ent_coef"), _random_entropy(t)
-    entropy, spread = -t.curve("train/entropy_loss"), t.curve("train/std")
+def exploration_too_large(evidence: TrainingEvidence) -> Numbers | None:
+    weight, random = evidence.number_setting("ent_coef"), _random_entropy(evidence)
+    entropy, spread = -evidence.curve("train/entropy_loss"), evidence.curve("train/std")
     if not weight or not len(entropy) or (random is None and not len(spread)):
         return None
     late = float(entropy[-max(1, len(entropy) // 4) :].mean())
     share = float(spread[-1] / spread[0]) if random is None else late / random
     if share < (1.2 if random is None else 0.97):
         return None
-    last = fmean(t.evaluations[-1]["returns"]) if t.evaluations else None
+    last = fmean(evidence.evaluations[-1]["returns"]) if evidence.evaluations else None
     return {
         "likelihood": 0.93 if weight >= 0.1 else 0.5,
         "weight": weight,
@@ -738,7 +773,7 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
         "share": Percentage(share),
         "randomness": f"{Percentage(share)} of" if share < 10 else "more than 10 times",
         "updates": len(entropy),
-        "late": float(t.episodes_between(0.75, 1.0).returns.mean()),
+        "late": float(evidence.episodes_between(0.75, 1.0).returns.mean()),
         "last_evaluation": last,
         "evaluated": ""
         if last is None
@@ -748,9 +783,9 @@ def exploration_too_large(t: TrainingEvidence) -> Numbers | None:
     }
 
 
-def _random_entropy(t: TrainingEvidence) -> float | None:
+def _random_entropy(evidence: TrainingEvidence) -> float | None:
     """Return the entropy of a random policy; None where not all parts of the action are choices."""
-    agent = t.program.agent
+    agent = evidence.program.agent
     return None if agent.ranges else float(np.log([len(part.options) for part in agent.choices]).sum())
 
 
@@ -760,37 +795,39 @@ def _random_entropy(t: TrainingEvidence) -> float | None:
     " hardly anything new.",
     advice="{remedy}.",
 )
-def exploration_collapsed(t: TrainingEvidence) -> Numbers | None:
-    rate, more = t.number_setting("learning_rate"), _exploration_changes(t, 10.0)
+def exploration_collapsed(evidence: TrainingEvidence) -> Numbers | None:
+    rate, more = evidence.number_setting("learning_rate"), _exploration_changes(evidence, 10.0)
     slower = (
         []
         if rate is None
-        else [Change("train.learning_rate", f"{rate:g}", f"{min(rate / 3, _usual_rate(t)):.1g}", "lower")]
+        else [
+            Change("train.learning_rate", f"{rate:g}", f"{min(rate / 3, _usual_rate(evidence)):.1g}", "lower")
+        ]
     )
     remedy = _sentence(" or ".join(map(str, [*more, *slower])) or "raise the noise of the algorithm")
     settings = _settings(more or slower)
-    sigma = getattr(getattr(t.settings.get("action_noise"), "sigma", None), "start", None)
+    sigma = getattr(getattr(evidence.settings.get("action_noise"), "sigma", None), "start", None)
     if sigma == 0:
         return {
             "likelihood": 0.85,
             "measure": "the standard deviation of the action noise",
             "value": 0.0,
             "least": 0.1,
-            "steps": t.steps,
+            "steps": evidence.steps,
             "remedy": remedy,
             "settings": settings,
         }
-    random, measures = _random_entropy(t), []
+    random, measures = _random_entropy(evidence), []
     if random is not None:
-        measures.append(("the entropy of the policy", -t.curve("train/entropy_loss"), 0.05 * random))
+        measures.append(("the entropy of the policy", -evidence.curve("train/entropy_loss"), 0.05 * random))
     for measure, curve, least in [
         *measures,
-        ("the standard deviation of the actions", t.curve("train/std"), 0.05),
+        ("the standard deviation of the actions", evidence.curve("train/std"), 0.05),
     ]:
         if len(curve) >= MIN_EPISODES and (value := float(curve[len(curve) // 2])) < least:
             return {
                 "likelihood": 0.6,
-                "steps": t.steps // 2,
+                "steps": evidence.steps // 2,
                 "measure": measure,
                 "value": value,
                 "least": least,

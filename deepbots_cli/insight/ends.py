@@ -29,14 +29,19 @@ and the standard deviation of a rate over 20 starts is at most 0.11."""
     advice="Run `deepbots diagnose RUN --episode failed`: it shows the value and the threshold of this"
     " ending in one of these episodes.",
 )
-def one_ending(t: TrainingEvidence) -> Numbers | None:
-    late = t.episodes_between(0.75, 1.0)
+def one_ending(evidence: TrainingEvidence) -> Numbers | None:
+    late = evidence.episodes_between(0.75, 1.0)
     if len(late) < MIN_EPISODES:
         return None
     name, count = Counter(late.endings).most_common(1)[0]
     share = count / len(late)
-    is_failure = name in t.program.failures
-    if not is_failure or share < 0.9 or len(t.program.endings) < 2 or returns_rise(t) is not None:
+    is_failure = name in evidence.program.failures
+    if (
+        not is_failure
+        or share < 0.9
+        or len(evidence.program.endings) < 2
+        or returns_rise(evidence) is not None
+    ):
         return None
     return {
         "likelihood": 0.25,
@@ -52,17 +57,17 @@ def one_ending(t: TrainingEvidence) -> Numbers | None:
     "The training stopped after {steps} of {planned} steps, {reason}. {verdict}: {result}.",
     advice="{advice}",
 )
-def stopped_early(t: TrainingEvidence) -> Numbers | None:
-    result, evaluation = t.run.record.result, t.verdict.evaluation
+def stopped_early(evidence: TrainingEvidence) -> Numbers | None:
+    result, evaluation = evidence.run.record.result, evidence.verdict.evaluation
     if (
         result is None
         or result.solved_at is None
-        or t.is_running
-        or t.verdict.solved is not False
+        or evidence.is_running
+        or evidence.verdict.solved is not False
         or evaluation is None
     ):
         return None
-    if t.steps > 0.95 * t.run.record.total_timesteps or needs_exploration(t) is not None:
+    if evidence.steps > 0.95 * evidence.run.record.total_timesteps or needs_exploration(evidence) is not None:
         return None
     reason = "because a confirmation, of new episodes without exploration, met `solved`"
     if result.confirmed_at is None:
@@ -70,9 +75,9 @@ def stopped_early(t: TrainingEvidence) -> Numbers | None:
             "because its own episodes met `solved`: an earlier version did not confirm this with new starts"
         )
     return {
-        **training_length(t, t.run.record.total_timesteps),
+        **training_length(evidence, evidence.run.record.total_timesteps),
         "likelihood": 0.9,
-        "planned": t.run.record.total_timesteps,
+        "planned": evidence.run.record.total_timesteps,
         "reason": reason,
         "verdict": f"An evaluation of {evaluation.episodes:,} episodes does not meet it",
         "result": evaluation.text,
@@ -86,17 +91,19 @@ def stopped_early(t: TrainingEvidence) -> Numbers | None:
     " against {best_return}.",
     advice="{remedy}",
 )
-def kept_by_return(t: TrainingEvidence) -> Numbers | None:
-    agent, result = t.run.program.agent, t.run.record.result
+def kept_by_return(evidence: TrainingEvidence) -> Numbers | None:
+    agent, result = evidence.run.program.agent, evidence.run.record.result
     model = None if result is None else result.best_model
     if (
         model is None
         or model.measure != "mean_return"
-        or not t.run.program.defines_success
-        or not t.is_last_stage
+        or not evidence.run.program.defines_success
+        or not evidence.is_last_stage
     ):
         return None
-    done = [each for each in t.evaluations if "steps" in each and each.get("stage", "") == t.stage]
+    done = [
+        each for each in evidence.evaluations if "steps" in each and each.get("stage", "") == evidence.stage
+    ]
     if len(done) < 2 or min(len(each["successes"]) for each in done) < MIN_EPISODES:
         return None
     saved = [each for each in done if model.steps is not None and each["steps"] == model.steps]
@@ -132,11 +139,11 @@ def _mean_return(evaluation: Mapping[str, Any]) -> float:
     " steps.",
     advice="{advice}",
 )
-def too_few_steps(t: TrainingEvidence) -> Numbers | None:
-    length = training_length(t)
-    rise = returns_rise(t)
-    what = f"stage '{t.stage}'" if t.stage else "the training"
-    if rise is not None and plateau(t) is None:
+def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
+    length = training_length(evidence)
+    rise = returns_rise(evidence)
+    what = f"stage '{evidence.stage}'" if evidence.stage else "the training"
+    if rise is not None and plateau(evidence) is None:
         first, last, gain, chance = rise
         mean = (
             f"the mean return of the last quarter of {what} is {last:.3g}, {gain:.3g} above that of the"
@@ -151,25 +158,27 @@ def too_few_steps(t: TrainingEvidence) -> Numbers | None:
             "gain": gain,
             "chance": chance,
         }
-    if length["share"] >= 0.5 or t.is_running or rise is not None:
+    if length["share"] >= 0.5 or evidence.is_running or rise is not None:
         return None
     return {**length, "likelihood": 0.5, "finding": "The training is short"}
 
 
-def training_length(t: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
+def training_length(evidence: TrainingEvidence, planned: int = 0) -> dict[str, Any]:
     """Return the length of a training, and the way to continue it: to the `planned` steps if they are more
     than 1.1 times as many, else further."""
-    more = planned if planned > 1.1 * t.steps else max(t.planned, longer_goal(t.steps))
-    command = f"deepbots resume {quote(str(t.run.path))} --timesteps {more:_}"
+    more = planned if planned > 1.1 * evidence.steps else max(evidence.planned, longer_goal(evidence.steps))
+    command = f"deepbots resume {quote(str(evidence.run.path))} --timesteps {more:_}"
     advice = f"Continue the training with `{command}`."
-    if t.is_running:
-        advice = f"Let it run: {t.steps:,} of {t.run.record.total_timesteps:,} steps have been made."
+    if evidence.is_running:
+        advice = (
+            f"Let it run: {evidence.steps:,} of {evidence.run.record.total_timesteps:,} steps have been made."
+        )
     return {
-        "steps": t.steps,
-        "episodes": len(t.all_episodes),
-        "planned": t.planned,
-        "share": Percentage(t.steps / t.planned),
+        "steps": evidence.steps,
+        "episodes": len(evidence.all_episodes),
+        "planned": evidence.planned,
+        "share": Percentage(evidence.steps / evidence.planned),
         "more": more,
         "advice": advice,
-        "settings": {} if t.is_running else {TOTAL_TIMESTEPS: f"{more:_}"},
+        "settings": {} if evidence.is_running else {TOTAL_TIMESTEPS: f"{more:_}"},
     }

@@ -139,17 +139,19 @@ def _without_clocks(leaves: Sequence[Comparison]) -> list[Comparison]:
     advice="{remedy}, or loosen the threshold. `deepbots diagnose RUN --episode failed` shows one of these"
     " episodes.",
 )
-def missed_condition(t: TrainingEvidence) -> Numbers | None:
-    failed = t.failed or [trace for trace in t.policy if trace.outcome in ("failure", "time limit")]
+def missed_condition(evidence: TrainingEvidence) -> Numbers | None:
+    failed = evidence.failed or [
+        trace for trace in evidence.policy if trace.outcome in ("failure", "time limit")
+    ]
     miss = common_miss(failed)
-    if miss is None or not t.is_mature:
+    if miss is None or not evidence.is_mature:
         return None
-    leaf, unit = miss.condition, t.facts.units.of(miss.condition.unit, *reversed(miss.condition.sides))
+    leaf, unit = miss.condition, evidence.facts.units.of(miss.condition.unit, *reversed(miss.condition.sides))
     near = ""
     if miss.nearest is not None and miss.bound is not None:
         value, bound = (quantity_text(each, unit, 3) for each in (miss.nearest, miss.bound))
         near = f"; the nearest value is {value} in the median, and the threshold {bound}"
-    terms = t.facts.terms_about(leaf.text)
+    terms = evidence.facts.terms_about(leaf.text)
     aim = (
         f"`{leaf.sides[0]}` {SIGN_OF_OPERATOR[leaf.operator]} the threshold"
         if leaf.bound

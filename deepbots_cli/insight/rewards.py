@@ -31,23 +31,24 @@ def _per_step(traces: Sequence[Trace]) -> float:
     " per step, and all other terms together give {others}.",
     advice="Scale '{term}' down until the other terms outweigh it, for example by a factor of 10.",
 )
-def term_dominates(t: TrainingEvidence) -> Numbers | None:
-    names = [term.name for term in t.program.agent.reward]
-    sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in t.random)) for name in names}
+def term_dominates(evidence: TrainingEvidence) -> Numbers | None:
+    names = [term.name for term in evidence.program.agent.reward]
+    sums = {name: float(sum(np.nansum(trace.terms[name]) for trace in evidence.random)) for name in names}
     whole = sum(map(abs, sums.values()))
     if len(sums) < 2 or not whole:
         return None
     name = max(sums, key=lambda each: abs(sums[each]))
     share, rest = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
-    varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in t.random if trace.steps)
+    varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in evidence.random if trace.steps)
     others = [
         fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces)
-        for traces in (t.random, t.policy or t.random)
+        for traces in (evidence.random, evidence.policy or evidence.random)
     ]
-    # A policy that earns much more of the other terms is not dominated by this one.
-    if share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]:
+    if (
+        share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]
+    ):  # the policy earns the others all the same
         return None
-    steps = sum(trace.steps for trace in t.random)
+    steps = sum(trace.steps for trace in evidence.random)
     return {
         "likelihood": 0.94,
         "term": name,
@@ -64,14 +65,14 @@ def term_dominates(t: TrainingEvidence) -> Numbers | None:
     " the {by_example} of {example}, but the policy succeeds in {policy}{and_example}.{paying}",
     advice="{remedy}",
 )
-def reward_exploited(t: TrainingEvidence) -> Numbers | None:
-    for example in _examples(t):
-        outcome = _exploiting_outcome(t, example)
+def reward_exploited(evidence: TrainingEvidence) -> Numbers | None:
+    for example in _examples(evidence):
+        outcome = _exploiting_outcome(evidence, example)
         if outcome is not None:
             break
     else:
         return None
-    terms = _term_means(t)
+    terms = _term_means(evidence)
     extra = {name: value - example.terms.get(name, 0.0) for name, value in terms.items()}
     term = max(extra, key=lambda each: extra[each], default="")
     paying, named = "", "the term that pays for it"
@@ -83,12 +84,11 @@ def reward_exploited(t: TrainingEvidence) -> Numbers | None:
         )
         paying += f" in {example.episode}."
     once = f"Let {named} pay once, or only for a change (`delta(...)`), or end the episode where it pays"
-    if term and t.facts.is_progress(term):
+    if term and evidence.facts.is_progress(term):
         once = f"Scale {named} down"
     aimed = SuccessRate(example.successes)
-    # The causes that name the actions of the policy come first.
     return {
-        "likelihood": 0.929,
+        "likelihood": 0.929,  # behind the causes that name what the policy does instead
         "what": outcome.name,
         "gained": fmean(outcome.returns),
         "by_example": fmean(example.returns),
@@ -115,29 +115,33 @@ class _Example(NamedTuple):
     is_script: bool
 
 
-def _examples(t: TrainingEvidence) -> list[_Example]:
+def _examples(evidence: TrainingEvidence) -> list[_Example]:
     """Return the script that succeeds most, and the successful episodes of the quoted evaluation if they are
     at least half of it."""
-    if not t.program.defines_success:
+    if not evidence.program.defines_success:
         return []
-    names = [term.name for term in t.program.agent.reward]
+    names = [term.name for term in evidence.program.agent.reward]
     examples = []
 
     def successes(name: str) -> list[float]:
-        return [float(trace.outcome == "success") for trace in t.scripts[name]]
+        return [float(trace.outcome == "success") for trace in evidence.scripts[name]]
 
-    played = [name for name, traces in t.scripts.items() if len(traces) >= MIN_EPISODES]
+    played = [name for name, traces in evidence.scripts.items() if len(traces) >= MIN_EPISODES]
     if played:
         best = max(played, key=lambda name: sum(successes(name)))
-        traces = t.scripts[best]
+        traces = evidence.scripts[best]
         terms = {name: fmean(float(np.nansum(trace.terms[name])) for trace in traces) for name in names}
         returns = [trace.returns for trace in traces]
         name = f"the script '{best}'"
         examples.append(
             _Example(name, f"an episode of {name}", returns, successes(best), terms, is_script=True)
         )
-    succeeded = [episode for episode in t.final_episodes if episode.is_success] if t.is_last_stage else []
-    if len(succeeded) >= max(MIN_EPISODES, len(t.final_episodes) / 2):
+    succeeded = (
+        [episode for episode in evidence.final_episodes if episode.is_success]
+        if evidence.is_last_stage
+        else []
+    )
+    if len(succeeded) >= max(MIN_EPISODES, len(evidence.final_episodes) / 2):
         terms = {name: fmean(episode.terms.get(name, 0.0) for episode in succeeded) for name in names}
         returns = [episode.total_return for episode in succeeded]
         name = "the successful episodes of the evaluation"
@@ -147,11 +151,11 @@ def _examples(t: TrainingEvidence) -> list[_Example]:
     return examples
 
 
-def _exploiting_outcome(t: TrainingEvidence, example: _Example) -> _Outcome | None:
+def _exploiting_outcome(evidence: TrainingEvidence, example: _Example) -> _Outcome | None:
     """Return the episodes of the policy that return clearly more than the example and succeed clearly less
     often."""
     aimed, expected = SuccessRate(example.successes), fmean(example.returns)
-    for outcome in _policy_outcomes(t):
+    for outcome in _policy_outcomes(evidence):
         policy, gained = SuccessRate(outcome.successes), fmean(outcome.returns)
         error = 2 * float(np.hypot(_error_of_mean(outcome.returns), _error_of_mean(example.returns)))
         if policy.high < aimed.low and gained - expected > max(error, _CLEARLY_MORE * abs(expected)):
@@ -167,15 +171,15 @@ class _Outcome(NamedTuple):
     successes: Sequence[float]
 
 
-def _policy_outcomes(t: TrainingEvidence) -> list[_Outcome]:
+def _policy_outcomes(evidence: TrainingEvidence) -> list[_Outcome]:
     """Return the results of the policy at the end of the training: without exploration, with exploration, and
     of the kept model."""
-    begin = t.first_step + 0.75 * t.stage_steps
-    late = [each for each in t.evaluations if "steps" in each and each["steps"] > begin]
+    begin = evidence.first_step + 0.75 * evidence.stage_steps
+    late = [each for each in evidence.evaluations if "steps" in each and each["steps"] > begin]
     returns = [float(value) for each in late for value in each["returns"]]
     successes = [float(value) for each in late for value in each["successes"]]
-    episodes = t.episodes_between(0.75, 1.0)[-100:]
-    kept = t.final_episodes if t.is_last_stage else ()
+    episodes = evidence.episodes_between(0.75, 1.0)[-100:]
+    kept = evidence.final_episodes if evidence.is_last_stage else ()
     outcomes = [
         _Outcome("its last evaluations", returns, successes),
         _Outcome("the last episodes of the training", episodes.returns, episodes.successes),
@@ -192,10 +196,10 @@ def _error_of_mean(values: Sequence[float]) -> float:
     return float(np.std(values) / np.sqrt(len(values)))
 
 
-def _term_means(t: TrainingEvidence, share: float = 0.75) -> dict[str, float]:
+def _term_means(evidence: TrainingEvidence, share: float = 0.75) -> dict[str, float]:
     """Return the mean of each reward term per episode, after a share of the present stage; without those that
     were not logged."""
-    curves = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
+    curves = {term.name: evidence.curve(f"reward/{term.name}") for term in evidence.program.agent.reward}
     return {
         name: float(curve[int(share * len(curve)) :].mean()) for name, curve in curves.items() if len(curve)
     }
@@ -207,24 +211,24 @@ def _term_means(t: TrainingEvidence, share: float = 0.75) -> dict[str, float]:
     " fail{correlated}.{sooner}{saving}{going_on}",
     advice="Make good steps earn a positive reward (check the signs of the terms), or {price}.",
 )
-def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
-    late = t.episodes_between(0.75, 1.0)
-    if len(late) < MIN_EPISODES or np.ptp(t.episodes.lengths) == 0:
+def ending_early_pays(evidence: TrainingEvidence) -> Numbers | None:
+    late = evidence.episodes_between(0.75, 1.0)
+    if len(late) < MIN_EPISODES or np.ptp(evidence.episodes.lengths) == 0:
         return None
-    failed = float(np.mean([ending in t.program.failures for ending in late.endings]))
+    failed = float(np.mean([ending in evidence.program.failures for ending in late.endings]))
     per_step = float(late.returns.sum() / max(1.0, late.lengths.sum()))
     if failed < 0.5 or late.successes.mean() > 0.2:
         return None
-    sooner = _fails_sooner(t)
+    sooner = _fails_sooner(evidence)
     together = (
-        float(np.corrcoef(t.episodes.lengths, t.episodes.returns)[0, 1])
-        if np.ptp(t.episodes.returns)
+        float(np.corrcoef(evidence.episodes.lengths, evidence.episodes.returns)[0, 1])
+        if np.ptp(evidence.episodes.returns)
         else 0.0
     )
-    costs = per_step < 0 and _per_step(t.policy) <= 0 and together < -0.5
+    costs = per_step < 0 and _per_step(evidence.policy) <= 0 and together < -0.5
     if not costs and sooner is None:
         return None
-    prices = [(name, t.facts.price_of(name)) for name in t.program.failures]
+    prices = [(name, evidence.facts.price_of(name)) for name in evidence.program.failures]
     priced = list_text(
         [f"'{name}' costs {-cost:.3g} now" for name, cost in prices if cost is not None and cost < 0] or [""]
     )
@@ -235,36 +239,36 @@ def ending_early_pays(t: TrainingEvidence) -> Numbers | None:
         "reward": per_step,
         "failed": Percentage(failed),
         "length": float(late.lengths.mean()),
-        "first": float(t.episodes_between(0.0, 0.25).lengths.mean()),
+        "first": float(evidence.episodes_between(0.0, 0.25).lengths.mean()),
         "correlation": together,
         "correlated": correlated,
         "price": price,
         "sooner": "",
         "saving": "",
         **(sooner or {}),
-        **_going_on(t),
+        **_going_on(evidence),
     }
 
 
-def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
+def _fails_sooner(evidence: TrainingEvidence) -> dict[str, Any] | None:
     """Detect that a policy fails early to save costs: late episodes all end by one failure, after fewer steps
     than the first episodes."""
-    first = t.episodes[: max(MIN_EPISODES, min(100, len(t.episodes) // 10))]
-    late = t.episodes_between(0.75, 1.0)[-100:]
-    if len(t.episodes) < 10 * MIN_EPISODES:
+    first = evidence.episodes[: max(MIN_EPISODES, min(100, len(evidence.episodes) // 10))]
+    late = evidence.episodes_between(0.75, 1.0)[-100:]
+    if len(evidence.episodes) < 10 * MIN_EPISODES:
         return None
     name, count = Counter(late.endings).most_common(1)[0]
     before, now = float(first.lengths.mean()), float(late.lengths.mean())
     error = 2 * float(np.hypot(_error_of_mean(first.lengths), _error_of_mean(late.lengths)))
     gain = float(late.returns.mean() - first.returns.mean())
     if (
-        name not in t.program.failures
+        name not in evidence.program.failures
         or count < 0.95 * len(late)
         or not now < min(before - error, 0.85 * before)
         or gain <= 0
     ):
         return None
-    curves = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
+    curves = {term.name: evidence.curve(f"reward/{term.name}") for term in evidence.program.agent.reward}
     ends = {
         each: (
             float(curve[: max(1, len(curve) // 20)].mean()),
@@ -274,7 +278,7 @@ def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
         if len(curve)
     }
     saved = {each: after - start for each, (start, after) in ends.items() if start < after <= 0}
-    if sum(saved.values()) < 0.5 * gain:  # its actions in these steps pay, such as coming nearer
+    if sum(saved.values()) < 0.5 * gain:  # what it does in these steps pays, such as coming nearer
         return None
     largest = sorted(saved, key=lambda each: -saved[each])
     costs = list_text(
@@ -290,12 +294,14 @@ def _fails_sooner(t: TrainingEvidence) -> dict[str, Any] | None:
     }
 
 
-def _going_on(t: TrainingEvidence) -> Numbers:
+def _going_on(evidence: TrainingEvidence) -> Numbers:
     """Return the mean returns of failing, lasting until the time limit and succeeding, and the success rate
     from which going on pays."""
-    failed = t.episodes.returns[np.isin(t.episodes.endings, list(t.program.failures))]
-    won = t.episodes.returns[t.episodes.successes > 0]
-    lasted = t.episodes.returns[np.isin(t.episodes.endings, _LIMITS) & (t.episodes.successes == 0)]
+    failed = evidence.episodes.returns[np.isin(evidence.episodes.endings, list(evidence.program.failures))]
+    won = evidence.episodes.returns[evidence.episodes.successes > 0]
+    lasted = evidence.episodes.returns[
+        np.isin(evidence.episodes.endings, _LIMITS) & (evidence.episodes.successes == 0)
+    ]
     if min(len(failed), len(lasted)) < 3:
         return {"going_on": ""}
     fail, last = float(failed.mean()), float(lasted.mean())
@@ -318,12 +324,18 @@ def _going_on(t: TrainingEvidence) -> Numbers:
     " late episodes succeed.",
     advice="{progress}, and make each step cost something instead of earning something.",
 )
-def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
-    late = t.episodes_between(0.75, 1.0)
-    if not t.idle or not t.program.defines_success or (len(late.successes) and late.successes.mean() >= 0.5):
+def standing_still_pays(evidence: TrainingEvidence) -> Numbers | None:
+    late = evidence.episodes_between(0.75, 1.0)
+    if (
+        not evidence.idle
+        or not evidence.program.defines_success
+        or (len(late.successes) and late.successes.mean() >= 0.5)
+    ):
         return None
-    still, policy = _per_step(t.idle), _per_step(t.policy or t.random)
-    outcomes = [trace.outcome for trace in t.idle]  # if standing still fails soon, it pays until then only
+    still, policy = _per_step(evidence.idle), _per_step(evidence.policy or evidence.random)
+    outcomes = [
+        trace.outcome for trace in evidence.idle
+    ]  # where standing still fails soon, it pays until then only
     if (
         still <= 0
         or "success" in outcomes
@@ -331,7 +343,7 @@ def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
         or still < 0.8 * policy
     ):
         return None
-    own = [term for term in t.facts.terms_towards_success if t.facts.is_progress(term)]
+    own = [term for term in evidence.facts.terms_towards_success if evidence.facts.is_progress(term)]
     progress = "Reward progress towards success (such as the change of a distance)"
     if own:
         names = list_text([f"'{term}'" for term in own])
@@ -340,8 +352,8 @@ def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
         "likelihood": 0.93,
         "still": still,
         "policy": policy,
-        "random": _per_step(t.random),
-        "episodes": len(t.idle),
+        "random": _per_step(evidence.random),
+        "episodes": len(evidence.idle),
         "rate": Percentage(float(late.successes.mean()) if len(late.successes) else 0.0),
         "progress": progress,
     }
@@ -355,14 +367,14 @@ def standing_still_pays(t: TrainingEvidence) -> Numbers | None:
     advice="{nearer}nd the episode where it pays, or scale it down until an episode of it earns less than"
     " success.",
 )
-def loitering(t: TrainingEvidence) -> Numbers | None:
-    if not t.program.defines_success or not t.is_mature or not t.policy:
+def loitering(evidence: TrainingEvidence) -> Numbers | None:
+    if not evidence.program.defines_success or not evidence.is_mature or not evidence.policy:
         return None
-    late = t.episodes_between(0.5, 1.0)
-    at_limit, won = np.isin(late.endings, _LIMITS) & (late.successes == 0), t.episodes.successes > 0
+    late = evidence.episodes_between(0.5, 1.0)
+    at_limit, won = np.isin(late.endings, _LIMITS) & (late.successes == 0), evidence.episodes.successes > 0
     staying = [
         trace
-        for trace in t.policy
+        for trace in evidence.policy
         if trace.outcome in ("time limit", "not ended") and trace.steps >= 2 * MIN_EPISODES
     ]
     if (
@@ -373,24 +385,24 @@ def loitering(t: TrainingEvidence) -> Numbers | None:
         return None
     halves = {
         term.name: np.concatenate([trace.terms[term.name][trace.steps // 2 :] for trace in staying])
-        for term in t.program.agent.reward
+        for term in evidence.program.agent.reward
     }
     paid = {name: float(values.mean()) for name, values in halves.items() if (values > 0).mean() >= 0.8}
     if (
         not paid
         or sum(values.mean() for values in halves.values()) <= 0
-        or (t.idle and _per_step(t.idle) >= 0.8 * _per_step(t.policy))
+        or (evidence.idle and _per_step(evidence.idle) >= 0.8 * _per_step(evidence.policy))
     ):
         return None
     name, longest = (
         max(paid, key=lambda each: paid[each]),
-        t.program.truncation.max_episode_steps(t.program.period),
+        evidence.program.truncation.max_episode_steps(evidence.program.period),
     )
     stayed = float(late.returns[at_limit].mean())
     compared = "No episode of the training succeeded."
     gained = None
     if won.any():
-        gained = float(t.episodes.returns[won].mean())
+        gained = float(evidence.episodes.returns[won].mean())
         compared = (
             f"The mean return of {int(won.sum()):,} episodes with success is {gained:.3g}, that of"
             f" late ones without {stayed:.3g}."
@@ -408,7 +420,7 @@ def loitering(t: TrainingEvidence) -> Numbers | None:
         "return_of_staying": stayed,
         "compared": compared,
         "nearer": "E"
-        if t.facts.is_progress(name)
+        if evidence.facts.is_progress(name)
         else f"Make '{name}' reward coming nearer instead of being near (`delta(...)` of its value), e",
     }
 
@@ -434,18 +446,19 @@ def _stays_near(trace: Trace) -> bool:
     advice="Make a success earn more than an episode without success can collect, and scale down the terms"
     " that reward something else.",
 )
-def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
-    if not t.program.defines_success or not t.is_mature:
+def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
+    if not evidence.program.defines_success or not evidence.is_mature:
         return None
-    late = t.episodes_by_steps(0.5, 1.0)
-    episodes = late if late.successes.sum() >= MIN_EPISODES else t.episodes
+    late = evidence.episodes_by_steps(0.5, 1.0)
+    episodes = late if late.successes.sum() >= MIN_EPISODES else evidence.episodes
     won, lost = episodes.returns[episodes.successes > 0], episodes.returns[episodes.successes == 0]
     if min(len(won), len(lost)) < MIN_EPISODES or late.successes.mean() >= 0.8:
         return None
     rates = [
-        SuccessRate(part.successes) for part in (t.episodes_between(0.0, 0.25), t.episodes_between(0.75, 1.0))
+        SuccessRate(part.successes)
+        for part in (evidence.episodes_between(0.0, 0.25), evidence.episodes_between(0.75, 1.0))
     ]
-    rise, term = returns_rise(t), rising_term(t)
+    rise, term = returns_rise(evidence), rising_term(evidence)
     rising = (
         "" if term is None else f" '{term[0]}' rises most, from {term[1]:.3g} to {term[2]:.3g} per episode."
     )
@@ -465,7 +478,11 @@ def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
         )
         return {**numbers, "likelihood": 0.925, "how": how}
     falls = rates[1].high < rates[0].low
-    flat = plateau(t) is not None and rates[1].rate <= rates[0].rate + 0.03 and hides_success(t) is None
+    flat = (
+        plateau(evidence) is not None
+        and rates[1].rate <= rates[0].rate + 0.03
+        and hides_success(evidence) is None
+    )
     if rise is None or not (falls or flat):
         return None
     how = (
@@ -476,12 +493,12 @@ def reward_apart_from_success(t: TrainingEvidence) -> Numbers | None:
     return {**numbers, "likelihood": 0.91 if falls else 0.72, "how": how}
 
 
-def rising_term(t: TrainingEvidence) -> tuple[str, float, float] | None:
+def rising_term(evidence: TrainingEvidence) -> tuple[str, float, float] | None:
     """Return the reward term that rises most in the present stage, with its mean per episode in the first and
     in the last quarter."""
     ends = []
-    for term in t.program.agent.reward:
-        if len(curve := t.curve(f"reward/{term.name}")):
+    for term in evidence.program.agent.reward:
+        if len(curve := evidence.curve(f"reward/{term.name}")):
             quarter = max(1, len(curve) // 4)
             ends.append((term.name, float(curve[:quarter].mean()), float(curve[-quarter:].mean())))
     rising = max(ends, key=lambda each: each[2] - each[1], default=None)
@@ -500,33 +517,39 @@ _FLAT_EVALUATIONS = 3
     " longer grows, and no episode of the training returned more than {most}.{bounded}{asked}",
     advice="{remedy}",
 )
-def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
-    solved, late = t.run.program.agent.solved, t.episodes_between(0.75, 1.0)
+def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
+    solved, late = evidence.run.program.agent.solved, evidence.episodes_between(0.75, 1.0)
     required = None if solved is None else solved.mean_return
-    if len(t.episodes) < 4 * MIN_EPISODES or (solved is not None and required is None) or not t.is_last_stage:
+    if (
+        len(evidence.episodes) < 4 * MIN_EPISODES
+        or (solved is not None and required is None)
+        or not evidence.is_last_stage
+    ):
         return None
     what, returns = "late episodes of the training", late.returns
-    if len(t.final_episodes) >= MIN_EPISODES:
+    if len(evidence.final_episodes) >= MIN_EPISODES:
         what = "episodes of the evaluation"
-        returns = np.array([each.total_return for each in t.final_episodes])
+        returns = np.array([each.total_return for each in evidence.final_episodes])
     mean, low, high = float(returns.mean()), float(returns.min()), float(returns.max())
     if (
         mean <= 0
         or (required is not None and mean >= required)
-        or (t.program.defines_success and late.successes.mean() < 0.8)
+        or (evidence.program.defines_success and late.successes.mean() < 0.8)
     ):
         return None
-    most = max(high, float(t.episodes.returns.max()))
-    _, bound = possible_returns(t.program)
+    most = max(high, float(evidence.episodes.returns.max()))
+    _, bound = possible_returns(evidence.program)
     is_near = bound < np.inf and mean >= 0.95 * bound
     # The same return in each episode may also be that of standing still, or that of a local optimum, which
     # others exceed.
-    stands = bool(t.idle) and _per_step(t.idle) >= 0.9 * _per_step(t.policy or t.idle)
+    stands = bool(evidence.idle) and _per_step(evidence.idle) >= 0.9 * _per_step(
+        evidence.policy or evidence.idle
+    )
     is_same = high - low <= 2 * _CEILING * mean and most <= (1 + 2 * _CEILING) * mean
-    has_grown = float(t.episodes_between(0.0, 0.1).returns.mean()) < 0.9 * mean
-    if not is_near and (stands or not is_same or not has_grown or not _is_flat(t, mean)):
+    has_grown = float(evidence.episodes_between(0.0, 0.1).returns.mean()) < 0.9 * mean
+    if not is_near and (stands or not is_same or not has_grown or not _is_flat(evidence, mean)):
         return None
-    steps = t.program.truncation.max_episode_steps(t.program.period)
+    steps = evidence.program.truncation.max_episode_steps(evidence.program.period)
     remedy = (
         "Pay more for what the policy should still improve, or accept the policy: more steps cannot"
         " raise this return."
@@ -557,14 +580,16 @@ def return_at_ceiling(t: TrainingEvidence) -> Numbers | None:
     }
 
 
-def _is_flat(t: TrainingEvidence, mean: float) -> bool:
+def _is_flat(evidence: TrainingEvidence, mean: float) -> bool:
     """Return whether the evaluations of the second half of the stage all have this mean return, or else the
     training's own episodes."""
-    half = t.first_step + 0.5 * t.stage_steps
-    done = [fmean(each["returns"]) for each in t.evaluations if "steps" in each and each["steps"] >= half]
+    half = evidence.first_step + 0.5 * evidence.stage_steps
+    done = [
+        fmean(each["returns"]) for each in evidence.evaluations if "steps" in each and each["steps"] >= half
+    ]
     if len(done) >= _FLAT_EVALUATIONS:
         return max(abs(value - mean) for value in done) <= 2 * _CEILING * mean
-    third, last = (t.episodes_between(share, share + 0.25).returns.mean() for share in (0.5, 0.75))
+    third, last = (evidence.episodes_between(share, share + 0.25).returns.mean() for share in (0.5, 0.75))
     return bool(abs(last - third) <= 2 * _CEILING * mean and abs(last - mean) <= 2 * _CEILING * mean)
 
 
@@ -573,15 +598,15 @@ def _is_flat(t: TrainingEvidence, mean: float) -> bool:
     "{count} of {of} reward terms are 0 in all {steps} steps of short episodes and in the logs: {names}.",
     advice="Check the condition of each such term: `deepbots try SCENARIO` shows the terms of an episode.",
 )
-def silent_terms(t: TrainingEvidence) -> Numbers | None:
-    names = [term.name for term in t.program.agent.reward]
-    sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in t.probes) for name in names}
+def silent_terms(evidence: TrainingEvidence) -> Numbers | None:
+    names = [term.name for term in evidence.program.agent.reward]
+    sums = {name: sum(float(np.abs(trace.terms[name]).sum()) for trace in evidence.probes) for name in names}
     silent = [
         name
         for name, value in sums.items()
-        if value == 0 and not np.abs(t.curve(f"reward/{name}")).max(initial=0.0)
+        if value == 0 and not np.abs(evidence.curve(f"reward/{name}")).max(initial=0.0)
     ]
-    steps = sum(trace.steps for trace in t.probes)
+    steps = sum(trace.steps for trace in evidence.probes)
     if not silent or not steps:
         return None
     likelihood = 0.9 if len(silent) == len(sums) else 0.3

@@ -19,12 +19,13 @@ from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 
-# With fewer episodes in a quarter of a stage, its success rate is too uncertain to be called flat.
-_MIN_QUARTER = 30
-_BINS = 20  # the number of parts of a stage in which a plateau is searched
-_RARE = 0.03  # the success rate up to which success is rare
-_MAX_SORTED = 2_000  # the largest number of episodes that are sorted by their drawn values
-_CHANCE = 1e-4  # the probability that a value without an effect is named, over all values
+_MIN_QUARTER = (
+    30  # episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat
+)
+_BINS = 20  # parts of a stage in which a plateau is sought
+_RARE = 0.03  # a success rate that is as good as none
+_MAX_SORTED = 2_000  # episodes of a training that are sorted by what they draw
+_CHANCE = 1e-4  # of a value that has nothing to do with success to be named, over all values
 
 # The present stage
 
@@ -34,22 +35,22 @@ _CHANCE = 1e-4  # the probability that a value without an effect is named, over 
     "The training is in stage '{stage}' ({number} of {count}), which began at step {since} of {steps}."
     " {evaluated}{ends}",
 )
-def present_stage(t: TrainingEvidence) -> Numbers | None:
-    if not t.stages:
+def present_stage(evidence: TrainingEvidence) -> Numbers | None:
+    if not evidence.stages:
         return None
-    late = t.late_success
-    evaluated = "" if t.evaluations else "It was not evaluated in this stage yet. "
+    late = evidence.late_success
+    evaluated = "" if evidence.evaluations else "It was not evaluated in this stage yet. "
     if late.episodes:
         evaluated = f"At the end of this stage, the policy succeeds in {late}. "
-    until, value = criterion(t), criterion_value(t)
+    until, value = criterion(evidence), criterion_value(evidence)
     now = "" if value is None or until is None else f"; now it is {criterion_number(until, value)}"
     ends = f"The stage ends at {criterion_text(until)}{now}." if until else "It is the last stage."
     return {
-        "stage": t.stage,
-        "number": t.stage_index + 1,
-        "count": len(t.stages),
-        "since": t.first_step,
-        "steps": t.steps,
+        "stage": evidence.stage,
+        "number": evidence.stage_index + 1,
+        "count": len(evidence.stages),
+        "since": evidence.first_step,
+        "steps": evidence.steps,
         "success": late if late.episodes else None,
         "evaluated": evaluated,
         "ends": ends,
@@ -57,9 +58,13 @@ def present_stage(t: TrainingEvidence) -> Numbers | None:
     }
 
 
-def criterion(t: TrainingEvidence) -> Criterion | None:
+def criterion(evidence: TrainingEvidence) -> Criterion | None:
     """Return the criterion that ends the present stage; None in the last one."""
-    return t.stages[t.stage_index].until if t.stages and not t.is_last_stage else None
+    return (
+        evidence.stages[evidence.stage_index].until
+        if evidence.stages and not evidence.is_last_stage
+        else None
+    )
 
 
 def criterion_number(until: Criterion, value: float) -> str:
@@ -75,24 +80,24 @@ def criterion_text(until: Criterion) -> str:
     return f"a {until.metric.replace('_', ' ')} of {criterion_number(until, until.threshold)} {counted}"
 
 
-def criterion_value(t: TrainingEvidence) -> float | None:
+def criterion_value(evidence: TrainingEvidence) -> float | None:
     """Return the present value that the criterion of the present stage compares."""
-    until = criterion(t)
+    until = criterion(evidence)
     if until is None:
         return None
     if until.metric == "steps":
-        return float(t.stage_steps)
+        return float(evidence.stage_steps)
     if until.episodes is None:
         values = (
-            t.evaluations[-1]["successes" if until.metric == "success_rate" else "returns"]
-            if t.evaluations
+            evidence.evaluations[-1]["successes" if until.metric == "success_rate" else "returns"]
+            if evidence.evaluations
             else []
         )
     else:
         # The log of a training does not name worlds: with several, this is near what the training counts.
-        training = t.program.agent.training
+        training = evidence.program.agent.training
         count = max(until.episodes, training.environments if training else 1)
-        values = _measured(t.episodes, until)[-count:].tolist()
+        values = _measured(evidence.episodes, until)[-count:].tolist()
     return fmean(values) if values else None
 
 
@@ -109,15 +114,15 @@ def _until(until: Criterion, value: float, *, in_evaluation: bool = False) -> st
     return f"`until: {until.metric} >= {threshold} {counted}`"
 
 
-def stage_changes(t: TrainingEvidence) -> str:
+def stage_changes(evidence: TrainingEvidence) -> str:
     """Return the settings of the present stage that differ from the one before, such as `near: 4 cm -> 1 mm`;
     "" if they are unknown."""
     try:
-        root = Source.kept(t.run.path).document().root
+        root = Source.kept(evidence.run.path).document().root
     except DeepbotsError:
         return ""
     sets: list[dict[str, str]] = []
-    for place in (t.stage_index - 1, t.stage_index):
+    for place in (evidence.stage_index - 1, evidence.stage_index):
         sets.append(
             {
                 name: inline_text(entry.value)
@@ -139,13 +144,13 @@ def stage_changes(t: TrainingEvidence) -> str:
     advice="Add a stage between the two, with values between theirs{changes}, or let episodes of '{stage}'"
     " start nearer to success.",
 )
-def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
-    if not t.stage_index or not t.program.defines_success or not t.is_mature:
+def stage_too_hard(evidence: TrainingEvidence) -> Numbers | None:
+    if not evidence.stage_index or not evidence.program.defines_success or not evidence.is_mature:
         return None
-    before = t.stages[t.stage_index - 1].name
-    was = SuccessRate(t.episodes_of(before).successes[-100:])
-    now = SuccessRate(t.episodes_by_steps(0.5, 1.0).successes)
-    rise = _rate(t.episodes_by_steps(0.75, 1.0)) - _rate(t.episodes_by_steps(0.5, 0.75))
+    before = evidence.stages[evidence.stage_index - 1].name
+    was = SuccessRate(evidence.episodes_of(before).successes[-100:])
+    now = SuccessRate(evidence.episodes_by_steps(0.5, 1.0).successes)
+    rise = _rate(evidence.episodes_by_steps(0.75, 1.0)) - _rate(evidence.episodes_by_steps(0.5, 0.75))
     if (
         min(was.episodes, now.episodes) < MIN_EPISODES
         or was.rate < 0.5
@@ -154,16 +159,16 @@ def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
         or rise > 0.05
     ):
         return None
-    if t.late_success.rate > 0.3:
+    if evidence.late_success.rate > 0.3:
         return None
-    changes = stage_changes(t)
+    changes = stage_changes(evidence)
     return {
         "likelihood": 0.935,
-        "stage": t.stage,
+        "stage": evidence.stage,
         "before": before,
         "success_before": was,
         "success": now,
-        "steps": t.stage_steps,
+        "steps": evidence.stage_steps,
         "changes": f" ({changes})" if changes else "",
     }
 
@@ -174,26 +179,33 @@ def stage_too_hard(t: TrainingEvidence) -> Numbers | None:
     " In this stage it succeeds in {success}{task}. The stage ends at {criterion}; {reached}.",
     advice="{remedy}",
 )
-def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
-    until, late = criterion(t), t.late_success
-    if until is None or t.is_running or (t.steps < 0.5 * t.planned and not t.final_episodes):
+def easy_stage_counted(evidence: TrainingEvidence) -> Numbers | None:
+    until, late = criterion(evidence), evidence.late_success
+    if (
+        until is None
+        or evidence.is_running
+        or (evidence.steps < 0.5 * evidence.planned and not evidence.final_episodes)
+    ):
         return None
     if (
         late.episodes < MIN_EPISODES
         or late.rate < 0.8
-        or _rate(t.episodes_between(0.75, 1.0)) < late.rate - 0.3
+        or _rate(evidence.episodes_between(0.75, 1.0)) < late.rate - 0.3
     ):
         return None
     if until.metric == "success_rate" and late.high < until.threshold:
-        return None  # the criterion of the stage requires more
-    final, value = SuccessRate([each.is_success for each in t.final_episodes]), criterion_value(t)
+        return None  # the stage asks for more
+    final, value = (
+        SuccessRate([each.is_success for each in evidence.final_episodes]),
+        criterion_value(evidence),
+    )
     task = (
         f", and in the scenario itself in {final}"
         if final.episodes
         else "; the task itself was not evaluated"
     )
     reached = (
-        f"the training made {t.stage_steps:,} steps there"
+        f"the training made {evidence.stage_steps:,} steps there"
         if value is None or until.metric == "steps"
         else (f"it was at {criterion_number(until, value)}")
     )
@@ -209,9 +221,9 @@ def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
     )
     return {
         "likelihood": 0.93,
-        "stage": t.stage,
-        "number": t.stage_index + 1,
-        "count": len(t.stages),
+        "stage": evidence.stage,
+        "number": evidence.stage_index + 1,
+        "count": len(evidence.stages),
         "success": late,
         "task": task,
         "criterion": criterion_text(until),
@@ -228,25 +240,29 @@ def easy_stage_counted(t: TrainingEvidence) -> Numbers | None:
     " ends at {threshold}.",
     advice="{remedy}. Also check the causes below: they apply to this stage.",
 )
-def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
-    until = criterion(t)
-    if until is None or until.metric == "steps" or t.stage_steps < t.planned / len(t.stages):
+def stuck_in_stage(evidence: TrainingEvidence) -> Numbers | None:
+    until = criterion(evidence)
+    if (
+        until is None
+        or until.metric == "steps"
+        or evidence.stage_steps < evidence.planned / len(evidence.stages)
+    ):
         return None
-    if t.program.defines_success and is_rare(t):
+    if evidence.program.defines_success and is_rare(evidence):
         return None
-    third, last = (_measured(t.episodes_by_steps(*part), until) for part in ((0.5, 0.75), (0.75, 1.0)))
+    third, last = (_measured(evidence.episodes_by_steps(*part), until) for part in ((0.5, 0.75), (0.75, 1.0)))
     if (
         min(len(third), len(last)) < _MIN_QUARTER
         or last.mean() >= until.threshold
-        or hides_success(t) is not None
+        or hides_success(evidence) is not None
     ):
         return None
     error = float(np.hypot(third.std() / np.sqrt(len(third)), last.std() / np.sqrt(len(last))))
     # At this pace, the criterion would take as long again as the whole stage.
     if last.mean() - third.mean() > max(1.5 * error, 0.2 * (until.threshold - last.mean())):
         return None
-    if t.late_success.episodes >= MIN_EPISODES and t.late_success.rate >= 0.95:
-        return None  # the stage is easy, and it is learned
+    if evidence.late_success.episodes >= MIN_EPISODES and evidence.late_success.rate >= 0.95:
+        return None  # it is learned: an easy stage that counts
     before, late_text = (criterion_number(until, float(part.mean())) for part in (third, last))
     reached = float(np.mean(np.concatenate([third, last])))
     wanted = 0.9 * reached if until.metric == "success_rate" else reached - 0.1 * abs(reached)
@@ -258,10 +274,10 @@ def stuck_in_stage(t: TrainingEvidence) -> Numbers | None:
         )
     return {
         "likelihood": 0.75,
-        "stage": t.stage,
-        "number": t.stage_index + 1,
-        "count": len(t.stages),
-        "since": t.first_step,
+        "stage": evidence.stage,
+        "number": evidence.stage_index + 1,
+        "count": len(evidence.stages),
+        "since": evidence.first_step,
         "metric": until.metric.replace("_", " "),
         "before": before,
         "late": late_text,
@@ -278,35 +294,37 @@ def _rate(episodes: Any) -> float:
     return float(episodes.successes.mean()) if len(episodes) else 0.0
 
 
-def is_rare(t: TrainingEvidence) -> bool:
+def is_rare(evidence: TrainingEvidence) -> bool:
     """Return whether there was hardly any success in the present stage, including its late episodes and
     evaluations."""
-    of, last = SuccessRate(t.episodes.successes), t.episodes.successes[-100:]
+    of, last = SuccessRate(evidence.episodes.successes), evidence.episodes.successes[-100:]
     seldom = not of["successes"] or (
-        len(last) and float(last.mean()) <= _RARE and (of.high <= _RARE or _stays_rare(t))
+        len(last) and float(last.mean()) <= _RARE and (of.high <= _RARE or _stays_rare(evidence))
     )
-    return bool(seldom) and t.late_success.rate <= 0.1
+    return bool(seldom) and evidence.late_success.rate <= 0.1
 
 
-def _stays_rare(t: TrainingEvidence) -> bool:
+def _stays_rare(evidence: TrainingEvidence) -> bool:
     """Return whether the last half of a mature stage has hardly more successes than a random policy may
     have."""
-    third, last = t.episodes_by_steps(0.5, 0.75), t.episodes_by_steps(0.75, 1.0)
+    third, last = evidence.episodes_by_steps(0.5, 0.75), evidence.episodes_by_steps(0.75, 1.0)
     return (
-        t.is_mature and min(len(third), len(last)) >= _MIN_QUARTER and max(_rate(third), _rate(last)) <= _RARE
+        evidence.is_mature
+        and min(len(third), len(last)) >= _MIN_QUARTER
+        and max(_rate(third), _rate(last)) <= _RARE
     )
 
 
-def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
+def plateau(evidence: TrainingEvidence) -> tuple[int, float, float] | None:
     """Return the step since which the success rate of the present stage has been flat, and the lowest and
     highest rate since then.
 
     It is flat if it did not rise over the last half of the stage, also without exploration. The result is
     None if success is rare, or nearly certain.
     """
-    if not t.program.defines_success or not t.is_mature or is_rare(t):
+    if not evidence.program.defines_success or not evidence.is_mature or is_rare(evidence):
         return None
-    quarters = [t.episodes_by_steps(k / 4, (k + 1) / 4).successes for k in (1, 2, 3)]
+    quarters = [evidence.episodes_by_steps(k / 4, (k + 1) / 4).successes for k in (1, 2, 3)]
     if min(map(len, quarters)) < _MIN_QUARTER:
         return None
     rates = [float(part.mean()) for part in quarters]
@@ -317,16 +335,16 @@ def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
         or fmean(rates[1:]) > 0.9
     ):
         return None
-    quarter, middle = (t.first_step + share * t.stage_steps for share in (0.25, 0.5))
+    quarter, middle = (evidence.first_step + share * evidence.stage_steps for share in (0.25, 0.5))
     early = [
         float(s)
-        for each in t.evaluations
+        for each in evidence.evaluations
         if quarter < each.get("steps", np.inf) < middle
         for s in each["successes"]
     ]
-    if early and t.late_success.rate > max(0.9, fmean(early) + 0.15):
+    if early and evidence.late_success.rate > max(0.9, fmean(early) + 0.15):
         return None
-    bins = [t.episodes_by_steps(k / _BINS, (k + 1) / _BINS).successes for k in range(_BINS)]
+    bins = [evidence.episodes_by_steps(k / _BINS, (k + 1) / _BINS).successes for k in range(_BINS)]
     late, first = fmean(rates[1:]), _BINS
     while first and (
         not len(part := bins[first - 1]) or abs(part.mean() - late) <= 0.05 + 2 * np.sqrt(0.25 / len(part))
@@ -334,7 +352,7 @@ def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
         first -= 1
     first = min(first, _BINS // 2)
     levels = [float(part.mean()) for part in bins[first:] if len(part) >= MIN_EPISODES] or rates[1:]
-    return round(t.first_step + first / _BINS * t.stage_steps), min(levels), max(levels)
+    return round(evidence.first_step + first / _BINS * evidence.stage_steps), min(levels), max(levels)
 
 
 @statement(
@@ -345,25 +363,25 @@ def plateau(t: TrainingEvidence) -> tuple[int, float, float] | None:
     " diagnose RUN --episode failed` shows which condition they miss. More steps alone are unlikely"
     " to help.",
 )
-def success_plateau(t: TrainingEvidence) -> Numbers | None:
-    level = plateau(t)
+def success_plateau(evidence: TrainingEvidence) -> Numbers | None:
+    level = plateau(evidence)
     if (
         level is None
-        or some_starts_fail(t) is not None
-        or stuck_in_stage(t) is not None
-        or hides_success(t) is not None
+        or some_starts_fail(evidence) is not None
+        or stuck_in_stage(evidence) is not None
+        or hides_success(evidence) is not None
     ):
         return None
     since, low, high = level
-    late = SuccessRate(t.episodes_by_steps(0.5, 1.0).successes)
+    late = SuccessRate(evidence.episodes_by_steps(0.5, 1.0).successes)
     return {
         "likelihood": 0.6,
         "since": since,
         "low": Percentage(low),
         "high": Percentage(high),
-        "steps": t.steps,
-        "where": f" in stage '{t.stage}'" if t.stage else "",
-        "half_of": "the stage" if t.stage else "the training",
+        "steps": evidence.steps,
+        "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
+        "half_of": "the stage" if evidence.stage else "the training",
         "success": late,
     }
 
@@ -375,12 +393,12 @@ def success_plateau(t: TrainingEvidence) -> Numbers | None:
     advice="Check that these starts can succeed, with a script or by hand (`deepbots play`){observed}. Then"
     " train more on these starts, for example with a curriculum that draws them more often at first.",
 )
-def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
-    is_flat = plateau(t) is not None or stuck_in_stage(t) is not None
-    if not is_flat and not t.final_episodes:  # they may still be learned
+def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
+    is_flat = plateau(evidence) is not None or stuck_in_stage(evidence) is not None
+    if not is_flat and not evidence.final_episodes:  # they may still be learned
         return None
-    source, done = _episodes_with_draws(t)
-    values = list(by_drawn_value(done, draw_labels(t.program, t.facts.units)).values.values())
+    source, done = _episodes_with_draws(evidence)
+    values = list(by_drawn_value(done, draw_labels(evidence.program, evidence.facts.units)).values.values())
     # A value whose middle fails has no trend, but its parts differ.
     differing = (
         value for value in values if value.has_effect or _chance(value.parts) < _CHANCE / len(values)
@@ -402,7 +420,7 @@ def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
     ]
     parts = "; ".join(f"{_range(each, label)} {each.success_rate:.0%}" for each in bins)
     flat = "The success rate no longer rises, and it" if is_flat else "Success"
-    sees = t.facts.observes(name.removeprefix("parameters."))
+    sees = evidence.facts.observes(name.removeprefix("parameters."))
     observed = "" if sees else f", and that the policy observes `{name}` or its effect"
     return {
         "likelihood": 0.92 if is_flat else 0.55,
@@ -419,12 +437,12 @@ def some_starts_fail(t: TrainingEvidence) -> Numbers | None:
     }
 
 
-def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
+def _episodes_with_draws(evidence: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
     """Return the episodes that are sorted by their drawn values: those of the quoted evaluation, else late
     ones of the present stage."""
-    if t.is_last_stage and len(t.final_episodes) >= 40:
-        return "the evaluation", t.final_episodes
-    late = t.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
+    if evidence.is_last_stage and len(evidence.final_episodes) >= 40:
+        return "the evaluation", evidence.final_episodes
+    late = evidence.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
     done = []
     for each in late:
         try:
@@ -441,7 +459,7 @@ def _episodes_with_draws(t: TrainingEvidence) -> tuple[str, Sequence[Episode]]:
 def _chance(bins: Sequence[DrawnBin]) -> float:
     """Return the probability that success differs as much between the parts if it does not depend on them
     (chi-squared test)."""
-    from scipy.special import chdtrc  # commands that only read runs work without scipy
+    from scipy.special import chdtrc  # here, since commands that only read runs work without scipy
 
     counts = np.array([[each.successes, each.episodes - each.successes] for each in bins], float)
     expected = np.outer(counts.sum(axis=1), counts.sum(axis=0)) / counts.sum()
@@ -468,10 +486,13 @@ def _bin_rate(part: DrawnBin) -> str:
     return f"{part.success_rate:.0%} ({low:.0%} to {high:.0%}) of {part.episodes:,} episodes"
 
 
-def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
+def hides_success(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """Return the success rates of late evaluations and of late episodes of the training, if exploration hides
     most of the success."""
-    explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), t.late_success
+    explored, without = (
+        SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:]),
+        evidence.late_success,
+    )
     if min(without.episodes, explored.episodes) < MIN_EPISODES or without.rate < max(
         0.5, explored.rate + 0.3
     ):
@@ -479,10 +500,13 @@ def hides_success(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None
     return without, explored
 
 
-def needs_exploration(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
+def needs_exploration(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:
     """Return the success rates of late episodes of the training and of late evaluations, if most of the
     success needs exploration."""
-    explored, without = SuccessRate(t.episodes_between(0.75, 1.0).successes[-100:]), t.late_success
+    explored, without = (
+        SuccessRate(evidence.episodes_between(0.75, 1.0).successes[-100:]),
+        evidence.late_success,
+    )
     if min(without.episodes, explored.episodes) < MIN_EPISODES or explored.rate < max(
         0.5, without.rate + 0.3
     ):
@@ -496,12 +520,12 @@ def needs_exploration(t: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | 
     " {spread} (standard deviation).",
     advice="{remedy} start nearer to success, or loosen its condition; a curriculum can do the latter two.",
 )
-def success_never_seen(t: TrainingEvidence) -> Numbers | None:
-    if not t.program.defines_success or len(t.episodes) < MIN_EPISODES or not is_rare(t):
+def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
+    if not evidence.program.defines_success or len(evidence.episodes) < MIN_EPISODES or not is_rare(evidence):
         return None
-    flat, count = float(np.ptp(t.episodes.returns)) < 1e-9, int(t.episodes.successes.sum())
-    names = t.program.agent.success or ("goal_reached",)
-    late = {term.name: t.curve(f"reward/{term.name}") for term in t.program.agent.reward}
+    flat, count = float(np.ptp(evidence.episodes.returns)) < 1e-9, int(evidence.episodes.successes.sum())
+    names = evidence.program.agent.success or ("goal_reached",)
+    late = {term.name: evidence.curve(f"reward/{term.name}") for term in evidence.program.agent.reward}
     paid = {
         name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean()))
         for name, curve in late.items()
@@ -509,7 +533,11 @@ def success_never_seen(t: TrainingEvidence) -> Numbers | None:
     }
     name, whole = max(paid, key=lambda each: paid[each], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
-    though, remedy, own = "", "Add a reward term for progress towards success,", t.facts.terms_towards_success
+    though, remedy, own = (
+        "",
+        "Add a reward term for progress towards success,",
+        evidence.facts.terms_towards_success,
+    )
     if own:
         others = sum(
             float(curve[-max(1, len(curve) // 4) :].mean())
@@ -523,8 +551,10 @@ def success_never_seen(t: TrainingEvidence) -> Numbers | None:
                 f" (per late episode it gives {float(late_part.mean()):.3g}, and they give {others:.3g})"
             )
         remedy += " and raise it,"
-    uses_path = any("path_distance" in term.text for term in t.program.agent.reward if term.name == name)
-    if share >= 0.8 and not returns_rise(t):
+    uses_path = any(
+        "path_distance" in term.text for term in evidence.program.agent.reward if term.name == name
+    )
+    if share >= 0.8 and not returns_rise(evidence):
         though = (
             f", and '{name}' gives {share:.0%} of the positive reward of late episodes: the policy is"
             " in a local optimum of this term"
@@ -535,17 +565,17 @@ def success_never_seen(t: TrainingEvidence) -> Numbers | None:
         )
         if uses_path:
             remedy = f"Make success earn more than '{name}' can,"
-    uncertain = 0.7 if t.is_mature else 0.45
+    uncertain = 0.7 if evidence.is_mature else 0.45
     return {
         "likelihood": 0.93 if flat else uncertain,
-        "episodes": len(t.episodes),
+        "episodes": len(evidence.episodes),
         "count": count,
         "seen": f"Only {count}" if count else "None",
         "verb": "are" if count > 1 else "is",
-        "where": f" in stage '{t.stage}'" if t.stage else "",
+        "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
         "ending": " or ".join(names),
-        "spread": float(t.episodes.returns.std()),
-        "mean": float(t.episodes.returns.mean()),
+        "spread": float(evidence.episodes.returns.std()),
+        "mean": float(evidence.episodes.returns.mean()),
         "term": name if whole else None,
         "term_share": share,
         "though": though,

@@ -18,14 +18,14 @@ _AS_GOOD = 0.85
     "A script is better than the policy: '{script}' succeeds in {by_script}, and the policy in {by_policy}.",
     advice="Let the script teach the policy, with `teacher: {script}` under `train`.",
 )
-def script_succeeds(t: TrainingEvidence) -> Numbers | None:
-    policy = policy_rate(t)
+def script_succeeds(evidence: TrainingEvidence) -> Numbers | None:
+    policy = policy_rate(evidence)
     rates = {
         name: SuccessRate([trace.outcome == "success" for trace in traces])
-        for name, traces in t.scripts.items()
+        for name, traces in evidence.scripts.items()
         if traces
     }
-    if not rates or policy.episodes < MIN_EPISODES or _has_teacher(t):
+    if not rates or policy.episodes < MIN_EPISODES or _has_teacher(evidence):
         return None
     name = max(rates, key=lambda each: rates[each].rate)
     # A script of less than 70 % hardly teaches what the policy cannot find itself.
@@ -40,29 +40,29 @@ def script_succeeds(t: TrainingEvidence) -> Numbers | None:
     }
 
 
-def policy_rate(t: TrainingEvidence) -> SuccessRate:
+def policy_rate(evidence: TrainingEvidence) -> SuccessRate:
     """Return the success rate of the policy: in the quoted evaluation, else in the last quarter of the
     training."""
-    episodes = [each.is_success for each in t.final_episodes] if t.is_last_stage else []
-    return SuccessRate(episodes or t.episodes_between(0.75, 1.0).successes)
+    episodes = [each.is_success for each in evidence.final_episodes] if evidence.is_last_stage else []
+    return SuccessRate(episodes or evidence.episodes_between(0.75, 1.0).successes)
 
 
-def _has_teacher(t: TrainingEvidence) -> bool:
-    training = t.program.agent.training
-    return t.run.demonstrations.exists() or (training is not None and training.teacher is not None)
+def _has_teacher(evidence: TrainingEvidence) -> bool:
+    training = evidence.program.agent.training
+    return evidence.run.demonstrations.exists() or (training is not None and training.teacher is not None)
 
 
-def teacher_rate(t: TrainingEvidence) -> SuccessRate | None:
+def teacher_rate(evidence: TrainingEvidence) -> SuccessRate | None:
     """Return the success rate of the script that teaches: from the starts of the evaluations, as the training
     logged it, else in short episodes."""
-    training, logged = t.program.agent.training, t.curve("teacher/success_rate")
+    training, logged = evidence.program.agent.training, evidence.curve("teacher/success_rate")
     if training is None or training.teacher is None:
         return None
-    sizes = [len(each["successes"]) for each in t.evaluations if "steps" in each]
+    sizes = [len(each["successes"]) for each in evidence.evaluations if "steps" in each]
     if len(logged) and sizes:
         won = round(float(logged[-1]) * sizes[-1])
         return SuccessRate([1.0] * won + [0.0] * (sizes[-1] - won))
-    played = t.scripts.get(training.teacher.script, ())
+    played = evidence.scripts.get(training.teacher.script, ())
     return SuccessRate([trace.outcome == "success" for trace in played]) if played else None
 
 
@@ -73,11 +73,11 @@ def teacher_rate(t: TrainingEvidence) -> SuccessRate | None:
     advice="Improve the script first: `deepbots try {scenario} --driver {script} --episodes 20` shows its"
     " endings. Or train without it.",
 )
-def teacher_fails(t: TrainingEvidence) -> Numbers | None:
-    training, script, policy = t.program.agent.training, teacher_rate(t), policy_rate(t)
+def teacher_fails(evidence: TrainingEvidence) -> Numbers | None:
+    training, script, policy = evidence.program.agent.training, teacher_rate(evidence), policy_rate(evidence)
     if training is None or training.teacher is None or script is None:
         return None
-    solved = t.program.agent.solved
+    solved = evidence.program.agent.solved
     required = _GOOD_TEACHER if solved is None or solved.success_rate is None else solved.success_rate
     if min(script.episodes, policy.episodes) < MIN_EPISODES or script.high >= max(required, _GOOD_TEACHER):
         return None
@@ -89,7 +89,7 @@ def teacher_fails(t: TrainingEvidence) -> Numbers | None:
         "script": name,
         "by_script": script,
         "by_policy": policy,
-        "scenario": t.scenario_argument,
+        "scenario": evidence.scenario_argument,
     }
 
 
@@ -101,18 +101,24 @@ def teacher_fails(t: TrainingEvidence) -> Numbers | None:
     advice="Add what the teacher reads to `observation`. If a robot could not measure it, show the policy"
     " more of the past: {past} for the sensors that change with it.",
 )
-def teacher_sees_more(t: TrainingEvidence) -> Numbers | None:
-    training = t.program.agent.training
-    if training is None or training.teacher is None or not (played := t.scripts.get(training.teacher.script)):
+def teacher_sees_more(evidence: TrainingEvidence) -> Numbers | None:
+    training = evidence.program.agent.training
+    if (
+        training is None
+        or training.teacher is None
+        or not (played := evidence.scripts.get(training.teacher.script))
+    ):
         return None
     script = SuccessRate([trace.outcome == "success" for trace in played])
     policy = (
-        SuccessRate([each.is_success for each in t.final_episodes]) if t.final_episodes else t.late_success
+        SuccessRate([each.is_success for each in evidence.final_episodes])
+        if evidence.final_episodes
+        else evidence.late_success
     )
-    hidden = unobserved_reads(t.program, training.teacher.script)
+    hidden = unobserved_reads(evidence.program, training.teacher.script)
     if not hidden or policy.episodes < MIN_EPISODES or policy.rate >= 0.9 * script.rate:
         return None
-    longer = t.facts.history
+    longer = evidence.facts.history
     past = "`history: 4`" if longer == 1 else f"a `history` of more than the {longer} steps that it has"
     return {
         "likelihood": 0.88,

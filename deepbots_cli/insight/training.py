@@ -267,35 +267,38 @@ class TrainingEvidence:
         return values[steps > self.first_step] if self.first_step and not tag.startswith("train/") else values
 
 
-def returns_rise(t: TrainingEvidence) -> tuple[float, float, float, float] | None:
+def returns_rise(evidence: TrainingEvidence) -> tuple[float, float, float, float] | None:
     """Return the mean returns of the first half and of the last quarter of the present stage, their
     difference, and twice its standard error.
 
     The result is None if the return does not rise, or levels off.
     """
-    early, late = t.episodes_between(0.0, 0.5).returns, t.episodes_between(0.75, 1.0).returns
-    if len(t.episodes) < 2 * MIN_EPISODES:
+    early, late = evidence.episodes_between(0.0, 0.5).returns, evidence.episodes_between(0.75, 1.0).returns
+    if len(evidence.episodes) < 2 * MIN_EPISODES:
         return None
     gain = float(late.mean() - early.mean())
     chance = 2 * float(np.hypot(early.std() / np.sqrt(len(early)), late.std() / np.sqrt(len(late))))
     # A return that rises evenly gains a third of its total rise in the last quarter; below half of that it
     # levels off.
-    start, before = (float(t.episodes_between(share, share + 0.25).returns.mean()) for share in (0.0, 0.5))
+    start, before = (
+        float(evidence.episodes_between(share, share + 0.25).returns.mean()) for share in (0.0, 0.5)
+    )
     if not gain > chance > 0 or late.mean() - before < (late.mean() - start) / 6:
         return None
     return float(early.mean()), float(late.mean()), gain, chance
 
 
-def usual_settings(t: TrainingEvidence) -> Mapping[str, Any]:
+def usual_settings(evidence: TrainingEvidence) -> Mapping[str, Any]:
     """Return the hyperparameters that the training would take if the scenario gave none, by name."""
-    program = t.run.program
+    program = evidence.run.program
     training = program.agent.training
     if training is None:
         return {}
     bare = replace(training, hyperparameters=(), action_noise=None, replay=None)
     unset = program.with_agents(training=bare)
     return {
-        entry.name: entry.value for entry in effective_hyperparameters(unset, t.run.record.total_timesteps)
+        entry.name: entry.value
+        for entry in effective_hyperparameters(unset, evidence.run.record.total_timesteps)
     }
 
 
@@ -409,7 +412,7 @@ class _Probes:
         self._total += SCRIPT_EPISODES * len(scripts)
         seeds = self._seeds(PROBE_EPISODES)
         random, played, still = list[Trace](), list[Trace](), list[Trace]()
-        for seed in seeds:  # the kinds take turns, so that a few seconds show each of them
+        for seed in seeds:  # of each kind one after the other, so that a few seconds show something of all
             random += self._episode(seed, random_driver(world))
             if policy is not None:
                 played += self._episode(seed, policy())
@@ -468,30 +471,34 @@ class _Probes:
         return [self.world.trace("a short episode", error=error)]
 
 
-def _repeat_failed(t: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
+def _repeat_failed(evidence: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
     """Repeat the first episodes without success of the quoted evaluation, until the deadline."""
-    kept = quoted_episodes(t.run) if t.final_episodes and t.run.program.defines_success else None
-    if kept is None or t.run.program.agent.copies is not None or time.monotonic() > deadline:
+    kept = (
+        quoted_episodes(evidence.run)
+        if evidence.final_episodes and evidence.run.program.defines_success
+        else None
+    )
+    if kept is None or evidence.run.program.agent.copies is not None or time.monotonic() > deadline:
         return []
     numbers = [number for number, each in enumerate(kept[1].outcomes) if not each.is_success][
         :FAILED_EPISODES
     ]
     traces = []
     try:
-        for trace in trace_episodes(t.run, numbers, **kept[1].replay_options, permissions=permissions):
+        for trace in trace_episodes(evidence.run, numbers, **kept[1].replay_options, permissions=permissions):
             traces.append(trace)
             if time.monotonic() > deadline:
                 break
-    except DeepbotsError:  # for example, its model is missing
+    except DeepbotsError:  # its model is missing, for example
         pass
     return traces
 
 
-def _teachers(t: TrainingEvidence) -> list[str]:
+def _teachers(evidence: TrainingEvidence) -> list[str]:
     """Return the script that teaches the policy, or else those that could teach it; empty if no success
     allows a comparison."""
-    agent = t.program.agent
-    if not t.program.defines_success or agent.copies is not None or agent.training is None:
+    agent = evidence.program.agent
+    if not evidence.program.defines_success or agent.copies is not None or agent.training is None:
         return []
     if agent.training.teacher is not None:
         return [agent.training.teacher.script]

@@ -13,7 +13,8 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Finding, Span
-from deepbots_cli.lint.simulation import SimulationPosition, SimulationReport, TermStatistics, simulation_plan
+from deepbots_cli.lint.report import SimulationPosition, SimulationReport, TermStatistics
+from deepbots_cli.lint.simulation import simulation_plan
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression
@@ -70,7 +71,7 @@ class Simulation(RuleContext):
         super().__init__(checked, program, namespace)
         self.plan = simulation_plan(program)
         self.report = report
-        self.measured = {by: measured for by, measured in report.measured.items() if measured.steps}
+        self.measured = {by: measured for by, measured in report.summary.measured.items() if measured.steps}
         """The statistics by policy; only policies that made a step."""
         self.steps = sum(measured.steps for measured in self.measured.values())
         self.is_complete = report.done and report.stop is None
@@ -150,17 +151,16 @@ class Simulation(RuleContext):
     @cached_property
     def failed(self) -> FailedExpression | None:
         """The expression that stopped an episode; None where none did, or where it is unknown."""
-        stop = self.report.stop or {}
-        if stop.get("kind") != "value":
+        stop = self.report.stop
+        if stop is None or stop.kind != "value":
             return None
-        text = str(stop.get("text", ""))
-        notes = (self.when(), text) if text else (self.when(),)
+        notes = (self.when(), stop.text) if stop.text else (self.when(),)
         terms = {term.name: term for term in self.program.agent.reward}
-        for name in map(str, stop.get("terms", ())):
+        for name in stop.terms:
             if name in terms:
                 return FailedExpression(name, terms[name].span, "reward", notes)
         identifiers = dict(self._identifiers())
-        for line in map(str, stop.get("lines", ())):
+        for line in stop.lines:
             for word in generated.names_in(line):
                 if word in identifiers:
                     value, section = identifiers[word]

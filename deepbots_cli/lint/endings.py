@@ -309,14 +309,14 @@ def _help_for_early(program: Program, ending: Expression, help_for_failure: str)
 @rule("DB808")
 def undefined_value(simulation: Simulation) -> Iterator[Finding]:
     """Report an episode that cannot begin or continue, for a reason that no other code reports."""
-    stop, failed = simulation.report.stop or {}, simulation.failed
+    stop, failed = simulation.report.stop, simulation.failed
     if failed is not None and failed.section == "other":
         help = (
             "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d,"
             " 1 cm)` for a length `d`"
         )
         yield Finding("DB808", failed.span, f"`{failed.name}` has no value", help, notes=failed.notes)
-    elif failed is None and stop.get("kind") == "value":
+    elif failed is None and stop is not None and stop.kind == "value":
         span = simulation.values.key_span(
             ("reset",) if simulation.report.where.activity == "reset" else ("robots",)
         )
@@ -325,7 +325,7 @@ def undefined_value(simulation: Simulation) -> Iterator[Finding]:
             if simulation.report.where.activity == "reset"
             else "an episode cannot continue"
         )
-        yield Finding("DB808", span, headline, notes=(simulation.when(), str(stop.get("text", ""))))
+        yield Finding("DB808", span, headline, notes=(simulation.when(), stop.text))
 
 
 @rule("DB811")

@@ -20,7 +20,7 @@ from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.document.nodes import MappingNode, enclosing_entry
 from deepbots_cli.document.parse import has_same_values
 from deepbots_cli.errors import UsageError
-from deepbots_cli.lint import all_findings
+from deepbots_cli.lint.run import all_findings
 
 _MAX_ROUNDS = 10
 _MAX_LINT_RUNS = 150

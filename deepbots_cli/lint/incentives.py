@@ -15,13 +15,14 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
-from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM, SimulatedEpisode
+from deepbots_cli.lint.report import SimulatedEpisode
+from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM
 from deepbots_cli.program.values import Expression
 
 _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
 """The facts that are 0 while nothing moves."""
 _CLOCKS = frozenset({"time", "step"})
-_ROUNDING = 1e-12
+_MIN_FACTOR = 1e-12
 """The largest factor that is left by rounding when factors cancel."""
 MIN_BREAK_EVEN = 0.5
 """The share of episodes that would have to succeed, above which a scenario whose success pays is reported."""
@@ -204,7 +205,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     ):
         return
     if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
-        return  # the static rule has computed the costs
+        return  # the static rule knows the costs
     if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
         return  # later steps cost something else
     cost, ending = failure
@@ -277,7 +278,7 @@ class _StillRanges(Ranges):
                 shares[key] = part, factor + shares.get(key, (part, 0.0))[1]
         total = NEVER
         for part, factor in shares.values():
-            if abs(factor) > _ROUNDING:
+            if abs(factor) > _MIN_FACTOR:
                 total = iv.add(total, iv.multiply(self.of(part), iv.single(factor)))
         return total
 

@@ -23,7 +23,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression, Noise
 
-_ROUNDING = 1e-6
+_RELATIVE_ROUNDING = 1e-6
 """The relative difference that rounding alone may cause."""
 _MIN_COVERED_SHARE = 0.25
 """The share of the range of a noisy value that an exact value covers at least."""
@@ -57,7 +57,7 @@ class RangedNumber(NamedTuple):
 
     @property
     def slack(self) -> float:
-        return _ROUNDING * (self.high - self.low)
+        return _RELATIVE_ROUNDING * (self.high - self.low)
 
     def is_outside(self, known: Interval) -> bool:
         """Return whether values of this range never lie in the range of the observation (DB602)."""
@@ -262,7 +262,7 @@ def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Line
     if not hidden.terms or exact.terms.keys() != hidden.terms.keys():
         return False
     factors = [exact.terms[term] / of for term, of in hidden.terms.items()]
-    if any(abs(factor - factors[0]) > _ROUNDING * abs(factors[0]) for factor in factors):
+    if any(abs(factor - factors[0]) > _RELATIVE_ROUNDING * abs(factors[0]) for factor in factors):
         return False
     offset = exact.offset - factors[0] * hidden.offset
     ends = sorted((end - offset) / factors[0] for end in (shown.low, shown.high))
@@ -316,12 +316,12 @@ def bounds_mismatch(context: RuleContext) -> Iterator[Finding]:
 @rule("DB607")
 def outside_space(simulation: Simulation) -> Iterator[Finding]:
     """Report a number of the observation that is NaN, or outside of the observation space."""
-    stop = simulation.report.stop or {}
-    if stop.get("kind") == "space":
+    stop = simulation.report.stop
+    if stop is not None and stop.kind == "space":
         for entry in simulation.program.agent.observation:
             names = [
                 name
-                for name in map(str, stop["entries"])
+                for name in stop.numbers
                 if name.partition(".")[0] == entry.value.name or name == entry.value.name
             ]
             if names:
@@ -352,7 +352,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
     still = [
         number
         for number in ranged_numbers(simulation.analysis)
-        if number.place in simulation.report.constant_numbers
+        if number.place in simulation.report.summary.constant_numbers
     ]
     still = [number for number in still if -1.0 < _constant(simulation, number) < 1.0]
     for _, group in groupby(still, key=lambda number: number.entry.value.name):
@@ -370,7 +370,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         yield Finding("DB608", entry.value.span, headline, help, notes=(simulation.summary,))
     pictures = [entry for entry in simulation.program.agent.observation if entry.value.typed.type.picture]
     for place, entry in enumerate(pictures, start=len(simulation.program.agent.numbers)):
-        if place in simulation.report.constant_numbers:
+        if place in simulation.report.summary.constant_numbers:
             help = (
                 "check the place and the view of its camera, or add a script under `scripts` that changes it"
             )

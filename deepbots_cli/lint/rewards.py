@@ -23,7 +23,7 @@ from deepbots_cli.program.values import Expression
 
 _DOMINANCE_RATIO = 100.0
 """The ratio of a term to the payment of an ending from which on it hides the ending."""
-_ROUNDING = 1e-9
+_RELATIVE_ROUNDING = 1e-9
 _MIN_STEPS = 200
 """The number of simulated steps below which nothing is concluded."""
 _MAX_SHOWN_CHARACTERS = 40
@@ -304,7 +304,11 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
     analysis = simulation.analysis
     final = {term.name for term, _ in analysis.reward.split_by_end()[1]}
     for place, term in enumerate(simulation.program.agent.reward):
-        if place not in simulation.report.zero_terms or term.name in final or term.foreign is not None:
+        if (
+            place not in simulation.report.summary.zero_terms
+            or term.name in final
+            or term.foreign is not None
+        ):
             continue
         if not _is_turned_off(term.typed, analysis) and not _is_conditional(term.typed, analysis, set()):
             headline = f"`{term.name}` was zero in all {simulation.steps} simulated steps"
@@ -366,13 +370,13 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
     """Report that no episode can reach the required mean return, or that every episode does."""
     for analysis, wanted, path in _wanted_returns(context):
         possible = return_range(analysis)
-        if wanted > possible.high + _ROUNDING * abs(possible.high):
+        if wanted > possible.high + _RELATIVE_ROUNDING * abs(possible.high):
             headline = (
                 f"no episode reaches the required return of {wanted:g}: the highest possible return"
                 f" is {possible.high:.4g}"
             )
             yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
-        elif wanted > (limited := highest_return(analysis.ideal)) + _ROUNDING * abs(limited):
+        elif wanted > (limited := highest_return(analysis.ideal)) + _RELATIVE_ROUNDING * abs(limited):
             headline = (
                 f"no episode reaches the required return of {wanted:g}: limits of speed allow at most"
                 f" {limited:.4g}"

@@ -22,16 +22,8 @@ from deepbots_cli.expressions.types import walk as walk_typed
 from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
-from deepbots_cli.lint.simulation import (
-    ARENA,
-    MAX_SINK,
-    TOPPLING_S,
-    Clearance,
-    SimulationPosition,
-    UnreachedPose,
-    casts_rays,
-    driven_wheels,
-)
+from deepbots_cli.lint.report import ARENA, MAX_SINK, TOPPLING_S, Clearance, SimulationPosition, UnreachedPose
+from deepbots_cli.lint.simulation import casts_rays, driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.meshes import mesh_bounds
@@ -378,7 +370,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
     ground."""
     if not simulation.is_complete:
         return
-    for robot, rolling in simulation.report.rolling.items():
+    for robot, rolling in simulation.report.summary.rolling.items():
         if (
             rolling.wheel > _MIN_WHEEL_TURN
             and rolling.distance < _MAX_STAY_M
@@ -409,7 +401,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
 def topples(simulation: Simulation) -> Iterator[Finding]:
     """Report a robot with a free base that topples while nothing is done, if the scenario does not measure
     whether it falls."""
-    for name, tilt in simulation.report.tilts.items():
+    for name, tilt in simulation.report.summary.tilts.items():
         robot = next(each for each in simulation.program.robots if each.name == name)
         if tilt <= _TOPPLED or simulation.program.disturbances or _is_watched(simulation, robot):
             continue
@@ -559,10 +551,10 @@ def measured_rays_meet_nothing(simulation: Simulation) -> Iterator[Finding]:
     if not simulation.is_complete:
         return
     heights = Heights(simulation.analysis)
-    for (robot, sensor), depth in simulation.report.depths.items():
+    for robot, sensor, depth in simulation.report.summary.depths:
         if heights.depth(robot, sensor) is None:
             yield _buried(simulation.values, robot, sensor, depth, notes=(simulation.summary,))
-    for (robot, sensor), clearance in simulation.report.clearances.items():
+    for robot, sensor, clearance in simulation.report.summary.clearances:
         if heights.needs_simulation(robot, sensor):
             yield _passing_over(simulation.values, robot, sensor, clearance, notes=(simulation.summary,))
 

@@ -21,7 +21,7 @@ from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
 from deepbots_cli.program.values import Expression
 
-_ROUNDING = 1e-6
+_RELATIVE_ROUNDING = 1e-6
 """The relative difference that rounding alone may cause."""
 _RANGE_FACTOR = 1.2
 """The factor by which suggested ranges are larger than needed."""
@@ -97,7 +97,7 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
     if not number.entry.clip:
         return nan
     if quantity == analysis.identity(number.node):
-        slack = _ROUNDING * max(abs(bound.low), abs(bound.high))
+        slack = _RELATIVE_ROUNDING * max(abs(bound.low), abs(bound.high))
         edge = number.high if threshold.above else number.low
         is_short = edge < limit - slack if threshold.above else edge > limit + slack
         return edge if is_short and not number.is_outside(interval) else nan
@@ -190,7 +190,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
         first, fact = analysis.start.of(number.node), analysis.resolve_aliases(number.node)
         is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
         drawn = analysis.start.initial(fact) if isinstance(fact, EngineRead) else None
-        if drawn is not None and drawn.is_finite:  # exactly the range that is drawn, not a wider one
+        if drawn is not None and drawn.is_finite:  # exactly what is drawn, not a wider range around it
             is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
         if is_beyond:
             verb = "starts" if first.is_single else "can start"
@@ -216,7 +216,7 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
         meant = analysis.resolve_aliases(node)
         drawn = analysis.start.of(meant) if isinstance(meant, Draw) else None
         drawn = analysis.start.initial(meant) if isinstance(meant, EngineRead) else drawn
-        slack = _ROUNDING * (high - low)
+        slack = _RELATIVE_ROUNDING * (high - low)
         if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
             headline = (
                 "`desired` can be outside its range: it is drawn"

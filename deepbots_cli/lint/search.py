@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict
 from itertools import combinations, count, islice, product, repeat
 from math import ceil, dist, pi, prod
 from typing import Any, NamedTuple
@@ -21,8 +20,9 @@ from deepbots_cli import api
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.lint.exploits import is_better_than_success
+from deepbots_cli.lint.report import Activity, DrivenEpisode, DriverKind, Entry, Stop
 from deepbots_cli.lint.rollouts import episode_result
-from deepbots_cli.lint.simulation import DrivenEpisode, DriverKind, work_per_step
+from deepbots_cli.lint.simulation import work_per_step
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionPart, Choices, idle_action
 from deepbots_cli.rollout import Driver, Start, Step, steps
@@ -55,7 +55,7 @@ class ExploitSearch:
     def __init__(
         self,
         program: Program,
-        write: Callable[[dict[str, Any]], None],
+        write: Callable[[Entry], None],
         begin_step: Callable[[int], None],
         permissions: Permissions,
     ) -> None:
@@ -70,21 +70,16 @@ class ExploitSearch:
 
     def run(self) -> None:
         """Play fixed drivers and scripts, and search further if these earn no more than a success."""
-        self._write({"at": ["build", 0]})
+        self._write(Activity("build", 0))
         try:
             self._environment = api.build(self._program, permissions=self._permissions)
         except DeepbotsError as error:
-            self._write({"stop": {"kind": "build", "text": str(error)}})
+            self._write(Stop("build", str(error)))
             return
         last = self._program.truncation.max_episode_steps(self._program.period)
         if self._longest < last:
-            self._write(
-                {
-                    "stop": {
-                        "text": f"only the first {self._longest:,} of {last:,} steps of an episode are played"
-                    }
-                }
-            )
+            text = f"only the first {self._longest:,} of {last:,} steps of an episode are played"
+            self._write(Stop("shortened", text))
         with closing(self._environment):
             fixed = list(fixed_drivers(self._program))
             for number in range(_STARTS):
@@ -160,7 +155,7 @@ class ExploitSearch:
         """Play one episode; None if the steps of the plan are used up, or if it cannot go on."""
         key = driver, number
         if key not in self._played and self._left > 0:
-            self._write({"at": [driver[:_MAX_SHOWN], number]})
+            self._write(Activity(driver[:_MAX_SHOWN], number))
             try:
                 self._played[key] = self._episode(driver, kind, number)
             except DeepbotsError:  # `lint --deep` reports it
@@ -205,7 +200,7 @@ class ExploitSearch:
             **episode_result(step, rewards, self._program.agent.discount),
             **watch.summary(),
         )
-        self._write({"driven": asdict(episode)})
+        self._write(episode)
         return episode
 
     # The search

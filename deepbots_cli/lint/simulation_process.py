@@ -3,7 +3,7 @@
     echo '{"folder": ..., "allow_code": false, "search": false}' | python -m
     deepbots_cli.lint.simulation_process CPU STEP MEMORY WALL
 
-It writes lines to stdout: `~17` before step 17, and JSON objects, which `simulation.SimulationReport` reads.
+It writes lines to stdout: `~17` before step 17, and the entries of a `report.SimulationReport`.
 It limits itself before it imports a simulator or reads the scenario. On Windows, which has no such limits,
 the clock of the parent remains.
 """
@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli.document import Permissions
+from deepbots_cli.lint.report import Done, Fault, encode
 from deepbots_cli.lint.simulation import OUT_OF_MEMORY, Limits
 
 _MIB = 2**20
@@ -44,10 +45,7 @@ def main(limits: Limits) -> None:
             "failed to map segment|allocate memory", str(error)
         ):
             os._exit(OUT_OF_MEMORY)  # no memory for a library
-        out.write(
-            json.dumps({"fault": describe_exception(error), "traceback": traceback.format_exc()}).encode()
-            + b"\n"
-        )
+        out.write(encode(Fault(describe_exception(error), traceback.format_exc())) + b"\n")
 
 
 def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
@@ -66,12 +64,12 @@ def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
     permissions = Permissions(code=request["allow_code"])
     simulator = (ExploitSearch if request["search"] else Simulator)(
         compiled(Path(request["folder"])),
-        write=lambda entry: write(json.dumps(entry).encode() + b"\n"),
+        write=lambda entry: write(encode(entry) + b"\n"),
         begin_step=lambda number: write(b"~%d\n" % number),
         permissions=permissions,
     )
     simulator.run()
-    write(b'{"done": true}\n')
+    write(encode(Done()) + b"\n")
 
 
 def _limit(limits: Limits) -> None:

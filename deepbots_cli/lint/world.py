@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from math import hypot
-from typing import Any
 
 from deepbots_cli import footprint
 from deepbots_cli.analysis import Analysis
@@ -23,7 +22,7 @@ from deepbots_cli.expressions.scalar import EngineRead
 from deepbots_cli.expressions.types import Known, referenced_names
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.observations import may_be_noisy
-from deepbots_cli.lint.simulation import MeasuredOverlap
+from deepbots_cli.lint.report import MeasuredOverlap, Stop
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import CustomActuator, Sensor, Thrust
@@ -279,7 +278,7 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
         headline, help = _KINDS[halt.kind]
         body, notes = None, [simulation.when()]
         if simulation.report.fastest:
-            body, speed = simulation.report.fastest
+            body, speed = simulation.report.fastest.body, simulation.report.fastest.speed
             notes.append(f"the fastest body before was `{body}`, at {speed:.3g} m/s")
         yield Finding(
             "DB309", simulation.body_span(body), headline.format(halt.description), help, notes=tuple(notes)
@@ -288,11 +287,11 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
         yield from _stopped(simulation, stop)
 
 
-def _stopped(simulation: Simulation, stop: Mapping[str, Any]) -> Iterator[Finding]:
-    body, text = str(stop.get("body", "")), str(stop.get("text"))
-    match stop.get("kind"):
+def _stopped(simulation: Simulation, stop: Stop) -> Iterator[Finding]:
+    body, text = stop.body, stop.text
+    match stop.kind:
         case "speed":
-            headline = _implausible_motion(stop, body)
+            headline = _implausible_motion(stop)
         case "lost":
             headline = f"the motion of `{body}` became infinite or NaN"
         case "engine":
@@ -309,16 +308,15 @@ def _stopped(simulation: Simulation, stop: Mapping[str, Any]) -> Iterator[Findin
     yield Finding("DB309", simulation.body_span(body), headline, _STABILITY_HELP, notes=(simulation.when(),))
 
 
-def _implausible_motion(stop: Mapping[str, Any], body: str) -> str:
-    joint = f"joint `{stop['joint']}` of `{body}`" if "joint" in stop else f"`{body}`"
-    speed = float(stop.get("value", 0.0))
-    match stop.get("what"):
+def _implausible_motion(stop: Stop) -> str:
+    joint = f"joint `{stop.joint}` of `{stop.body}`" if stop.joint is not None else f"`{stop.body}`"
+    match stop.motion:
         case "velocity":
-            return f"`{body}` moves at {speed:.3g} m/s"
+            return f"`{stop.body}` moves at {stop.value:.3g} m/s"
         case "spin":
-            return f"`{body}` spins at {speed:.3g} rad/s, by more than half a turn in each physics step"
+            return f"`{stop.body}` spins at {stop.value:.3g} rad/s, by more than half a turn in each physics step"
         case "joint":
-            return f"{joint} moves at {speed:.3g} rad/s or m/s"
+            return f"{joint} moves at {stop.value:.3g} rad/s or m/s"
         case _:
             return f"the motion of {joint} became infinite or NaN"
 

@@ -12,7 +12,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State, names_in, walk
 from deepbots_cli.program.values import Expression, NamedScalars
-from deepbots_cli.robots.model import Pose
+from deepbots_cli.robots.model import Pose, RobotModel
 
 # Sensors
 
@@ -152,6 +152,12 @@ class Sensor:
 # Actuators
 
 MotorKind = Literal["velocity_motor", "position_motor", "torque_motor"]
+_PRISMATIC_UNITS: dict[MotorKind, str] = {"velocity_motor": "m/s", "position_motor": "m", "torque_motor": "N"}
+_REVOLUTE_UNITS: dict[MotorKind, str] = {
+    "velocity_motor": "rad/s",
+    "position_motor": "rad",
+    "torque_motor": "N*m",
+}
 
 
 @dataclass(frozen=True)
@@ -191,6 +197,21 @@ class Motor:
         """The joints, each of which has one number in the command."""
         return self.joints
 
+    @property
+    def topic_kind(self) -> str:
+        """The kind of the command, for its default topic."""
+        return self.kind
+
+    @property
+    def topic_joints(self) -> tuple[str, ...]:
+        """The joints that the command drives, one number each."""
+        return self.joints
+
+    def command_unit(self, model: RobotModel) -> str:
+        """Return the unit of the command, for joints of this robot."""
+        is_prismatic = model.joint(self.joints[0]).type == "prismatic"
+        return (_PRISMATIC_UNITS if is_prismatic else _REVOLUTE_UNITS)[self.kind]
+
 
 @dataclass(frozen=True)
 class Thrust:
@@ -210,6 +231,17 @@ class Thrust:
     @property
     def components(self) -> tuple[str, ...]:
         return self.links
+
+    @property
+    def topic_kind(self) -> str:
+        return "thrust"
+
+    @property
+    def topic_joints(self) -> tuple[str, ...]:
+        return ()
+
+    def command_unit(self, model: RobotModel) -> str:
+        return "N"
 
 
 @dataclass(frozen=True)
@@ -232,6 +264,17 @@ class Cartesian:
     @property
     def components(self) -> tuple[str, ...]:
         return ("x", "y", "z")
+
+    @property
+    def topic_kind(self) -> str:
+        return "cartesian"
+
+    @property
+    def topic_joints(self) -> tuple[str, ...]:
+        return ()
+
+    def command_unit(self, model: RobotModel) -> str:
+        return "m"
 
 
 @dataclass(frozen=True)
@@ -257,6 +300,17 @@ class CustomActuator:
     @property
     def components(self) -> tuple[str, ...]:
         return self.joints
+
+    @property
+    def topic_kind(self) -> str:
+        return "customactuator"
+
+    @property
+    def topic_joints(self) -> tuple[str, ...]:
+        return ()
+
+    def command_unit(self, model: RobotModel) -> str:
+        return "1"
 
 
 Actuator = Motor | Thrust | Cartesian | CustomActuator

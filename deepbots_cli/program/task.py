@@ -19,6 +19,9 @@ from deepbots_cli.robots.model import Vector
 MAX_OBSERVED_NUMBERS = 100_000
 MAX_OBSERVED_BYTES = 10_000_000
 
+SAME_OBSERVATION = 1e-6
+"""Numbers of the observation, from -1 to 1, that differ by less are equal."""
+
 MAX_CONDITIONS = 1000
 """The maximum number of conditions of one choice in a script: Python's compiler goes down one level for
 each."""
@@ -271,6 +274,16 @@ class Goal:
         """The numbers of a goal, with the range of each."""
         rows = zip(self.components or ("goal",), self.low, self.high, strict=True)
         return tuple(ObservedValue(name, self.unit, low, high) for name, low, high in rows)
+
+    @cached_property
+    def middles(self) -> tuple[float, ...]:
+        """The middle of the range of each component, which the policy sees as 0."""
+        return tuple((high + low) / 2 for low, high in zip(self.low, self.high, strict=True))
+
+    @cached_property
+    def halves(self) -> tuple[float, ...]:
+        """Half of the range of each component, which the policy sees as 1."""
+        return tuple((high - low) / 2 for low, high in zip(self.low, self.high, strict=True))
 
     @cached_property
     def targets(self) -> tuple[Scalar, ...]:

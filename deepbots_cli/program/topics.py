@@ -10,10 +10,8 @@ from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.scalar import EngineRead, walk
 from deepbots_cli.expressions.types import QUATERNION, SPACE
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Actuator, Cartesian, Motor, Robot, Sensor, Thrust
+from deepbots_cli.program.robots import Actuator, Robot, Sensor
 from deepbots_robot.topics import Field, Topic, first_mapping
-
-_UNITS = {"velocity_motor": ("rad/s", "m/s"), "position_motor": ("rad", "m"), "torque_motor": ("N*m", "N")}
 
 _VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "orientation": QUATERNION}
 
@@ -83,23 +81,14 @@ def sensor_field(robot: Robot, sensor: Sensor) -> Field:
 
 def command_field(program: Program, robot: Robot, actuator: Actuator) -> Field:
     """Return the command of an actuator as a field."""
-    kind = actuator.kind if isinstance(actuator, Motor) else type(actuator).__name__.lower()
-    joints = actuator.joints if isinstance(actuator, Motor) else ()
-    unit = "1"
-    if isinstance(actuator, Motor):
-        model = next(body.model for body in program.world.robots if body.name == robot.name)
-        unit = _UNITS[kind][model.joint(joints[0]).type == "prismatic"]
-    elif isinstance(actuator, Thrust):
-        unit = "N"
-    elif isinstance(actuator, Cartesian):
-        unit = "m"
+    model = next(body.model for body in program.world.robots if body.name == robot.name)
     return Field(
         f"{robot.name}.{actuator.name}",
         robot.name,
-        kind,
-        unit,
+        actuator.topic_kind,
+        actuator.command_unit(model),
         (len(actuator.components),),
-        joints,
+        actuator.topic_joints,
         actuator.components,
     )
 

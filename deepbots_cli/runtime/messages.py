@@ -327,7 +327,7 @@ def excerpt(value: object) -> str:
 
 # Channels
 
-_ROUNDING = 1e-9
+_TICK_ROUNDING = 1e-9
 """The tolerance in timesteps with which a latency of a whole number of timesteps does not become one more by
 rounding."""
 
@@ -451,7 +451,7 @@ class LossyChannel:
         return self.wire.decode(self.latest) if self.wire else self.latest
 
     def _arrived(self) -> list[Any]:
-        now, queue, taken = self._tick + _ROUNDING, self._queue, []
+        now, queue, taken = self._tick + _TICK_ROUNDING, self._queue, []
         self._tick += 1
         self.message_received = False
         while queue and queue[0][0] <= now:

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deepbots_cli.arrays import evaluate
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, names_in
 from deepbots_cli.program import Program
-from deepbots_cli.runtime.formulas import clip, scale, scale_freely
+from deepbots_cli.runtime.formulas import scale, scale_freely
+from deepbots_cli.runtime.spaces import scaled_goal
 
 
 class Observer:
@@ -85,8 +85,8 @@ class Observer:
         achieved = [float(evaluate(tree, by_name)) for tree in self._achieved.values()]
         return {
             "observation": vector,
-            "achieved_goal": self._mapped(achieved),
-            "desired_goal": self._mapped(wanted),
+            "achieved_goal": np.array(scaled_goal(self._goal, achieved), np.float32),
+            "desired_goal": np.array(scaled_goal(self._goal, wanted), np.float32),
         }
 
     def _desired(self, desired: Sequence[float] | None) -> list[float]:
@@ -131,13 +131,6 @@ class Observer:
                 raise UsageError(f"the value of {name} is {str(number)[:80]}; it must be a number") from None
             if not is_finite:
                 raise UsageError(f"the value of {name} is {number}; it must be finite")
-
-    def _mapped(self, numbers: Sequence[float]) -> NDArray[np.float32]:
-        """Return numbers of a goal in [-1, 1], like `Supervisor.set_goal_observation`."""
-        assert self._goal is not None
-        ends = zip(numbers, self._goal.low, self._goal.high, strict=True)
-        mapped = [(value - (high + low) / 2) / ((high - low) / 2) for value, low, high in ends]
-        return np.array([x if -1.0 <= x <= 1.0 else clip(x) for x in mapped], np.float32)
 
     def _reason(self, program: Program) -> str:
         """Return why the present values are not enough for an observation; empty if they are."""

@@ -48,6 +48,18 @@ def observation_space(agent: Agent) -> gym.Space[Any]:
     return gym.spaces.Dict(parts)
 
 
+def scaled_goal(goal: Goal, values: Sequence[float]) -> list[float]:
+    """Map the components of an achieved or a desired goal to [-1, 1], and clip them.
+
+    Raises:
+        FloatingPointError: A component is not a number.
+    """
+    scaled = [
+        (value - middle) / half for value, middle, half in zip(values, goal.middles, goal.halves, strict=True)
+    ]
+    return [x if -1.0 <= x <= 1.0 else clip(x) for x in scaled]
+
+
 def frame_indices(agent: Agent) -> NDArray[np.intp]:
     """Return the indices of the numbers of an observation in a ring of frames; row p is for a newest frame in
     place p."""
@@ -236,17 +248,11 @@ class ObservedFrames:
         """
         goal = self.agent.goal
         assert goal is not None
-        halves = [(high - low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
-        middles = [(high + low) / 2 for low, high in zip(goal.low, goal.high, strict=True)]
-        size = len(halves)
-        mapped = [
-            (value - middle) / half
-            for value, middle, half in zip((*achieved, *desired), middles * 2, halves * 2, strict=True)
-        ]
-        self.goal[:] = [x if -1.0 <= x <= 1.0 else clip(x) for x in mapped]
+        size = len(goal.low)
+        self.goal[:] = scaled_goal(goal, achieved) + scaled_goal(goal, desired)
         meant = [
             middle + half * seen
-            for middle, half, seen in zip(middles * 2, halves * 2, self.goal.tolist(), strict=True)
+            for middle, half, seen in zip(goal.middles * 2, goal.halves * 2, self.goal.tolist(), strict=True)
         ]
         return meant[:size], meant[size:]
 
@@ -314,8 +320,7 @@ class ObservedColumns(ABC):
         """See `Supervisor.set_goal_observation`."""
         goal = self.agent.goal
         assert goal is not None
-        low, high = (np.array(ends * 2)[:, None] for ends in (goal.low, goal.high))
-        middle, half = (high + low) / 2, (high - low) / 2
+        middle, half = (np.array(values * 2)[:, None] for values in (goal.middles, goal.halves))
         seen = np.clip((stacked((*achieved, *desired), self.count) - middle) / half, -1.0, 1.0).astype(
             np.float32
         )
@@ -372,6 +377,6 @@ def _goal_values_in_unit(goal: Goal, names: tuple[Name, ...], seen: Goals) -> di
     """Return the columns in the unit of the goal; exactly what the names mean in a step."""
     columns = seen.astype(np.float64).T
     return {
-        name: (high + low) / 2 + (high - low) / 2 * column
-        for name, low, high, column in zip(names, goal.low, goal.high, columns, strict=True)
+        name: middle + half * column
+        for name, middle, half, column in zip(names, goal.middles, goal.halves, columns, strict=True)
     }

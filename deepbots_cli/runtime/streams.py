@@ -29,7 +29,7 @@ T = TypeVar("T")
 Drawn = dict[str, float | str]
 NOTHING_CHOSEN: Mapping[str, Any] = MappingProxyType({})
 
-_ROUNDING = 1e-6
+_FLOAT32_ROUNDING = 1e-6
 """The share of the size of a limit by which a value may lie beyond it and is then the limit: 0.6 as a float32
 is 0.60000002."""
 
@@ -322,7 +322,7 @@ def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
         raise UsageError(f"reset cannot set {full!r} to {number}: it is not finite")
     if options:
         near = min(options, key=lambda option: abs(option - number))
-        if abs(near - number) > _ROUNDING * abs(near):
+        if abs(near - number) > _FLOAT32_ROUNDING * abs(near):
             raise UsageError(
                 f"reset cannot set {full!r} to {number:g}; use one of"
                 f" {', '.join(f'{option:g}' for option in options)}"
@@ -330,7 +330,7 @@ def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
         return near
     low, high = (entry.low, entry.high) if entry.tree is None else _interval(entry.tree, scenario)
     near = min(max(float(number), low), high)
-    if abs(near - number) > _ROUNDING * abs(near):
+    if abs(near - number) > _FLOAT32_ROUNDING * abs(near):
         raise UsageError(
             f"reset cannot set {full!r} to {number:g}: it is drawn from {low:g} to {high:g} (SI units)"
         )

@@ -11,9 +11,10 @@ from xml.etree import ElementTree
 
 import pytest
 
-from deepbots_cli import api, lint
+from deepbots_cli import api
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics import Source as SourceText
+from deepbots_cli.lint import run
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lsp.server import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyze
@@ -39,7 +40,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two scenarios, each with a warning; a rule fails on the first."""
     (tmp_path / "a.yaml").write_text(scenario("Broken"))
     (tmp_path / "b.yaml").write_text(scenario("Whole"))
-    monkeypatch.setattr(lint, "STATIC_RULES", (breaking, *lint.STATIC_RULES))
+    monkeypatch.setattr(run, "STATIC_RULES", (breaking, *run.STATIC_RULES))
     return tmp_path
 
 
@@ -62,7 +63,7 @@ def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots
         [told[1][0].replace("a.", "b."), "warning", "DB205[unused-definition]"],
     ]
     assert "the rule DB801 failed on this file: IndexError: tuple index out of range" in ran.out
-    assert re.search(r" \(deepbots_cli\.lint:\d+\)", ran.out), "the innermost place in deepbots"
+    assert re.search(r" \(deepbots_cli\.lint\.run:\d+\)", ran.out), "the innermost place in deepbots"
     assert "Traceback" not in ran.out + ran.err
 
 
@@ -125,7 +126,7 @@ def test_an_editor_shows_a_rule_that_failed_beside_the_other_findings(folder) ->
 def test_a_rule_that_fails_after_a_simulation_does_not_hide_what_the_others_measure(
     deepbots, folder, monkeypatch
 ) -> None:
-    monkeypatch.setattr(lint, "SIMULATED_RULES", (breaking_too, *lint.SIMULATED_RULES))
+    monkeypatch.setattr(run, "SIMULATED_RULES", (breaking_too, *run.SIMULATED_RULES))
     ran = deepbots(
         "lint",
         "b.yaml",

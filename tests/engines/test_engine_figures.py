@@ -17,7 +17,6 @@ from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
 from deepbots_cli.scenario.world import World
 
-Parameters = pytest.importorskip("deepbots_cli.engines.pybullet.state", exc_type=ImportError).Parameters
 TURNED = quaternion(0.4, -0.3, 1.1)
 
 
@@ -313,7 +312,8 @@ def test_what_the_exact_engine_cannot_do_names_the_engine_that_can(worlds, build
 
 def test_a_parameter_of_the_world_is_declared_by_its_key_its_record_and_the_engine():
     """Compiler, generator, port and team go by these names, so a further one is entered in three files."""
+    state = pytest.importorskip("deepbots_cli.engines.pybullet.state", exc_type=ImportError)
     for what in get_args(WorldParameter):
         assert what in World.model_fields
         assert what in {field.name for field in fields(WorldModel)}
-        assert hasattr(Parameters, f"_set_{what}")
+        assert hasattr(state.Parameters, f"_set_{what}")

@@ -116,7 +116,7 @@ def test_an_exception_of_deepbots_in_the_process_is_told_with_its_place(checked)
     inputs = checked().inputs
     report = measure(replace(inputs, document=replace(inputs.document, root=None)), TIGHT)
     assert report.fault is not None
-    assert re.match(r"\w+Error: .+ \(deepbots_cli\.[\w.]+:\d+\)$", report.fault)
+    assert re.match(r"\w+Error: .+ \(deepbots_cli\.[\w.]+:\d+\)$", report.fault.description)
 
 
 def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> None:

@@ -1,0 +1,121 @@
+"""The parts of a starter that depend on the joints of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil, degrees, floor, radians
+
+from deepbots_cli.cli.starters.build import Build, neutral
+from deepbots_cli.cli.starters.text import short_number
+from deepbots_cli.robots.model import Joint
+
+GRAVITY = 9.81
+
+
+@dataclass
+class Draft:
+    """The parts of a robot's entry that depend on its joints; the templates read them by these names.
+
+    `motors` maps actuators to (type, group, max_torque), `commands` to their `apply` expressions, `starts`
+    groups to poses.
+    """
+
+    build: Build
+    urdf: str
+    groups: dict[str, list[str]] = field(default_factory=dict)
+    poses: dict[str, dict[str, str]] = field(default_factory=dict)
+    motors: dict[str, tuple[str, str, str]] = field(default_factory=dict)
+    commands: dict[str, str] = field(default_factory=dict)
+    starts: dict[str, str] = field(default_factory=dict)
+    positions: dict[str, float] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
+
+    @property
+    def fixed(self) -> bool:
+        return self.build.is_fixed
+
+    def group(self, name: str, joints: Sequence[Joint]) -> str:
+        """Add a group of joints. Returns its name, which differs from `name` if a link or a joint has that
+        one."""
+        model = self.build.model
+        name = _unused(name, [*(link.name for link in model.links), *(joint.name for joint in model.joints)])
+        self.groups[name] = [joint.name for joint in joints]
+        return name
+
+    def start(self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]) -> str:
+        """Add a pose of a group in which episodes begin. Returns its name."""
+        name = _unused(name, [group])
+        rounded = {joint.name: _rounded(joint, positions[joint.name]) for joint in joints}
+        self.poses[name] = {joint.name: _with_unit(joint, rounded[joint.name]) for joint in joints}
+        self.starts[group] = name
+        self.positions |= rounded
+        return name
+
+    def motor(self, name: str, kind: str, group: str, joints: Sequence[Joint], command: str) -> None:
+        """Add a motor for a group. If the file names no effort, the motor is strong enough for the robot's
+        weight."""
+        strength = ""
+        if not all(joint.limit.effort for joint in joints):
+            weight = max(self.build.mass, 0.1) * GRAVITY
+            arm = max((wheel.radius for wheel in self.build.wheels), default=self.build.size / 2)
+            strength = (
+                f"{short_number(2.0 * weight)} N"
+                if joints[0].type == "prismatic"
+                else f"{short_number(weight * arm)} N*m"
+            )
+        self.motors[name] = (kind, group, strength)
+        self.commands[name] = command
+
+    def hold(self, joints: Sequence[Joint]) -> None:
+        """Add motors that keep joints where they start."""
+        for kind, _, some in by_unit(joints):
+            group = self.group(f"held_{kind}", some)
+            pose = self.start(group, f"rest_{kind}", {joint.name: neutral(joint) for joint in some}, some)
+            self.motor(f"hold_{kind}", "position_motor", group, some, pose)
+
+    @property
+    def height(self) -> float:
+        """The height of the root at the start, in m. A fixed base is only raised to keep the rest out of the
+        ground."""
+        height = self.build.height(self.positions)
+        return max(height, 0.0) if self.fixed else height
+
+    @property
+    def raised(self) -> dict[str, str]:
+        """The start height, for a robot whose default start would be within the ground. By default a robot
+        stands on the ground with all joints at 0."""
+        usual = 0.0 if self.fixed else self.build.height({})
+        return {"z": f"{short_number(self.height)} m"} if self.height > usual + 1e-3 else {}
+
+
+def by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:
+    """Return joints that turn apart from joints that slide, which never share a group: their name, their
+    unit, the joints."""
+    hinges, slides = (
+        [joint for joint in joints if (joint.type == "prismatic") is slides] for slides in (False, True)
+    )
+    return [entry for entry in (("hinges", "rad", hinges), ("slides", "m", slides)) if entry[2]]
+
+
+def _rounded(joint: Joint, value: float) -> float:
+    """Round to whole degrees or millimeters within the limits of the joint; the middle of limits that are
+    closer than that."""
+    step = 1e-3 if joint.type == "prismatic" else radians(1.0)
+    low, high = joint.limit.lower, joint.limit.upper
+    rounded = round(value / step) * step
+    if joint.type == "continuous" or low is None or high is None or low <= rounded <= high:
+        return rounded
+    inside = ceil(low / step) * step if rounded < low else floor(high / step) * step
+    return inside if low <= inside <= high else (low + high) / 2
+
+
+def _with_unit(joint: Joint, value: float) -> str:
+    return f"{value + 0.0:.6g} m" if joint.type == "prismatic" else f"{degrees(value) + 0.0:.6g} deg"
+
+
+def _unused(name: str, used: Iterable[str]) -> str:
+    taken = set(used)
+    return next(
+        free for free in (name, *(f"{name}_{n}" for n in range(2, len(taken) + 3))) if free not in taken
+    )

@@ -1,0 +1,380 @@
+"""The tasks of starters: each adds joints and motors to the draft, and returns the values of its template."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from math import atan2, degrees, hypot, inf, radians
+
+from deepbots_cli import frames
+from deepbots_cli.cli.starters.build import Build, Limb, Wheel, neutral, range_of
+from deepbots_cli.cli.starters.draft import GRAVITY, Draft, by_unit
+from deepbots_cli.cli.starters.text import short_number
+from deepbots_cli.frames import Triple, quaternion
+from deepbots_cli.robots.model import Joint
+
+_PARALLEL = 0.999
+"""The cosine of the angle between axes that count as parallel."""
+_TIP_TOLERANCE = 0.02
+"""The largest distance of the tip of a limb from its target, as a fraction of the limb's reach."""
+_STANDING_LEG_SHARE = 0.75
+"""The length of a standing leg, as a fraction of its reach."""
+
+
+def drive(draft: Draft) -> dict[str, object]:
+    """Drive to a mark that lies somewhere around the robot."""
+    build = draft.build
+    speed, steered = _wheel_speed(build, build.size), bool(build.steering)
+    wheels = _drive_wheels(
+        draft, {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}, "gas"
+    )
+    _steer(draft, "turn")
+    draft.hold(_others(build))
+    field = max(1.0, 4.0 * build.size)
+    heading = degrees(atan2(build.forward[1], build.forward[0]))
+    time = max(10.0, round(12.0 * field / (speed * build.wheels[0].radius)))
+    return {
+        "wheels": wheels,
+        "steered": steered,
+        "speed": speed,
+        "field": field,
+        "heading": heading,
+        "max_time": time,
+    }
+
+
+def balance(draft: Draft) -> dict[str, object]:
+    """Keep a body upright that would fall: a body on two wheels of one axle, or a pole on a hinge without a
+    motor."""
+    build = draft.build
+    tilts = not build.poles
+    values: dict[str, object] = {"wheels": None, "pushed": [], "poles": None, "chassis": build.chassis}
+    if build.wheels:
+        along_x = abs(build.forward[0]) > 0.7
+        values |= {"axis": "x" if along_x else "y", "speed": _wheel_speed(build, 4.0 * build.size)}
+        values["wheels"] = _drive_wheels(draft, {}, "push")
+        _steer(draft, "")
+        if tilts:
+            values["place"] = draft.raised | {"pitch" if along_x else "roll": "uniform(-2 .. 2 deg)"}
+    else:
+        values["pushed"] = [_add_joint_motor(draft, *entry) for entry in by_unit(build.driven)]
+    if not tilts:
+        values["poles"] = draft.group("poles", build.poles)
+        draft.starts[str(values["poles"])] = "uniform(-1 .. 1 deg)"
+    if build.wheels:
+        draft.hold(_others(build))
+    return values
+
+
+def _add_joint_motor(draft: Draft, name: str, unit: str, joints: Sequence[Joint]) -> dict[str, object]:
+    """Add a motor on the joints of one unit. Returns the values of the template about their sensors, ranges
+    and ends."""
+    group = draft.group(name, joints)
+    top = min(1.0 if unit == "m" else 3.0, *(joint.limit.velocity or inf for joint in joints))
+    draft.motor(f"drive_{name}", "velocity_motor", group, joints, f"push * {short_number(top)} {unit}/s")
+    ends = [min(abs(end), 5.0) for joint in joints for end in (joint.limit.lower, joint.limit.upper) if end]
+    measures: dict[str, object] = {
+        "unit": unit,
+        "top": top,
+        "span": min(ends, default=3.0),
+        "ends": bool(ends),
+    }
+    return {"name": name, "group": group, "end": f"at_end_of_{name}", **measures}
+
+
+def hover(draft: Draft) -> dict[str, object]:
+    """Fly to a point and stay there."""
+    draft.groups["rotors"] = draft.build.rotors
+    return {
+        "each": draft.build.mass * GRAVITY / len(draft.build.rotors),
+        "mark": max(0.1 * draft.build.size, 0.01),
+    }
+
+
+def reach(draft: Draft) -> dict[str, object] | None:
+    """Bring the tip of an arm to a place in space; None if no box of places is found that it can reach."""
+    build = draft.build
+    if len(build.limbs) != 1 or len(build.limbs[0].joints) < 2:
+        return None
+    limb = build.limbs[0]
+    joints = limb.joints
+    if any(joint not in build.driven or joint.type == "prismatic" for joint in joints):
+        return None
+    box = _reachable_box(build, limb)
+    if box is None:
+        return None
+    low, high, positions = box
+    group = draft.group("arm", joints)
+    draft.start(group, "ready", positions, joints)
+    draft.motor(
+        "motors",
+        "position_motor",
+        group,
+        joints,
+        "angles + stride * move    # each joint goes on from where it is",
+    )
+    draft.hold([joint for joint in build.driven if joint not in joints])
+    lift = (0.0, 0.0, draft.height)
+    ends = [
+        " ".join(short_number(round(value, 3)) for value in frames.add(corner, lift))
+        for corner in (low, high)
+    ]
+    bounded = all(
+        joint.type != "continuous" and joint.limit.lower is not None and joint.limit.upper is not None
+        for joint in joints
+    )
+    plane = "".join(name for name, one, other in zip("xyz", low, high, strict=True) if one < other)
+    values = {
+        "arm": group,
+        "low": ends[0],
+        "high": ends[1],
+        "tip": limb.tip,
+        "reach": limb.reach,
+        "bounded": bounded,
+    }
+    return values | {"plane": "" if plane == "xyz" else f".{plane}"}
+
+
+def walk(draft: Draft) -> dict[str, object]:
+    """Walk along x or y, whichever is the longer way between the hips."""
+    build = draft.build
+    roll, pitch = _upright(build)
+    tilt = quaternion(radians(roll), radians(pitch), 0.0)
+    positions: dict[str, float] = {}
+    down = frames.rotate_back(tilt, (0.0, 0.0, -1.0))
+    for limb in build.limbs:
+        positions |= _standing(build, limb, down)
+    joints = [joint for limb in build.limbs for joint in limb.joints if joint in build.driven]
+    group = draft.group("legs", joints)
+    draft.start(group, "stand", positions, joints)
+    draft.motor("motors", "position_motor", group, joints, "stand + swing * stride")
+    draft.hold([joint for joint in build.driven if joint not in joints])
+    hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
+    along, across = (max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1))
+    height = build.height(positions, tilt)
+    turns = {
+        name: f"{short_number(angle)} deg" for name, angle in (("roll", roll), ("pitch", pitch)) if angle
+    }
+    place = {"z": f"{short_number(height * 1.02)} m", **turns, "yaw": "uniform(-5 .. 5 deg)"}
+    return {
+        "legs": group,
+        "axis": "x" if along >= across else "y",
+        "height": height,
+        "chassis": build.chassis,
+        "place": place,
+    }
+
+
+def roam(draft: Draft) -> dict[str, object]:
+    """Get away from the start, by any joints of the robot."""
+    build, actions = draft.build, {}
+    for kind, unit, joints in by_unit(build.driven):
+        endless = [joint for joint in joints if joint.type == "continuous" or joint.limit.lower is None]
+        if endless:
+            actions[f"spin_{kind}"] = group = draft.group(f"turning_{kind}", endless)
+            top = min(10.0, *(joint.limit.velocity or 10.0 for joint in endless))
+            draft.motor(
+                f"spin_{kind}",
+                "velocity_motor",
+                group,
+                endless,
+                f"spin_{kind} * {short_number(top)} {unit}/s",
+            )
+        if others := [joint for joint in joints if joint not in endless]:
+            actions[f"bend_{kind}"] = group = draft.group(f"bending_{kind}", others)
+            rest, swing = _middle(draft, group, f"rest_{kind}", others)
+            draft.motor(
+                f"bend_{kind}",
+                "position_motor",
+                group,
+                others,
+                f"{rest} + {short_number(swing)} {unit} * bend_{kind}",
+            )
+    return {"actions": actions, "chassis": build.chassis, "place": draft.raised | {"yaw": "any"}}
+
+
+def posture(draft: Draft) -> dict[str, object]:
+    """Bring the joints of a mechanism to a drawn posture."""
+    moved = []
+    for kind, unit, joints in by_unit(draft.build.driven):
+        group = draft.group(f"moved_{kind}", joints)
+        rest, swing = _middle(draft, group, f"rest_{kind}", joints)
+        draft.motor(
+            f"move_{kind}",
+            "position_motor",
+            group,
+            joints,
+            f"{kind} + {short_number(0.2 * swing)} {unit} * turn_{kind}",
+        )
+        moved.append({"name": kind, "group": group, "rest": rest, "swing": swing, "unit": unit})
+    return {"moved": moved}
+
+
+def _middle(draft: Draft, group: str, pose: str, joints: Sequence[Joint]) -> tuple[str, float]:
+    """Return a pose in which every joint can move in both directions, and by how much, at most 0.5 rad or
+    m."""
+    middle = {joint.name: neutral(joint, 0.2) for joint in joints}
+    swing = min(
+        0.5,
+        *(
+            min(range_of(joint)[1] - middle[joint.name], middle[joint.name] - range_of(joint)[0])
+            for joint in joints
+        ),
+    )
+    return draft.start(group, pose, middle, joints), swing
+
+
+# Wheels
+
+
+def _drive_wheels(draft: Draft, commands: Mapping[str, str], otherwise: str) -> str:
+    """Add velocity motors for the wheels of each side named in `commands`, mirrored axles apart. Returns the
+    group of all wheels."""
+    build = draft.build
+    everything = draft.group("wheels", [wheel.joint for wheel in build.wheels])
+    left = frames.cross((0.0, 0.0, 1.0), build.forward)
+    middle = sum(frames.dot(wheel.center, left) for wheel in build.wheels) / len(build.wheels)
+    sides: dict[tuple[str, bool], list[Wheel]] = {}
+    for wheel in build.wheels:
+        offset = frames.dot(wheel.center, left) - middle
+        if abs(offset) < 0.1 * wheel.radius:
+            side = "middle"
+        elif offset > 0:
+            side = "left"
+        else:
+            side = "right"
+        side = side if commands and not build.steering else "driven"
+        sides.setdefault((side, frames.dot(wheel.axle, left) < 0), []).append(wheel)
+    for (side, mirrored), wheels in sides.items():
+        name = f"{side}_wheels" + ("_mirrored" if mirrored and (side, False) in sides else "")
+        joints = [wheel.joint for wheel in wheels]
+        name, group = ("wheels", everything) if len(sides) == 1 else (name, draft.group(name, joints))
+        command = commands.get(side, otherwise)
+        draft.motor(
+            f"drive_{name}",
+            "velocity_motor",
+            group,
+            joints,
+            f"{'-' if mirrored else ''}{command} * top_speed",
+        )
+    return everything
+
+
+def _steer(draft: Draft, command: str) -> None:
+    """Add position motors for the hinges that steer; without a command they keep straight on."""
+    build = draft.build
+    for mirrored, name in ((False, "steering"), (True, "steering_mirrored")):
+        joints = [joint for joint in build.steering if (build.axis(joint)[2] < 0) is mirrored]
+        if joints:
+            ends = [
+                min(abs(end), 0.5)
+                for joint in joints
+                for end in (joint.limit.lower, joint.limit.upper)
+                if end
+            ]
+            angle = (
+                f"{'-' if mirrored else ''}{command} * {short_number(degrees(min(ends, default=0.5)))} deg"
+                if command
+                else "0 deg"
+            )
+            draft.motor(name, "position_motor", draft.group(name, joints), joints, angle)
+
+
+def _others(build: Build) -> list[Joint]:
+    """Return the joints with a motor that neither roll nor steer."""
+    busy = [*(wheel.joint for wheel in build.wheels), *build.steering]
+    return [joint for joint in build.driven if joint not in busy]
+
+
+def _wheel_speed(build: Build, wanted: float) -> float:
+    """Return the speed of the wheels in rad/s for `wanted` m/s, at most 1.5 m/s, within the limits of the
+    file."""
+    limits = [wheel.joint.limit.velocity for wheel in build.wheels if wheel.joint.limit.velocity]
+    return min(min(wanted, 1.5) / max(wheel.radius for wheel in build.wheels), *limits, 60.0)
+
+
+# Limbs
+
+
+def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, float]] | None:
+    """Return a box in front of an arm, or beside it, whose corners its tip reaches, and joint positions at
+    the start.
+
+    The arm starts with its tip in the middle. The box of an arm that moves in a plane along two axes of the
+    world is flat, and the tip starts beside it: in the middle it would often be at the drawn place already.
+    """
+    bending = [limb.joints[0], *(joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.3)]
+    shoulder = next((joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.7), limb.joints[0])
+    far, near = limb.reach, _TIP_TOLERANCE * limb.reach
+    across = next(
+        (axis for axis in range(3) if all(abs(build.axis(joint)[axis]) > _PARALLEL for joint in limb.joints)),
+        None,
+    )
+    sides = ((1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))
+    for half, (x, y), rise in product((0.2, 0.12, 0.06), sides, (0.1, 0.3, 0.0)):
+        away = (0.5 if across is None else 0.65) * far
+        middle = frames.add(build.frames[shoulder.child][0], (away * x, away * y, rise * far))
+        starts, orders, inner, sizes = [middle], [bending, None], [], [half * far] * 3
+        if across is not None:
+            middle, sizes[across] = (
+                _moved(middle, across, build.frames[limb.tip][0][across] - middle[across]),
+                0.0,
+            )
+            starts = [
+                _moved(middle, axis, 1.5 * sign * half * far)
+                for axis in (2, 1, 0)
+                if axis != across
+                for sign in (1, -1)
+            ]
+            orders.append(bending[::-1])  # which often bends the elbow the other way
+            # The circle that a hinge at its limit leaves out may reach into a flat box between two corners.
+            inner = [
+                middle,
+                *(_moved(middle, axis, sign * sizes[axis]) for axis in range(3) for sign in (1, -1)),
+            ]
+        low, high = (
+            frames.add(middle, (sign * sizes[0], sign * sizes[1], sign * sizes[2])) for sign in (-1, 1)
+        )
+        if across != 2:
+            low = low[0], low[1], max(low[2], build.lowest + 0.05 * far)
+        tried = [limb.positions_for(start, order) for start in starts for order in orders]
+        reached = [positions for positions, missing in tried if missing < near]
+        corners = product((low[0], high[0]), (low[1], high[1]), (low[2], high[2]))
+        if reached and all(limb.positions_for(place)[1] < near for place in (*corners, *inner)):
+            return (
+                low,
+                high,
+                reached[0] if across is None else max(reached, key=limb.lowest),
+            )  # above the ground
+    return None
+
+
+def _moved(point: Triple, axis: int, distance: float) -> Triple:
+    x, y, z = (value + distance * (number == axis) for number, value in enumerate(point))
+    return x, y, z
+
+
+def _upright(build: Build) -> tuple[float, float]:
+    """Return roll and pitch (deg) that bring the legs below the body, for a robot that was drawn lying on its
+    side."""
+    legs = [
+        frames.subtract(build.frames[limb.tip][0], build.frames[limb.joints[0].child][0])
+        for limb in build.limbs
+    ]
+    x, y = (sum(leg[axis] / (hypot(*leg) or 1.0) for leg in legs) / len(legs) for axis in (0, 1))
+    if abs(y) > 0.8:
+        return (90.0 if y < 0 else -90.0), 0.0
+    if abs(x) <= 0.8:
+        return 0.0, 0.0
+    return 0.0, 90.0 if x > 0 else -90.0
+
+
+def _standing(build: Build, limb: Limb, down: Triple) -> dict[str, float]:
+    """Return joint positions with the foot of a leg below its hip and the leg somewhat bent."""
+    hip = build.frames[limb.joints[0].child][0]
+    leg = frames.subtract(build.frames[limb.tip][0], hip)
+    aside = frames.subtract(leg, frames.scaled(down, frames.dot(leg, down)))
+    kept = aside if hypot(*aside) < 0.35 * limb.reach else (0.0, 0.0, 0.0)
+    return limb.positions_for(
+        frames.add(hip, frames.add(kept, frames.scaled(down, _STANDING_LEG_SHARE * limb.reach)))
+    )[0]

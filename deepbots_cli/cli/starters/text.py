@@ -1,0 +1,61 @@
+"""The text of a starter: its templates, names, collections and numbers."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+_COLUMN, _WIDTH = 40, 110
+_PLAIN = re.compile(r"(?:package://|(?:\.\./)+)?[A-Za-z_][A-Za-z0-9_./-]*")
+_OTHER_YAML = frozenset({"true", "false", "null", "yes", "no", "on", "off", "y", "n"})
+
+
+def templates() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("for_robots")),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+        finalize=lambda value: short_number(value) if isinstance(value, float) else str(value).rstrip("\n"),
+        autoescape=False,  # the output is YAML; `word` quotes names
+    )
+    environment.filters |= {"word": yaml_name, "flow": flow_collection, "number": short_number}
+    return environment
+
+
+def yaml_name(name: str) -> str:
+    """Return a name of a robot file as YAML."""
+    plain = _PLAIN.fullmatch(name) and name.lower() not in _OTHER_YAML
+    return name if plain else json.dumps(name, ensure_ascii=False)
+
+
+def flow_collection(items: Sequence[str] | Mapping[str, str], key: str, indent: int = 6) -> str:
+    """Return `key: [a, b]` or `key: {a: 1, b: 2}`, over several lines if it is long."""
+    pairs = (
+        [f"{yaml_name(name)}: {value}" for name, value in items.items()]
+        if isinstance(items, Mapping)
+        else list(map(yaml_name, items))
+    )
+    start, end = "{}" if isinstance(items, Mapping) else "[]"
+    lines = [f"{' ' * indent}{key}: {start}"]
+    for position, pair in enumerate(pairs, start=1):
+        piece = pair + ("," if position < len(pairs) else end)
+        if len(lines[-1]) + len(piece) > _WIDTH and lines[-1].strip():
+            lines.append(" " * (indent + 1))
+        lines[-1] += ("" if lines[-1].endswith(start) and len(lines) == 1 else " ") + piece
+    return "\n".join(lines)
+
+
+def short_number(value: float) -> str:
+    """Return three digits of a number."""
+    return f"{value + 0.0:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def aligned(line: str) -> str:
+    """Return a line with its comment, which follows four spaces, in the column of comments."""
+    text, mark, comment = line.partition("    # ")
+    return f"{text:<{_COLUMN - 2}}  # {comment}" if mark else line.rstrip()

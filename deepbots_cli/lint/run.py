@@ -1,0 +1,197 @@
+"""Runs the rules on a scenario, with and without a simulation, and joins their findings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+from deepbots_cli.compiler import CheckedScenario
+from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding, exceptions_as_findings
+from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
+from deepbots_cli.lint import (
+    cycles,
+    endings,
+    incentives,
+    names,
+    observations,
+    rewards,
+    robots,
+    saturation,
+    shaping,
+    world,
+)
+from deepbots_cli.lint.cascade import CascadeFilter
+from deepbots_cli.lint.context import RuleContext, SimulatedRule, Simulation, StaticRule
+from deepbots_cli.lint.exploits import EXPLOIT_RULES, Exploit, ExploitContext
+from deepbots_cli.lint.report import SimulationReport
+from deepbots_cli.lint.simulation import EXPLOIT_LIMITS, Limits, measure
+
+_MODULES = (names, world, robots, observations, saturation, rewards, incentives, cycles, shaping, endings)
+STATIC_RULES: tuple[StaticRule, ...] = tuple(
+    rule for module in _MODULES for rule in getattr(module, "STATIC_RULES", ())
+)
+SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(
+    rule for module in _MODULES for rule in getattr(module, "SIMULATED_RULES", ())
+)
+
+_CAUSES = frozenset({"DB315"})
+"""The warnings that may explain an error: an arm that cannot reach its target contorts."""
+
+
+def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
+    """Yield the findings of all static rules; none for a scenario with errors.
+
+    A rule that raises an exception is reported as DB903, and the other rules run.
+    """
+    if checked.findings.errors or checked.program is None or checked.namespace is None:
+        return
+    context = RuleContext(checked, checked.program, checked.namespace)
+    cascade = CascadeFilter(checked)
+    source = checked.document.source
+    checks: list[tuple[str, Callable[[], Iterator[Finding]]]] = [
+        (rule.code, partial(rule, context)) for rule in STATIC_RULES
+    ]
+    checks += [
+        (rule.code, partial(rule.check, checked))
+        for rule in RULES.from_plugins.values()
+        if rule.check is not None
+    ]
+    for code, check in checks:
+        if preview or not RULES[code].preview:
+            finder = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))
+            yield from (finding for finding in finder if not cascade.is_consequence(finding))
+
+
+def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
+    try:
+        yield from check()
+    except RecursionError:  # definitions nested too deep for a rule
+        return
+
+
+def all_findings(
+    checked: CheckedScenario,
+    *,
+    preview: bool = False,
+    measured: Iterable[Finding] | None = None,
+    exploits: Iterable[Finding] | None = None,
+) -> list[Finding]:
+    """Return all findings of the compiler and of the rules, without suppressed ones and warnings about robot
+    files of other packages.
+
+    `inspect` of a robot file shows the latter. `measured` are the findings of a simulation, None if there was
+    none; a static finding replaces a measured one at the same place. `exploits` are the findings of a search
+    for exploits, None if there was none.
+    """
+    models = (checked.robots or {}).values()
+    sources = (*checked.document.sources, *(robot.file.source for robot in models))
+    findings = [*checked.findings, *static_findings(checked, preview=preview)]
+    reported = {(finding.code, finding.span) for finding in findings}
+    findings += [finding for finding in measured or () if (finding.code, finding.span) not in reported]
+    findings += exploits or ()
+    kept, unused = suppress(
+        findings, sources, preview=preview, deep=measured is not None, exploits=exploits is not None
+    )
+    packaged = {id(robot.file.source) for robot in models if robot.spec.urdf.startswith("package://")}
+    ours = [
+        finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged
+    ]
+    return _limited([*ours, *unused])
+
+
+def _limited(findings: list[Finding]) -> list[Finding]:
+    """Return the findings in their order; of too many, errors before warnings and limits before both, with a
+    note on the number of the rest."""
+    limit = MAX_FINDINGS + 1  # the last may be that there are too many
+    if len(findings) > limit:
+        by_weight = sorted(
+            findings,
+            key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key),
+        )
+        *kept, last = by_weight[:limit]
+        findings = [
+            *kept,
+            replace(last, notes=(*last.notes, f"{len(by_weight) - limit:,} more findings are not shown")),
+        ]
+    return sorted(findings, key=lambda finding: finding.sort_key)
+
+
+@dataclass(frozen=True)
+class SimulationFindings:
+    """The findings of a simulation; `incomplete` is the reason why it ended early, if that is no finding."""
+
+    findings: list[Finding]
+    incomplete: str | None = None
+
+
+def simulate(
+    checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()
+) -> SimulationFindings:  # immutable
+    """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
+
+    If these find errors, warnings are dropped except `_CAUSES`: the behavior would follow from the errors. A
+    rule that raises an exception is reported as DB903, and so is a fault of deepbots in the simulation.
+    """
+    assert checked.program is not None  # it has no errors
+    assert checked.namespace is not None
+    source = checked.document.source
+    report = measure(checked.inputs, limits, permissions=checked.document.permissions)
+    if report.fault is not None:
+        return SimulationFindings(
+            [internal_error_finding("the simulation", source, report.fault.description)]
+        )
+    simulation = Simulation(checked, checked.program, checked.namespace, report)
+    active = [rule for rule in SIMULATED_RULES if preview or not RULES[rule.code].deep_preview]
+    findings = [
+        finding
+        for rule in active
+        for finding in exceptions_as_findings(f"the rule {rule.code}", source, partial(rule, simulation))
+    ]
+    errors = [finding for finding in findings if finding.severity == "error"]
+    if not all(finding.is_internal_error for finding in errors):
+        findings = [finding for finding in findings if finding.severity == "error" or finding.code in _CAUSES]
+    halt = report.halt
+    return SimulationFindings(
+        findings,
+        f"{simulation.when()}, after {halt.description}"
+        if halt is not None and halt.kind == "slow"
+        else None,
+    )
+
+
+@dataclass(frozen=True)
+class FoundExploits:
+    """The exploits of a reward, the number of episodes, and the number of successes; `incomplete` is the
+    reason why exploits may be missing."""
+
+    exploits: list[Exploit]
+    episodes: int
+    successes: int = 0
+    incomplete: str | None = None
+
+
+def find_exploits(checked: CheckedScenario, *, limits: Limits = EXPLOIT_LIMITS) -> FoundExploits:
+    """Search for exploits of the reward of a scenario without errors, in a process of its own."""
+    assert checked.program is not None  # it has no errors
+    assert checked.namespace is not None
+    report = measure(checked.inputs, limits, permissions=checked.document.permissions, search=True)
+    if report.fault is not None:
+        fault = internal_error_finding(
+            "the search for exploits", checked.document.source, report.fault.description
+        )
+        return FoundExploits([Exploit(fault, None)], 0)
+    context = ExploitContext(checked, checked.program, checked.namespace, report.driven)
+    exploits = [exploit for rule in EXPLOIT_RULES for exploit in rule(context)]
+    return FoundExploits(
+        exploits,
+        len(report.driven),
+        sum(each.end == "success" for each in report.driven),
+        _why_incomplete(report),
+    )
+
+
+def _why_incomplete(report: SimulationReport) -> str | None:
+    if report.stop is not None:
+        return report.stop.text
+    return f"stopped after {report.halt.description}" if report.halt is not None else None
