@@ -69,7 +69,7 @@ def every_page() -> tuple[RulePage, ...]:
 def pages_of(code: str) -> tuple[RulePage, ...]:
     """Return the pages of one code."""
     rule = RULES[code]
-    if rule.check is not None:
+    if rule.about:
         return (_page(code, {"about": rule.about, "example": rule.example, "instead": rule.instead}),)
     return _pages_in(FOLDER / f"db{code[2]}.yaml").get(code, ())
 
