@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
@@ -22,7 +22,7 @@ Ages = dict[str, float]
 """The age of each named value in timesteps; infinite where it varies."""
 
 
-def timing(scenario: Program) -> list[dict[str, object]]:
+def timing(scenario: Program) -> list[Mapping[str, object]]:
     """For step n of the agent, from 0: the physics step from which its action acts, and after which each
     observation is measured.
 
@@ -32,7 +32,7 @@ def timing(scenario: Program) -> list[dict[str, object]]:
     delay is drawn, messages may be lost, or a sensor measures less often than the supervisor.
     """
     substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.action_repeat
-    rows: list[dict[str, object]] = []
+    rows: list[Mapping[str, object]] = []
     for part in scenario.agent.action:
         routes = [
             robot.to_route
