@@ -16,7 +16,7 @@ from deepbots_cli.expressions.text import value_text
 
 Row = Mapping[str, object]
 
-_READABLE = 12
+_MIN_TEXT_WIDTH = 12
 """The smallest width of a column of text; below it, most words are broken."""
 _NUMBERS = (int, float, type(None))
 _EMPTY_VALUES: tuple[object, ...] = (None, "", [], ())
@@ -33,11 +33,12 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
     cells = [[cell_text(row.get(name)) for name in names] for row in rows]
     right = [all(type(row.get(name)) in _NUMBERS for row in rows) for name in names]
     widths = [max(map(cell_len, column)) for column in zip(names, *cells, strict=True)]
-    least = [
-        width if is_number else min(width, _READABLE) for width, is_number in zip(widths, right, strict=True)
+    min_widths = [
+        width if is_number else min(width, _MIN_TEXT_WIDTH)
+        for width, is_number in zip(widths, right, strict=True)
     ]
     grid = Table.grid(padding=(0, 2))
-    for width, is_number in zip(least, right, strict=True):
+    for width, is_number in zip(min_widths, right, strict=True):
         grid.add_column(
             justify="right" if is_number else "left", no_wrap=is_number, overflow="fold", min_width=width
         )
@@ -45,7 +46,7 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
         grid.add_row(*(Text(text) for text in line))
         if line is names:
             grid.add_row(*(Text("-" * width, no_wrap=True, overflow="crop") for width in widths))
-    return _lines(grid, sum(least) + 2 * len(least), sum(widths) + 2 * len(widths), indent)
+    return _lines(grid, sum(min_widths) + 2 * len(min_widths), sum(widths) + 2 * len(widths), indent)
 
 
 def row_as_lines(row: Row, indent: str = "  ") -> str:
@@ -56,18 +57,18 @@ def row_as_lines(row: Row, indent: str = "  ") -> str:
     grid.add_column(overflow="fold")
     for name, value in shown.items():
         grid.add_row(Text(name), Text(value))
-    names, values = (max(map(cell_len, column), default=0) for column in (shown, shown.values()))
-    return _lines(grid, names + _READABLE + 4, names + values + 4, indent)
+    name_width, value_width = (max(map(cell_len, column), default=0) for column in (shown, shown.values()))
+    return _lines(grid, name_width + _MIN_TEXT_WIDTH + 4, name_width + value_width + 4, indent)
 
 
-def _lines(grid: Table, least: int, needed: int, indent: str) -> str:
-    """Format a grid as text, no wider than the terminal, if standard output is one, unless that leaves less
-    than the `least` width."""
+def _lines(grid: Table, min_width: int, needed: int, indent: str) -> str:
+    """A grid as text, no wider than the terminal that standard output is, unless that leaves less than the
+    `min_width`."""
     room = terminal.width() - len(indent) if sys.stdout.isatty() else needed
     out = StringIO()
     console = Console(
         file=out,
-        width=min(needed, room) if room >= least else needed,
+        width=min(needed, room) if room >= min_width else needed,
         color_system=None,
         legacy_windows=False,
     )

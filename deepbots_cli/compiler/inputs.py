@@ -42,8 +42,9 @@ class Inputs:
     def names(self) -> dict[Path, str]:
         """A relative path for the copy of each file, the scenario first."""
         meshes = [Path(mesh) for robot in self._all_robots for mesh in robot.file.meshes]
-        # A robot from an installed package keeps its meshes below its own folder.
-        packages = [robot.path.parent for robot in self._all_robots]
+        packages = [
+            robot.path.parent for robot in self._all_robots
+        ]  # one from a package has its meshes below it
         files = [file for each in (self, *self.variants) for file in each.files.values()]
         return copy_names(
             [*self._texts, *meshes, *files], (shipped.data_dir(), *self.document.roots, *packages)
@@ -75,7 +76,8 @@ class Inputs:
         """
         texts = self._texts
         return {
-            name: texts[file].encode() if file in texts else _bytes(file) for file, name in self.names.items()
+            name: texts[file].encode() if file in texts else _read_bytes(file)
+            for file, name in self.names.items()
         }
 
     def resolved(self) -> str:
@@ -84,7 +86,7 @@ class Inputs:
         if self.document.root is None:
             return ""
         root = without_paths(self.document.root, [(TUNE,)])
-        for path, file in (self._named | self._set()).items():
+        for path, file in (self._files_by_path | self._files_of_variants()).items():
             written, key, _ = descend(root, path)
             if isinstance(written, ScalarNode) and key is not None:
                 text = f"{INPUTS_FOLDER}/{self.names[file]}"
@@ -92,13 +94,13 @@ class Inputs:
         return to_yaml(root)
 
     @property
-    def _named(self) -> dict[NodePath, Path]:
+    def _files_by_path(self) -> dict[NodePath, Path]:
         """Every file that is named in the scenario, by where."""
         return {("robots", name, "urdf"): robot.path for name, robot in self.robots.items()} | dict(
             self.files
         )
 
-    def _set(self) -> dict[NodePath, Path]:
+    def _files_of_variants(self) -> dict[NodePath, Path]:
         """Return the files that only the settings of a case or a stage name, by their place in the text."""
         assert self.document.root is not None
         files: dict[Span, Path] = {}
@@ -106,7 +108,7 @@ class Inputs:
             if variant.document.root is not None:
                 files |= {
                     descend(variant.document.root, path)[0].span: file
-                    for path, file in variant._named.items()
+                    for path, file in variant._files_by_path.items()
                 }
         places = walk(self.document.root) if files else ()
         return {
@@ -150,7 +152,7 @@ def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str
     return names
 
 
-def _bytes(file: Path) -> bytes:
+def _read_bytes(file: Path) -> bytes:
     try:
         return file.read_bytes()
     except OSError as error:

@@ -88,7 +88,9 @@ def cycle_pays(context: RuleContext) -> Iterator[Finding]:
     for success in context.program.successes:
         if success.foreign is None and success not in context.analysis.shadowed:
             best = max(
-                _Search(context.analysis.ideal, success).paid(), key=lambda earned: earned.total, default=None
+                _Search(context.analysis.ideal, success).exploits(),
+                key=lambda earned: earned.total,
+                default=None,
             )
             if best is not None:
                 yield _finding(context, success, best)
@@ -103,7 +105,9 @@ class _Search:
         self._reward = analysis.reward
         program = analysis.program
         self._steps = steps_from(analysis, success) * program.action_repeat
-        self._counted = min(self._steps * _SHARE_OF_EPISODE, horizon(self._reward) * program.action_repeat)
+        self._counted_steps = min(
+            self._steps * _SHARE_OF_EPISODE, horizon(self._reward) * program.action_repeat
+        )
         self._condition = analysis.scalars(success)[0]
         self._endings = [
             (ending, analysis.scalars(ending)[0]) for ending in program.endings if ending.foreign is None
@@ -113,12 +117,12 @@ class _Search:
         self._tick = program.world.timestep
         times = hold_times(analysis, [node for _, node in self._endings])
         self._longest_hold = max((min(_MAX_HELD, ceil(time / self._tick) + 2) for time in times), default=0)
-        self._left = _MAX_PLAYED
+        self._steps_left = _MAX_PLAYED
         self._nodes: dict[int, Scalar] = {}
         _, final = self._reward.split_by_end()
-        self._fine = min(0.0, total_range(final, self._reward.ranges_at(None)).high)
+        self._end_penalty = min(0.0, total_range(final, self._reward.ranges_at(None)).high)
 
-    def paid(self) -> Iterator[Earned]:
+    def exploits(self) -> Iterator[Earned]:
         """Yield the cycles that pay more than finishing."""
         if self._steps * _SHARE_OF_EPISODE < _MIN_STEPS:
             return
@@ -132,7 +136,7 @@ class _Search:
                     yield earned
 
     def _is_excessive(self, earned: Earned) -> bool:
-        worth = earned.rate * self._counted
+        worth = earned.rate * self._counted_steps
         return earned.total > max(earned.finishing, 0.0) and worth > MIN_WORTH * max(earned.finishing, 0.0)
 
     # Cycles
@@ -161,7 +165,7 @@ class _Search:
         """Yield cycles that hold the success condition almost as long as required."""
         near = dict(finish)
         for key, required in out.items():
-            edge = _across(required)
+            edge = _just_outside(required)
             if (
                 edge is None
                 or key not in within
@@ -211,25 +215,25 @@ class _Search:
     def _regions_in_reward(self) -> Iterator[tuple[int, Values, Values]]:
         """Yield the values of several quantities that meet a condition of a term, and the same with one of
         them beyond its bound."""
-        met: set[int] = set()
+        seen: set[int] = set()
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
             identity = self._analysis.identity(part)
-            if not isinstance(part, Op) or part.op != "and" or identity in met:
+            if not isinstance(part, Op) or part.op != "and" or identity in seen:
                 continue
-            met.add(identity)
+            seen.add(identity)
             for way in [way for way in ways(self._analysis, part) if len(way) > 1][:_MAX_INSIDE]:
                 inside = self._values(way)
                 for key, required in way.items():
-                    edge = _across(required)
+                    edge = _just_outside(required)
                     if edge is not None:
                         yield key, inside, {**inside, key: single(edge)}
 
     def _sides_in_reward(self) -> Iterator[tuple[int, tuple[Interval, Interval]]]:
-        met = set()
+        seen = set()
         for quantity, threshold in thresholds_of(self._analysis, self._terms):
             key = self._analysis.identity(quantity)
-            if (key, threshold) not in met:
-                met.add((key, threshold))
+            if (key, threshold) not in seen:
+                seen.add((key, threshold))
                 self._nodes[key] = self._analysis.resolve_aliases(quantity)
                 yield key, (single(beyond(threshold, -1.0)), single(beyond(threshold, 1.0)))
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
@@ -259,15 +263,15 @@ class _Search:
             yield Cycle(tuple((values, 1) for values in reversed(steps)), key)
 
     def _changing(self) -> Iterator[tuple[int, Scalar]]:
-        met = set()
+        seen = set()
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
             if isinstance(part, State) and part.function in ("delta", "previous"):
                 node = self._analysis.resolve_aliases(part.args[0])
                 key = self._analysis.identity(node)
-                if key not in met and not any(
+                if key not in seen and not any(
                     isinstance(inner, State) for inner in self._analysis.walk_definitions(node)
                 ):
-                    met.add(key)
+                    seen.add(key)
                     yield key, node
 
     def _resting_value(self, node: Scalar) -> float:
@@ -286,8 +290,8 @@ class _Search:
     def _earned(self, cycle: Cycle, finish: Values) -> Earned | None:
         """Return the reward of a cycle; None if it ends the episode, or if finishing from it is unknown."""
         turns = max(3, ceil(self._longest_hold / cycle.ticks) + 1)
-        self._left -= (turns + 3) * cycle.ticks
-        if self._left < 0:
+        self._steps_left -= (turns + 3) * cycle.ticks
+        if self._steps_left < 0:
             return None
         start = cycle.phases[-1][0]
         course = self._course({**start, **finish}, is_moving=True)
@@ -299,8 +303,8 @@ class _Search:
             if turn is None:
                 return None
             early = turn
-        course.skip(before, self._counted / cycle.ticks, cycle.ticks)
-        passing = self._turn(course, cycle)  # has the payments that occur once, in the time that is skipped
+        course.skip(before, self._counted_steps / cycle.ticks, cycle.ticks)
+        passing = self._turn(course, cycle)  # pays what is paid once, in the time that is skipped
         late = None if passing is None else self._turn(course, cycle)
         if late is None:
             return None
@@ -312,7 +316,9 @@ class _Search:
         finishing = self._finishing(course, {**start, **finish})
         if finishing is None:
             return None
-        return Earned(cycle, rates, rate, rate * self._steps * _SHARE_OF_EPISODE + self._fine, finishing)
+        return Earned(
+            cycle, rates, rate, rate * self._steps * _SHARE_OF_EPISODE + self._end_penalty, finishing
+        )
 
     def _turn(self, course: Course, cycle: Cycle) -> Mapping[str, float] | None:
         """Return the least reward of each term in one turn of a cycle; None if the episode ends."""
@@ -346,7 +352,7 @@ class _Search:
         return None
 
 
-def _across(required: Required) -> float | None:
+def _just_outside(required: Required) -> float | None:
     """Return a value just on the other side of the bound of a requirement."""
     low, high = required.within
     if low == high:

@@ -107,12 +107,13 @@ class Fixer:
         self._originals: dict[Path, bytes] = dict(drafts)
         self.drafts: dict[Path, bytes] = dict(drafts)
         self.fixed: list[Finding] = []
+        self._runs_left = _MAX_LINT_RUNS
         self._linted = {name: self._lint(name, self.drafts) for name in names}
 
     def fix(self) -> list[Rewrite]:
         """Apply all fixes that do no harm; returns the files that change."""
         for name in self._linted:
-            self._effort = _MAX_LINT_RUNS
+            self._runs_left = _MAX_LINT_RUNS
             for _ in range(_MAX_ROUNDS):
                 if not self._round(name):
                     break
@@ -142,7 +143,7 @@ class Fixer:
         before, drafts = dict(self._linted), dict(self.drafts)
         applied: list[Finding] = []
         waiting = [self._applicable(before[name])]
-        while waiting and self._effort > 0:
+        while waiting and self._runs_left > 0:
             group = waiting.pop()
             if group and self._try(name, [*applied, *group], before, drafts):
                 applied += group
@@ -178,27 +179,18 @@ class Fixer:
 
     def _try(self, name: str, fixes: list[Finding], before: dict[str, LintResult], drafts: Drafts) -> bool:
         """Apply fixes to the state at the beginning of a round; they stay applied if they do no harm."""
-        self._effort -= (
-            1 + sum(len(source.text) for source in before[name].files.values()) // _TYPICAL_SIZE_CHARACTERS
-        )
+        self._runs_left -= _cost(before[name])
         edits = [edit for finding in fixes if finding.fix for edit in finding.fix.edits]
         edited = self._edited(before[name], edits)
         after: dict[str, LintResult] = {}
-        for other, count in before.items():
-            if other != name and count.files.keys().isdisjoint(edited):
+        for other, earlier in before.items():
+            if other != name and earlier.files.keys().isdisjoint(edited):
                 continue
             linted = after[other] = self._lint(other, {**drafts, **edited})
-            if count.root is None:
-                if linted.root is None and linted.first_error <= count.first_error:
-                    return False
-                continue
-            added = _added(linted, count)
-            if linted.root is None or (_outside(added, linted.root, edits) if other == name else added):
+            if _does_harm(earlier, linted, edits if other == name else ()):
                 return False
-        if before[name].root is not None:
-            others = _counted(before[name].findings) - _counted(fixes)
-            if _counted(fixes) & (_counted(after[name].findings) - others):
-                return False  # a finding is still there
+        if before[name].root is not None and not _are_fixed(fixes, before[name], after[name]):
+            return False
         self.drafts, self._linted = {**drafts, **edited}, {**before, **after}
         return True
 
@@ -220,6 +212,25 @@ class Fixer:
                 raise UsageError(f"{source.name} was changed by another program in the meantime")
             self._originals[path] = data
         return _BOM if self._originals[path].startswith(_BOM) else b""
+
+
+def _cost(linted: LintResult) -> int:
+    """The cost of linting a scenario again, in runs on a scenario of typical size."""
+    return 1 + sum(len(source.text) for source in linted.files.values()) // _TYPICAL_SIZE_CHARACTERS
+
+
+def _does_harm(before: LintResult, after: LintResult, edits: Iterable[Edit]) -> bool:
+    """Whether edits add errors to a scenario. New errors within the edited entries do no harm."""
+    if before.root is None:
+        return after.root is None and after.first_error <= before.first_error
+    added = _added(after, before)
+    return after.root is None or bool(_outside(added, after.root, edits))
+
+
+def _are_fixed(fixes: Sequence[Finding], before: LintResult, after: LintResult) -> bool:
+    """Whether none of the findings `fixes` remains."""
+    others = _counted(before.findings) - _counted(fixes)
+    return not _counted(fixes) & (_counted(after.findings) - others)
 
 
 def _apply(source: Source, edits: Iterable[Edit]) -> str:

@@ -85,7 +85,7 @@ class Simulator:
         self._begin_step = begin_step
         self._permissions = permissions
         self._plan = simulation_plan(program)
-        self._counters: dict[str, Counter] = {}
+        self._statistics: dict[str, StepStatistics] = {}
         self._rays = RayWatch(program)
         self._wheels = WheelWatch(program)
         self._tilts = TiltWatch(program)
@@ -107,8 +107,8 @@ class Simulator:
         self._write(
             Summary(
                 {
-                    policy: counter.statistics()
-                    for policy, counter in self._counters.items()
+                    policy: statistics.summary()
+                    for policy, statistics in self._statistics.items()
                     if policy != _VARIANTS_LABEL
                 },
                 self._constant_numbers(),
@@ -158,23 +158,23 @@ class Simulator:
     def _check_first_commands(self, environment: Supervisor, arms: ArmWatch) -> None:
         """Check whether arms reach their first commanded pose. Every choice should lead to one; the end of a
         range need not."""
-        by = IDLE if idle_action(self._program.agent.action) is not None else RANDOM
-        if by == RANDOM and self._program.agent.ranges:
+        policy = IDLE if idle_action(self._program.agent.action) is not None else RANDOM
+        if policy == RANDOM and self._program.agent.ranges:
             return
         for seed in range(_FIRST_EPISODES):
             arms.is_watching = True
-            self._write(Activity(by, seed))
+            self._write(Activity(policy, seed))
             try:
-                for _ in self._steps(environment, Rollout(by, seed, _FIRST_STEPS)):
+                for _ in self._steps(environment, Rollout(policy, seed, _FIRST_STEPS)):
                     if arms.commands:
                         break
             except DeepbotsError:  # reported by the episodes that follow
                 pass
-            self._write_misses(arms, by, seed)
+            self._write_misses(arms, policy, seed)
 
-    def _write_misses(self, arms: ArmWatch, by: str, seed: int) -> None:
+    def _write_misses(self, arms: ArmWatch, policy: str, seed: int) -> None:
         arms.is_watching = False
-        for miss in arms.take_misses(by, seed):
+        for miss in arms.take_misses(policy, seed):
             self._write(miss)
 
     # Episodes
@@ -187,19 +187,25 @@ class Simulator:
         counted_as: str | None = None,
     ) -> None:
         for rollout in rollouts:
-            done = sum(counter.steps for by, counter in self._counters.items() if by in (RANDOM, HELD_RANDOM))
+            done = sum(
+                statistics.steps
+                for policy, statistics in self._statistics.items()
+                if policy in (RANDOM, HELD_RANDOM)
+            )
             if (
                 counted_as is None
                 and rollout.policy in (RANDOM, HELD_RANDOM)
                 and done >= self._plan.min_random_steps
             ):
                 continue
-            counter = self._counters.setdefault(counted_as or rollout.policy, Counter(self._program))
+            statistics = self._statistics.setdefault(
+                counted_as or rollout.policy, StepStatistics(self._program)
+            )
             self._write(Activity(rollout.policy, rollout.seed))
             if arms is not None:
                 arms.is_watching = rollout.script is not None
             try:
-                self._episode(environment, rollout, counter, report=counted_as is None)
+                self._episode(environment, rollout, statistics, report=counted_as is None)
             except DeepbotsError as error:
                 if (
                     isinstance(error, EvaluationError)
@@ -212,7 +218,9 @@ class Simulator:
                 if arms is not None:
                     self._write_misses(arms, rollout.policy, rollout.seed)
 
-    def _episode(self, environment: Supervisor, rollout: Rollout, counter: Counter, *, report: bool) -> None:
+    def _episode(
+        self, environment: Supervisor, rollout: Rollout, statistics: StepStatistics, *, report: bool
+    ) -> None:
         taken = self._steps(environment, rollout)
         next(taken)
         speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
@@ -224,7 +232,7 @@ class Simulator:
         rewards: list[float] = []
         for step in taken:
             rewards.append(step.reward)
-            counter.add(step.observation, step.info["reward_terms"])
+            statistics.add(step.observation, step.info["reward_terms"])
             check_rays()
             check_wheels()
             self._tilts.check(step.number * environment.scenario.period)
@@ -258,7 +266,9 @@ class Simulator:
     def _constant_numbers(self) -> list[int]:
         """Return the places of the numbers of the observation that were the same in every step of every
         episode; pictures after them."""
-        whole = functools.reduce(Counter.joined, self._counters.values(), Counter(self._program))
+        whole = functools.reduce(
+            StepStatistics.joined, self._statistics.values(), StepStatistics(self._program)
+        )
         return [
             place
             for place in range(len(self._program.agent.numbers) + len(self._program.agent.images))
@@ -269,7 +279,9 @@ class Simulator:
         """Return the places of the terms of the reward that were always 0."""
         places = range(len(self._program.agent.reward))
         return [
-            place for place in places if not any(counter.fired[place] for counter in self._counters.values())
+            place
+            for place in places
+            if not any(statistics.fired[place] for statistics in self._statistics.values())
         ]
 
     def _run_variants(self) -> None:
@@ -299,7 +311,7 @@ class Simulator:
         return StoppedError()
 
 
-class Counter:
+class StepStatistics:
     """Statistics over the episodes of one policy, per number of the observation and per term of the
     reward."""
 
@@ -343,13 +355,13 @@ class Counter:
         np.minimum(self.least, values, out=self.least)
         np.maximum(self.greatest, values, out=self.greatest)
 
-    def joined(self, other: Counter) -> Counter:
+    def joined(self, other: StepStatistics) -> StepStatistics:
         """Join the ranges of both. A number that is constant in each, but at different values, then counts as
         varying."""
-        both = Counter(self._program)
-        both.low, both.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
-        both._changed = self._changed | other._changed
-        return both
+        joined = StepStatistics(self._program)
+        joined.low, joined.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        joined._changed = self._changed | other._changed
+        return joined
 
     def varies(self, place: int) -> bool:
         """Return whether an entry was not the same throughout."""
@@ -360,7 +372,7 @@ class Counter:
             else self._pictures[place - numbers] in self._changed
         )
 
-    def statistics(self) -> PolicyStatistics:
+    def summary(self) -> PolicyStatistics:
         """Return the statistics of all steps."""
         if not self.steps:
             return PolicyStatistics(0, 0, [], [])

@@ -210,8 +210,8 @@ class TiltWatch:
 
 # Arms
 
-_DISTANCE = 0.005  # m
-_ANGLE = radians(1.0)
+_DISTANCE_TOLERANCE_M = 0.005  # m
+_ANGLE_TOLERANCE = radians(1.0)
 """The tolerance of the angle of a pose, in rad. A search that succeeds ends within 0.1 um."""
 _LARGE_TURN = radians(90.0)
 _MAX_TURNING_DISTANCE_M = 0.2
@@ -239,11 +239,11 @@ class ArmWatch:
                     drive.watch = partial(self._check, world, robot.name, models[robot.name], actuator, drive)
                     yield actuator.name
 
-    def take_misses(self, by: str, seed: int) -> list[UnreachedPose]:
+    def take_misses(self, policy: str, seed: int) -> list[UnreachedPose]:
         """Return the first miss of each actuator since the last call; later misses start from where it
         brought the arm."""
         misses = [
-            replace(miss, policy=by, seed=seed, commands=self.commands[key])
+            replace(miss, policy=policy, seed=seed, commands=self.commands[key])
             for key, miss in self._misses.items()
         ]
         self.commands.clear()
@@ -285,7 +285,7 @@ class ArmWatch:
         angle = (
             0.0 if drive.attitude is None else _angle(frames.multiply(drive.attitude, frames.inverse(turned)))
         )
-        if distance <= _DISTANCE and angle <= _ANGLE:
+        if distance <= _DISTANCE_TOLERANCE_M and angle <= _ANGLE_TOLERANCE:
             self._check_turn(world, key, actuator, drive, target)
             return
         if key not in self._misses:
@@ -373,26 +373,26 @@ class RayWatch:
             wall = self._world.arena.wall_height
             tops[ARENA] = lambda: wall
         heights = {
-            both: _ray_heights(engine, both[0], self._sensors[both])
-            for both in self.clearances.keys() | self.depths.keys()
+            key: _ray_heights(engine, key[0], self._sensors[key])
+            for key in self.clearances.keys() | self.depths.keys()
         }
 
         def check() -> None:
             top_heights = [(top(), name) for name, top in tops.items()] if self.clearances else []
-            for both in [both for both in self._sensors if both in self.clearances or both in self.depths]:
-                highest = max((top for top in top_heights if top[1] != both[0]), default=(inf, ""))
-                low, begin = heights[both]()
-                if both in self.clearances and low > highest[0] + MAX_SINK:
-                    before = self.clearances[both]
-                    self.clearances[both] = Clearance(
+            for key in [key for key in self._sensors if key in self.clearances or key in self.depths]:
+                highest = max((top for top in top_heights if top[1] != key[0]), default=(inf, ""))
+                low, begin = heights[key]()
+                if key in self.clearances and low > highest[0] + MAX_SINK:
+                    before = self.clearances[key]
+                    self.clearances[key] = Clearance(
                         min(low, before.lowest), *max(highest, (before.top, before.tallest))
                     )
                 else:
-                    self.clearances.pop(both, None)
-                if both in self.depths and begin < -MAX_SINK:
-                    self.depths[both] = min(self.depths[both], -begin)
+                    self.clearances.pop(key, None)
+                if key in self.depths and begin < -MAX_SINK:
+                    self.depths[key] = min(self.depths[key], -begin)
                 else:
-                    self.depths.pop(both, None)
+                    self.depths.pop(key, None)
 
         return check
 

@@ -29,7 +29,7 @@ class Observer:
     def __init__(self, program: Program) -> None:
         agent = program.agent
         self._inputs, self._goal = agent.inputs, agent.goal
-        self._refused = self._reason(program)
+        self._refusal = self._refusal_for(program)
         self._achieved: dict[str, Scalar] = {}
         sent = {f"{robot.name}.{field.name}" for robot in program.robots for field in robot.from_robot.fields}
         texts = {number: entry.value.text for entry in agent.observation for number, _ in entry.value.numbers}
@@ -68,9 +68,9 @@ class Observer:
             UsageError: The policy sees more than present values; a name is missing or unknown; a value is not
                 finite; the goal is missing or has another size.
         """
-        if self._refused:
-            raise UsageError(self._refused)
-        wanted = self._desired(desired)
+        if self._refusal:
+            raise UsageError(self._refusal)
+        goal = self._desired(desired)
         self._require_complete(values)
         numbers = [
             float(values[each.name])
@@ -86,7 +86,7 @@ class Observer:
         return {
             "observation": vector,
             "achieved_goal": np.array(scaled_goal(self._goal, achieved), np.float32),
-            "desired_goal": np.array(scaled_goal(self._goal, wanted), np.float32),
+            "desired_goal": np.array(scaled_goal(self._goal, goal), np.float32),
         }
 
     def _desired(self, desired: Sequence[float] | None) -> list[float]:
@@ -96,17 +96,17 @@ class Observer:
                 raise UsageError("this policy has no goal; leave out `desired`")
             return []
         size, names = len(goal.low), f" ({', '.join(goal.components)})" if goal.components else ""
-        wanted = (
+        expected = (
             f"{size} number{'' if size == 1 else 's'}{names}{f' in {goal.unit}' if goal.unit != '1' else ''}"
         )
         if desired is None:
-            raise UsageError(f"this policy has a goal; give it as `desired`: {wanted}")
+            raise UsageError(f"this policy has a goal; give it as `desired`: {expected}")
         try:
             numbers = np.asarray(desired, float)
         except (TypeError, ValueError):
             numbers = np.asarray(None, float)
         if numbers.reshape(-1).shape != (size,) or not np.isfinite(numbers).all():
-            raise UsageError(f"`desired` is {str(desired)[:80]}; give {wanted}, all of them finite")
+            raise UsageError(f"`desired` is {str(desired)[:80]}; give {expected}, all of them finite")
         return [float(value) for value in numbers.reshape(-1)]
 
     def _require_complete(self, values: Mapping[str, float]) -> None:
@@ -132,7 +132,7 @@ class Observer:
             if not is_finite:
                 raise UsageError(f"the value of {name} is {number}; it must be finite")
 
-    def _reason(self, program: Program) -> str:
+    def _refusal_for(self, program: Program) -> str:
         """Return why the present values are not enough for an observation; empty if they are."""
         if program.agent.images:
             return (

@@ -54,7 +54,7 @@ def test_it_is_selected_and_suppressed_like_any_other(deepbots, files):
     assert deepbots("lint", "still.yaml", "--format", "concise").out == ""
 
 
-def test_one_that_is_selected_by_itself_without_a_simulation_is_told(deepbots, files):
+def test_selecting_a_simulated_rule_without_a_simulation_is_reported(deepbots, files):
     (found,) = json.loads(deepbots("lint", "still.yaml", "--json", "--select", "DB608").out)["findings"]
     assert (found["code"], found["message"]) == ("DB902", "DB608 needs a simulation and does not run")
 
@@ -67,7 +67,7 @@ def test_a_scenario_with_errors_is_not_simulated_and_that_is_said(deepbots, file
 
 
 @pytest.mark.parametrize("option", ["--fix", "--diff"])
-def test_it_goes_with_no_fixing(deepbots, files, option):
+def test_deep_refuses_fix(deepbots, files, option):
     ran = deepbots("lint", "sunk.yaml", "--deep", option)
     assert (ran.code, ran.out) == (2, "")
     assert "--deep" in ran.err

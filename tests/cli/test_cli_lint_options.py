@@ -50,7 +50,7 @@ def test_codes_are_selected_and_ignored(deepbots, files):
     assert codes(deepbots("lint", "warned.yaml", "--json", "--ignore", "DB0", "--ignore", "DB5")) == []
 
 
-def test_what_is_not_asked_for_does_not_fail(deepbots, files):
+def test_unselected_findings_do_not_fail(deepbots, files):
     assert deepbots("lint", "warned.yaml", "--fail-on", "warning").code == 1
     ran = deepbots("lint", "warned.yaml", "--fail-on", "warning", "--select", "DB6")
     assert (ran.code, ran.out) == (0, "warned.yaml: no findings among the selected rules\n")

@@ -156,7 +156,7 @@ def wrong_in_many_places(workshop, text: str) -> list[Finding]:
     return found
 
 
-def test_of_tens_of_thousands_of_mistakes_in_the_text_the_first_are_told_and_that_there_are_more(
+def test_findings_are_cut_at_the_limit(
     workshop,
 ) -> None:
     found = wrong_in_many_places(workshop, "<<: *a\n" * 40_000)

@@ -18,6 +18,7 @@ from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose
 from deepbots_cli.scenario.world import World
 
 TURNED = quaternion(0.4, -0.3, 1.1)
+CART = ("robot", "cart")
 
 
 def weightless(world: WorldModel) -> WorldModel:
@@ -189,7 +190,7 @@ def test_a_ball_bounces_as_its_restitution_says(engine_name, build):
     assert bounce(engine, 0.3) == pytest.approx(0.8, rel=0.02)
 
 
-def test_where_something_bounces_other_things_still_come_to_rest_on_the_ground(engine_name, build):
+def test_restitution_of_one_body_leaves_others_at_rest(engine_name, build):
     things = (
         ObjectBody("ball", Sphere(0.05), Pose((1, 0, 0.3)), mass=0.1, restitution=0.8),
         ObjectBody("crate", Box((0.2, 0.2, 0.2)), Pose((0, 0, 0.35)), 2.0),
@@ -202,6 +203,7 @@ def test_where_something_bounces_other_things_still_come_to_rest_on_the_ground(e
 
 @pytest.mark.parametrize("frame", ["world", "link"])
 def test_a_push_acts_at_the_origin_of_a_body_for_one_engine_step(engine_name, frame, worlds, build):
+    """Force and torque at the origin, moved to the center of mass; I w' = t - c x f."""
     engine = build(engine_name, weightless(worlds.crooked(timestep=0.001, substeps=1)))
     engine.place("robot", (0.1, 0.2, 0.3), TURNED)
     inertial = worlds.crooked().robots[0].model.links[0].inertial
@@ -213,7 +215,13 @@ def test_a_push_acts_at_the_origin_of_a_body_for_one_engine_step(engine_name, fr
     inside = turn.T if frame == "world" else np.eye(3)
     local_force, local_torque = inside @ force, inside @ torque
     tilted = np.array([frames.rotate(quaternion(*inertial.origin.rpy), axis) for axis in np.eye(3)]).T
-    own = np.array([[0.01, 0.002, 0.001], [0.002, 0.02, -0.001], [0.001, -0.001, 0.025]])
+    own = np.array(
+        [
+            [inertial.ixx, inertial.ixy, inertial.ixz],
+            [inertial.ixy, inertial.iyy, inertial.iyz],
+            [inertial.ixz, inertial.iyz, inertial.izz],
+        ]
+    )
     center = np.array(inertial.origin.xyz)
     spin = (
         turn @ np.linalg.solve(tilted @ own @ tilted.T, local_torque - np.cross(center, local_force)) * 0.001
@@ -288,23 +296,40 @@ def test_a_link_without_mass_gets_none(engine_name, worlds, build):
         build(engine_name, worlds.rail()).set_parameter("mass", ("robot", "tip"), 3.0)
 
 
-def test_what_the_exact_engine_cannot_do_names_the_engine_that_can(worlds, build):
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda engine: engine.choose("robot", "round"),
+        lambda engine: engine.set_parameter("lateral_friction", ("robot", ""), 1.0),
+        lambda engine: engine.set_parameter("joint_friction", ("robot", "slide"), 1.0),
+        lambda engine: engine.pusher(CART),
+        lambda engine: engine.contact(CART),
+        lambda engine: engine.contact_force(CART),
+        lambda engine: engine.clearance(CART, CART),
+        lambda engine: engine.rays(CART, (), 1.0),
+        lambda engine: engine.camera(CART, frames.IDENTITY_FRAME, 8, 8, 1.0),
+        lambda engine: engine.inverse_kinematics(CART, ()),
+    ],
+    ids=[
+        "choose",
+        "lateral_friction",
+        "joint_friction",
+        "pusher",
+        "contact",
+        "contact_force",
+        "clearance",
+        "rays",
+        "camera",
+        "inverse_kinematics",
+    ],
+)
+def test_the_exact_engine_refuses_features_and_names_the_engine_that_has_them(use, worlds, build):
+    with pytest.raises(EngineError, match="use engine 'pybullet'"):
+        use(build("exact", worlds.rail()))
+
+
+def test_the_exact_engine_takes_colors_and_light_and_has_no_motion_of_the_base(worlds, build):
     engine = build("exact", worlds.rail())
-    part = ("robot", "cart")
-    for use in (
-        lambda: engine.choose("robot", "round"),
-        lambda: engine.set_parameter("lateral_friction", ("robot", ""), 1.0),
-        lambda: engine.set_parameter("joint_friction", ("robot", "slide"), 1.0),
-        lambda: engine.pusher(part),
-        lambda: engine.contact(part),
-        lambda: engine.contact_force(part),
-        lambda: engine.clearance(part, part),
-        lambda: engine.rays(part, (), 1.0),
-        lambda: engine.camera(part, frames.IDENTITY_FRAME, 8, 8, 1.0),
-        lambda: engine.inverse_kinematics(part, ()),
-    ):
-        with pytest.raises(EngineError, match="use engine 'pybullet'"):
-            use()
     engine.set_parameter("color", ("robot", ""), 1, 1, 1, 1)
     engine.set_parameter("light", (), 0.5)
     assert engine.velocity("robot")() == (ZERO_VECTOR, ZERO_VECTOR)

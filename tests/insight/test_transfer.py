@@ -13,16 +13,8 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.insight.transfer import (
-    Gate,
-    Transfer,
-    World,
-    WorldComparison,
-    _names,
-    _works,
-    compare_worlds,
-    transfer,
-)
+from deepbots_cli.insight.transfer import Gate, Transfer, _names, _works, transfer
+from deepbots_cli.insight.world_comparison import World, WorldComparison, compare_worlds
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.run import Run

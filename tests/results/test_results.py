@@ -71,7 +71,7 @@ def test_every_bar_that_is_measured_by_hand_has_a_verdict():
     ] == []
 
 
-def test_the_readme_tells_figures_of_the_cards():
+def test_readme_figures_equal_the_cards():
     rows = re.findall(
         r"^\| \[(\w+)\]\(docs/results/(\w+)\.md#.*\| (.*) \|$",
         (ROOT / "README.md").read_text(encoding="utf-8"),
@@ -140,7 +140,7 @@ def test_every_shipped_scenario_is_measured_or_it_is_said_why_not():
     assert set(shipped.scenario_names()) == {*experiments(), *REASONS}
 
 
-def test_bars_look_at_what_is_measured_and_no_reported_seed_was_used_for_tuning():
+def test_bars_and_baselines_refer_to_parts_of_their_experiment():
     for experiment in EXPERIMENTS:
         baselines = {baseline.name for baseline in experiment.baselines}
         for figure in (bar.figure for bar in experiment.bars):
@@ -159,6 +159,10 @@ def test_bars_look_at_what_is_measured_and_no_reported_seed_was_used_for_tuning(
         for option, name in (baseline.options for baseline in experiment.baselines):
             assert option == "--driver"
             assert name in ("random", "zero") or measure.compiled(experiment.scenario).script(name)
+
+
+def test_no_reported_seed_was_used_for_tuning():
+    for experiment in EXPERIMENTS:
         assert all(seed >= FIRST_SEED for training in experiment.trainings for seed in training.seeds)
 
 
@@ -198,23 +202,43 @@ def verdict(bar: Bar, *hours: float | None, seeds: int = 3) -> tuple[str, str]:
     return found.word, found.measured
 
 
-def test_a_bar_is_missed_by_the_worst_seed_by_one_that_is_never_solved_and_open_until_all_are_measured():
-    bar = Bar(Solved("simulated_hours"), at_most=0.5)
-    mean = Bar(Solved("simulated_hours"), at_most=0.3, over="mean")
-    assert verdict(bar, 0.1, 0.2, 0.5) == ("met", "0.5 h, the worst; 3 of 3 seeds")
-    assert verdict(bar, 0.1, 0.2, 0.51) == ("**missed**", "0.51 h, the worst; 2 of 3 seeds")
-    assert verdict(bar, 0.1, None, 0.2) == ("**missed**", "never, the worst; 2 of 3 seeds")
-    assert verdict(bar, 0.1, 0.2) == ("not measured", "2 of 3 seeds")
-    assert verdict(bar, 0.1, 0.6) == ("**missed**", "0.6 h, the worst; 1 of 3 seeds, 2 measured")
-    assert verdict(replace(bar, misses=1), 0.1, None, 0.2)[0] == "met"
-    assert verdict(replace(bar, misses=1), 0.1, None, 0.6)[0] == "**missed**"
-    assert verdict(replace(bar, misses=1), 0.6)[0] == "not measured"
-    assert verdict(mean, 0.1, 0.2, 0.9) == ("**missed**", "0.4 h")
-    assert verdict(mean, 0.1, None, 0.2) == ("**missed**", "never")
-    assert verdict(mean, 0.1, 0.6)[0] == "not measured"
-    assert verdict(replace(mean, over="median"), 0.1, 0.2, 0.9) == ("met", "0.2 h")
-    assert verdict(replace(bar, stretch=True), 0.6, seeds=1)[0] == "not reached"
-    assert verdict(replace(bar, stretch=True), 0.4, seeds=1)[0] == "reached"
+HOURS = Bar(Solved("simulated_hours"), at_most=0.5)
+MEAN_HOURS = Bar(Solved("simulated_hours"), at_most=0.3, over="mean")
+
+
+@pytest.mark.parametrize(
+    ("bar", "hours", "expected"),
+    [
+        (HOURS, (0.1, 0.2, 0.5), ("met", "0.5 h, the worst; 3 of 3 seeds")),
+        (HOURS, (0.1, 0.2, 0.51), ("**missed**", "0.51 h, the worst; 2 of 3 seeds")),
+        (HOURS, (0.1, None, 0.2), ("**missed**", "never, the worst; 2 of 3 seeds")),
+        (HOURS, (0.1, 0.2), ("not measured", "2 of 3 seeds")),
+        (HOURS, (0.1, 0.6), ("**missed**", "0.6 h, the worst; 1 of 3 seeds, 2 measured")),
+        (MEAN_HOURS, (0.1, 0.2, 0.9), ("**missed**", "0.4 h")),
+        (MEAN_HOURS, (0.1, None, 0.2), ("**missed**", "never")),
+        (replace(MEAN_HOURS, over="median"), (0.1, 0.2, 0.9), ("met", "0.2 h")),
+    ],
+    ids=["met", "worst", "unsolved", "open", "missed early", "mean", "mean unsolved", "median"],
+)
+def test_a_bar_is_judged_over_its_seeds(bar: Bar, hours: tuple[float | None, ...], expected: tuple[str, str]):
+    assert verdict(bar, *hours) == expected
+
+
+def test_a_mean_is_open_until_all_seeds_are_measured():
+    assert verdict(MEAN_HOURS, 0.1, 0.6)[0] == "not measured"
+
+
+def test_a_bar_with_a_miss_allows_one_unsolved_seed():
+    bar = replace(HOURS, misses=1)
+    assert verdict(bar, 0.1, None, 0.2)[0] == "met"
+    assert verdict(bar, 0.1, None, 0.6)[0] == "**missed**"
+    assert verdict(bar, 0.6)[0] == "not measured"
+
+
+def test_a_stretch_bar_is_reached_or_not():
+    bar = replace(HOURS, stretch=True)
+    assert verdict(bar, 0.6, seeds=1)[0] == "not reached"
+    assert verdict(bar, 0.4, seeds=1)[0] == "reached"
 
 
 def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):

@@ -131,7 +131,7 @@ def _show_bundle(
     result = (
         "not evaluated since the end of the training" if info.evaluation is None else info.evaluation.text
     )
-    told = [
+    lines = [
         f"{folder}: {', '.join(sizes)}, and the robot files of the scenario",
         f"  {info.scenario.name}, {info.training.algorithm}: {result}",
     ]
@@ -151,7 +151,7 @@ def _show_bundle(
         f"deepbots export --check SCENARIO {quote(str(folder))}",
     ]
     terminal.show(
-        {"bundle": folder, **plain(info)}, "\n".join(told), as_json=as_json, next_commands=next_commands
+        {"bundle": folder, **plain(info)}, "\n".join(lines), as_json=as_json, next_commands=next_commands
     )
 
 

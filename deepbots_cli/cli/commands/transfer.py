@@ -37,7 +37,8 @@ from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
 if TYPE_CHECKING:
-    from deepbots_cli.insight.transfer import Transfer, WorldComparison
+    from deepbots_cli.insight.transfer import Transfer
+    from deepbots_cli.insight.world_comparison import WorldComparison
 
 WIDTH = 110
 """The width of wrapped lines."""
