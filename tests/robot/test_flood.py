@@ -3,6 +3,7 @@ measures them."""
 
 from __future__ import annotations
 
+import os
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -25,7 +26,8 @@ from deepbots_robot.topics import Field
 
 ANGLE = Field("cart.angle", "cart", "joint_position", "rad", (1,), ("pole",))
 DRIVE = Field("cart.drive", "cart", "velocity", "rad/s", (2,), ("left", "right"))
-PORT = 58_771
+# Two ports for each worker of pytest-xdist, so that tests side by side do not meet.
+PORT = 58_771 + 2 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 LINKS = {"zmq": Transport(zmq=f"tcp://127.0.0.1:{PORT}"), "websocket": Transport(websocket=str(PORT + 1))}
 
 
