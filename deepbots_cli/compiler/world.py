@@ -300,6 +300,7 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
 
 _TILE_LENGTHS = ("side", "platform", "border", "cell")
 _MAX_HEIGHTS = 2_000_000
+_MAX_SLOPE = math.radians(80.0)  # rad; its tangent is 5.7, that of a right angle has no end
 _TOLERANCE = 1e-6  # of a multiple, as a share of a cell
 
 
@@ -317,25 +318,12 @@ def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
             place = (*spec.path, key if key in spec.model_fields_set else "cell")
             values.add("DB308", values.span(place), headline, "write a multiple, or another `cell`")
     largest = side - 2 * TILE_MARGIN_M
-    for name, tile in spec.tiles.items():
-        made = tiles[name]
-        widths = [] if made is None else _widths(made)
-        for key, width in widths:
-            if 0.0 < width < cell:
-                headline = f"`{key}` is {width:g} m, but heights are {cell:g} m apart"
-                values.add(
-                    "DB105",
-                    values.span((*tile.path, key)) if key in tile.model_fields_set else (*spec.path, "cell"),
-                    headline,
-                    "write a larger one, or a smaller `cell`",
-                )
-        for key, width in [("platform", platform), *widths]:
-            if width > largest:
-                place = (*spec.path, "tiles", name, key) if key != "platform" else (*spec.path, key)
-                if key not in (spec if key == "platform" else tile).model_fields_set:
-                    place = (*spec.path, "side")
-                headline = f"`{key}` is {width:g} m, but a tile has room for {largest:g} m within its edge"
-                values.add("DB105", values.span(place), headline, "write a smaller one, or a larger `side`")
+    _check_width(spec, spec, "platform", platform, 0.0, largest, namespace)
+    for tile_spec, tile in zip(spec.tiles.values(), tiles.values(), strict=True):
+        for key, width in _widths(tile) if tile is not None else ():
+            # Without gaps and trenches, a level is flat.
+            smallest = 0.0 if key in ("gap", "width") and width == 0.0 else cell
+            _check_width(spec, tile_spec, key, width, smallest, largest, namespace)
     terrain = Tiles(
         tuple(tile for tile in tiles.values() if tile is not None),
         spec.levels,
@@ -352,6 +340,30 @@ def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
             "DB005", spec.path, headline, "write fewer levels, smaller tiles or a larger `cell`"
         )
     return terrain if len(values.findings) == findings_before else None
+
+
+def _check_width(
+    terrain: world_spec.TileTerrain,
+    section: world_spec.Tile | world_spec.TileTerrain,
+    key: str,
+    width: float,
+    smallest: float,
+    largest: float,
+    namespace: Namespace,
+) -> None:
+    """Report a measure along the ground that is finer than the grid of heights, or wider than a tile."""
+    if smallest <= width <= largest:
+        return
+    is_fine = width < smallest
+    headline = f"`{key}` is {width:g} m, but a tile has room for {largest:g} m within its edge"
+    help = "write a smaller one, or a larger `side`"
+    if is_fine:
+        headline = f"`{key}` is {width:g} m, but heights are {smallest:g} m apart"
+        help = "write a larger one, or a smaller `cell`"
+    place = (*section.path, key)
+    if key not in section.model_fields_set:
+        place = (*terrain.path, "cell" if is_fine else "side")
+    namespace.values.add("DB105", namespace.values.span(place), headline, help)
 
 
 def _tile(spec: world_spec.Tile, namespace: Namespace) -> Tile | None:
@@ -371,6 +383,11 @@ def _tile(spec: world_spec.Tile, namespace: Namespace) -> Tile | None:
             if min(low, high) < 0.0:
                 span = namespace.values.span((*spec.path, key))
                 namespace.values.add("DB105", span, f"`{key}` is below 0", "write values from 0")
+                return None
+            if key == "angle" and max(low, high) > _MAX_SLOPE:
+                span = namespace.values.span((*spec.path, key))
+                headline = f"a slope of {math.degrees(max(low, high)):g} deg"
+                namespace.values.add("DB105", span, headline, "write at most 80 deg")
                 return None
             measures.append((key, low, high))
         else:

@@ -147,6 +147,8 @@ def test_a_robot_begins_on_the_platform_of_its_tile(tmp_path: Path, engine: str)
         ("tiles: {up: {type: stairs, height: 2 .. 16 cm}}, platform: 8 m", "DB105"),
         ("tiles: {up: {type: stairs, height: -2 .. 16 cm}}", "DB105"),
         ("tiles: {up: {type: stairs, height: 2 .. 16 s}}", "DB503"),
+        ("tiles: {up: {type: slope, angle: 0 .. 100 deg}}", "DB105"),
+        ("tiles: {over: {type: stepping_stones, side: 50 .. 0 cm, gap: 0 .. 10 cm}}", "DB105"),
         ("tiles: {up: {type: ladder, height: 2 .. 16 cm}}", "DB104"),
         ("tiles: {over: {type: gaps, width: 5 .. 30 cm}}", "DB105"),  # finer than the cell
         ("tiles: {up: {type: stairs, height: 2 .. 16 cm}}, side: 8.05 m", "DB308"),

@@ -222,7 +222,8 @@ def command(
         _refuse("needs a single engine; name only one with --engine", present, single)
     if source.kind is SourceKind.GROUP:
         runs = Group.open(source).runs
-        one = f"needs a single run, but {run} is a group; name one of its runs, such as {runs[0] if runs else run}"
+        example = runs[0] if runs else run
+        one = f"needs a single run, but {run} is a group; name one of its runs, such as {example}"
         _refuse(one, present, (*single, "keep"))
     request = _Request(
         run=run,
