@@ -58,7 +58,6 @@ from deepbots_cli.scenario.fields import (
     Word,
 )
 from deepbots_cli.scenario.scenario import VERSION, Robot, Scenario
-from deepbots_cli.scenario.training import Training
 
 Json = dict[str, Any]
 
@@ -345,8 +344,7 @@ class _Writer:
 
     def _section(self, section: type[Section]) -> Json:
         properties = {name: self._property(section, name) for name in section_fields(section)}
-        if issubclass(section, Training):
-            properties = {name: self._of_algorithm(name, schema) for name, schema in properties.items()}
+        properties = {name: self._shared_key(name, schema) for name, schema in properties.items()}
         if section is Scenario:
             properties |= _ACROSS_FILES
         schema: Json = {
@@ -360,9 +358,12 @@ class _Writer:
         ]
         return schema | ({"allOf": list(map(_excluding, excluding))} if excluding else {})
 
-    def _of_algorithm(self, key: str, schema: Json) -> Json:
-        """Return the schema of a key, by reference to an algorithm that has the same: the pattern of a number
-        takes most of its text."""
+    def _shared_key(self, key: str, schema: Json) -> Json:
+        """Return the schema of a key, by reference to the first section that has the same.
+
+        Bodies share their contact keys, sensors their errors, algorithms their settings; editors resolve the
+        reference.
+        """
         home = next(
             (
                 name
@@ -371,7 +372,7 @@ class _Writer:
             ),
             None,
         )
-        short = {"$ref": f"#/$defs/{home}/properties/{key}", "description": schema["description"]}
+        short = {"$ref": f"#/$defs/{home}/properties/{key}"}
         return short if home is not None and len(json.dumps(short)) < len(json.dumps(schema)) else schema
 
     def _property(self, section: type[Section], key: str) -> Json:

@@ -33,7 +33,15 @@ Step = str | int
 
 @pytest.fixture(scope="module")
 def schema() -> Json:
-    return json_schema()
+    """The schema as an editor reads it: sections share equal keys by reference, here they are copied."""
+    written = json_schema()
+    for section in written["$defs"].values():
+        keys = section.get("properties", {})
+        for key, value in keys.items():
+            if "/properties/" in value.get("$ref", ""):
+                _, _, home, _, shared = value["$ref"].split("/")
+                keys[key] = written["$defs"][home]["properties"][shared]
+    return written
 
 
 @pytest.fixture(scope="module")
