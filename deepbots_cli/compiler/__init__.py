@@ -259,11 +259,14 @@ def _agent(
     action."""
     spec = namespace.scenario
     period = timestep * spec.agent.action_repeat
+    observations = Observations(namespace)
+    observation = observations.entries()
     return Agent(
         name=ONLY_AGENT,
         robots=(),
         action=action,
-        observation=Observations(namespace).entries(),
+        observation=observation,
+        critic=observations.of_critic(observation),
         reward=rewards,
         success=tuple(spec.termination.success),
         goal=goals.goal(rewards),

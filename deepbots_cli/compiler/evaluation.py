@@ -206,6 +206,9 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
         isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
     ):
         headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or remove `forbid`"
+    elif namespace.scenario.critic and not train.has_critic:
+        headline = f"{algorithm} has no critic beside its policy, so it cannot use `critic`"
+        help = "use PPO, or remove `critic`"
     else:
         return
     namespace.values.add("DB612", ("train", "algorithm"), headline, help)
@@ -243,6 +246,7 @@ _FIXED_SECTIONS = frozenset(
         "agent",
         "action",
         "observation",
+        "critic",
         "goal",
         "curriculum",
         "evaluation",

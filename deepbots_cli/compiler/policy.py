@@ -305,25 +305,49 @@ pixel."""
 
 
 class Observations(NamespaceReader):
-    """Reads the entries of the observation."""
+    """Reads the entries of the observation, and of what only the critic gets."""
 
     def entries(self) -> tuple[Observation, ...]:
-        entries = tuple(
-            entry
-            for key, spec in self._spec.observation.items()
-            if (entry := self._entry(key, spec)) is not None
-        )
-        self._check_size(entries)
+        """Return the observation."""
+        entries = self._entries("observation", self._spec.observation)
+        self._check_size("observation", entries)
         self._check_pictures(entries)
         self._check_keys(entries)
         return entries
 
-    def _entry(self, key: str, written: Observed | str) -> Observation | None:
-        text = self._values.key_text(("observation", key))
-        typed = self._observed(text)
+    def of_critic(self, observation: tuple[Observation, ...]) -> tuple[Observation, ...]:
+        """Return the values of the critic beside those of the observation."""
+        entries = self._entries("critic", self._spec.critic)
+        seen = {entry.name for entry in observation}
+        for entry in entries:
+            if entry.name in seen:
+                self._values.add(
+                    "DB202",
+                    entry.value.span,
+                    f"the policy sees `{entry.name}` too",
+                    "remove it here, since the critic sees the whole observation; or remove it from `observation`",
+                )
+            elif isinstance(entry, ImageObservation):
+                self._values.add(
+                    "DB103",
+                    entry.value.span,
+                    f"`{entry.name}` is a picture, and the critic gets numbers only",
+                    "list the numbers that the picture shows, such as `position(ball)` as a signal",
+                )
+        if entries:
+            self._check_size("critic", (*observation, *entries))
+        return entries
+
+    def _entries(self, section: str, written: Mapping[str, Observed | str]) -> tuple[Observation, ...]:
+        read = (self._entry(section, key, spec) for key, spec in written.items())
+        return tuple(entry for entry in read if entry is not None)
+
+    def _entry(self, section: str, key: str, written: Observed | str) -> Observation | None:
+        text = self._values.key_text((section, key))
+        typed = self._observed(section, text)
         read = self._values.field
         range_text = (
-            read(written, "range") if isinstance(written, Observed) else read(self._spec, "observation", key)
+            read(written, "range") if isinstance(written, Observed) else read(self._spec, section, key)
         )
         if typed is None:
             if range_text.text != "auto":
@@ -337,7 +361,7 @@ class Observations(NamespaceReader):
         history, clip = (written.history, written.clip) if isinstance(written, Observed) else (1, True)
         return kind(text.expression(typed), *bounds, history, clip, added)
 
-    def _observed(self, text: SourceText) -> Typed | None:
+    def _observed(self, section: str, text: SourceText) -> Typed | None:
         tree = self._values.parsed(text)
         if tree is None:
             return None
@@ -346,18 +370,21 @@ class Observations(NamespaceReader):
                 "DB103",
                 text.span,
                 "expected a name, found an expression",
-                "define the expression under `augment`, and write its name here",
+                f"define the expression under `{'augment' if section == 'observation' else 'signals'}`, and write"
+                " its name here",
             )
             return None
         name = tree.parts[0]
         if (
-            self._namespace.origin(name) in HIDDEN_ORIGINS
+            section == "observation"
+            and self._namespace.origin(name) in HIDDEN_ORIGINS
             and name not in self._spec.augment
             and not self._values.is_invalid("augment")
         ):
             self._report_hidden(name, text)
             return None
-        return self._values.expression(text, SupervisorScope(self._namespace, Context.OBSERVATION))
+        context = Context.OBSERVATION if section == "observation" else Context.SIGNAL
+        return self._values.expression(text, SupervisorScope(self._namespace, context))
 
     def _report_hidden(self, name: str, text: SourceText) -> None:
         """Report DB609: the policy sees signals and parameters only under `augment`."""
@@ -412,7 +439,7 @@ class Observations(NamespaceReader):
         )
         return (ends.low, ends.high) if ends else None
 
-    def _check_size(self, entries: tuple[Observation, ...]) -> None:
+    def _check_size(self, section: str, entries: tuple[Observation, ...]) -> None:
         stack = self._spec.agent.frame_stack
         seen = stack * sum(len(entry.low) * entry.history for entry in entries)
         pixels = stack * sum(
@@ -424,10 +451,11 @@ class Observations(NamespaceReader):
         ):
             if size > limit:
                 frames = f" ({size // stack:,} in each of {stack} frames)" if stack > 1 else ""
-                headline = f"the observation has {size:,} {what}{frames}; the limit is {limit:,}"
+                whole = "the observation" if section == "observation" else "the observation of the critic"
+                headline = f"{whole} has {size:,} {what}{frames}; the limit is {limit:,}"
                 self._values.add_at_key(
                     "DB105",
-                    ("observation",),
+                    (section,),
                     headline,
                     "lower `history` of its entries, or `agent.frame_stack`",
                 )

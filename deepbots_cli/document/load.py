@@ -367,7 +367,7 @@ def _listed(node: MappingNode) -> str:
 _KIND_KEYS = ("type", "shape", "algorithm")
 # Mappings from names that the user chose: a reward term may be called `shape`.
 _DEFINITIONS = frozenset(
-    ("parameters", "signals", "augment", "observation", "action", "reward", "success", "failure")
+    ("parameters", "signals", "augment", "observation", "critic", "action", "reward", "success", "failure")
 )
 _WHOLES = {"xyz": ("x", "y", "z"), "rpy": ("roll", "pitch", "yaw")}
 """Keys of a pose that replace the keys of its parts."""

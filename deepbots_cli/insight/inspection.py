@@ -72,6 +72,7 @@ def scenario_tables(
             "signals": _signals(scenario, root),
             "goal": {key: text for key, text in goal.items() if text} if scenario.agent.goal else {},
             "observation": _observation(scenario),
+            "critic": _critic(scenario),
             "timing": timing(scenario),
             **_course(scenario, root),
             **_training(scenario, root, run, learner),
@@ -95,7 +96,7 @@ def in_written_units(tables: Tables, scenario: Program, root: Node) -> Tables:
     changed: Dictionary[str, list[Row]] = {
         section: [converted(row) for row in rows]
         for section, rows in tables.items()
-        if section in ("observation", "action") and isinstance(rows, list)
+        if section in ("observation", "critic", "action") and isinstance(rows, list)
     }
     drawn = tables.get("drawn", [])
     assert isinstance(drawn, list)
@@ -633,6 +634,17 @@ def _observation(scenario: Program) -> list[Row]:
         rows.append(row | {"seen_as": "0 or 1" if entry.is_truth else bounds})
     images = [(entry.key, _image_size_text(entry, scenario)) for entry in scenario.agent.images]
     return rows + [{"index": None, "name": key, "seen_as": f"{size} of 0 .. 255"} for key, size in images]
+
+
+def _critic(scenario: Program) -> list[Row]:
+    """Return a row per number that only the critic gets, in the order of its observation in a training."""
+    wide = scenario.with_critic
+    columns = set(wide.agent.policy_columns or range(len(wide.agent.inputs)))
+    return [
+        {key: value for key, value in row.items() if key != "index"}
+        for place, row in enumerate(_observation(wide))
+        if place < len(wide.agent.inputs) and place not in columns
+    ]
 
 
 def _reset(scenario: Program, root: Node) -> list[Row]:

@@ -88,7 +88,7 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
     done: list[Step] = []
     seen: list[Any] = []
     episodes = []
-    with closing(build(scenario)) as world:
+    with closing(build(scenario.with_critic)) as world:
         for recorded in recording.episodes:
             shown_actions = list(actions(recording, recorded, world.action_space))
             episode = list(

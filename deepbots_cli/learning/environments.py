@@ -40,9 +40,11 @@ def reasons_against_batch(program: Program, worlds: int, engine: str, build: Wor
     if training is not None and training.teacher is not None:
         return ["a script reads what only a single world computes"]
     own = [] if getattr(build, "func", None) is api.build else ["the argument `build` makes its worlds"]
-    stages = [stage.program for stage in program.curriculum]
+    variants = [program, *(stage.program for stage in program.curriculum)]
     return list(
-        dict.fromkeys([*own, *(reason for one in (program, *stages) for reason in batch_obstacles(one))])
+        dict.fromkeys(
+            [*own, *(reason for variant in variants for reason in batch_obstacles(variant.with_critic))]
+        )
     )
 
 

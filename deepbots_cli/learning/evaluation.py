@@ -358,12 +358,14 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     training = run.program.agent.training
     if training is None:
         raise RunError(f"{run.path} contains a scenario without a `train` section")
-    if world is None:
-        spaces = observation_space(run.program.agent), action_space(run.program.agent)
+    agent = run.program.with_critic.agent
+    columns = agent.policy_columns
+    if world is None or columns is not None:
+        spaces = observation_space(agent), action_space(agent)
     else:
-        agent = next(iter(world.get_wrapper_attr("agents").values())) if has_copies(world) else world
-        spaces = agent.observation_space, agent.action_space
-    loaded = learner.create(Setup(training, *spaces))
+        player = next(iter(world.get_wrapper_attr("agents").values())) if has_copies(world) else world
+        spaces = player.observation_space, player.action_space
+    loaded = learner.create(Setup(training, *spaces, policy_columns=columns))
     loaded.load(run.model(name))
     return loaded
 

@@ -86,7 +86,7 @@ def make_worlds(
     seeds = [world_seed(run, number) for number in plan.numbers]
 
     def guarded(stage: int) -> FailureRecorder:
-        scenario = curriculum.scenario_of(stage)
+        scenario = curriculum.scenario_of(stage).with_critic
         return FailureRecorder(
             plan.build(scenario), run, scenario, episode=next_episode, stage=curriculum.name_of(stage)
         )
@@ -110,7 +110,7 @@ def make_worlds(
     if not reasons_against_batch(run.program, len(seeds), engine, plan.build):
         recorder = BatchFailureRecorder(run, guarded, next_episode, curriculum, note)
         env = BatchWorlds(
-            lambda stage: build_batch(curriculum.scenario_of(stage), len(seeds), engine=engine),
+            lambda stage: build_batch(curriculum.scenario_of(stage).with_critic, len(seeds), engine=engine),
             seeds,
             stages,
             on_step=on_step,
@@ -180,6 +180,7 @@ class Shard:
             total_timesteps=self._training.total_timesteps,
             longest_episode=longest_episode(self._run.program),
             rows=worlds.rows,
+            policy_columns=self._run.program.with_critic.agent.policy_columns,
         )
         return learners.create(setup)
 

@@ -358,8 +358,8 @@ def _validate_setup(
     Returns the tensors that are taken over from `source`, in words.
     """
     for stage in program.curriculum:
-        build(stage.program).close()
-    with closing(build(program)) as world:
+        build(stage.program.with_critic).close()
+    with closing(build(program.with_critic)) as world:
         worlds = Worlds([world] * training.environments, [0] * training.environments)
         learner = create_learner(training, program, LocalCollector(worlds), 0)
         if training.shards > 1:

@@ -199,7 +199,7 @@ class TrainingProcess:
         if not stages:
             stages.extend([self._curriculum.index] * training.environments)
         if training.shards > 1:
-            agents = stack.enter_context(closing(self.build(run.program)))
+            agents = stack.enter_context(closing(self.build(run.program.with_critic)))
             pool = self.executor.shards(stack, run, training, self.build, self.reporter.note)
             sizes = [len(numbers) for numbers in shards.world_numbers(training)]
             seeds = [shards.world_seed(run, world) for world in range(training.environments)]
@@ -375,10 +375,18 @@ class TrainingCounter:
 def create_learner(
     training: Training, program: Program, collector: Collector, seed: int, shown: Demonstrations | None = None
 ) -> Learner:
-    spaces, longest = (collector.observation_space, collector.action_space), longest_episode(program)
-    return learners.create(
-        Setup(training, *spaces, seed, training.total_timesteps, longest, collector, demonstrations=shown)
+    setup = Setup(
+        training,
+        collector.observation_space,
+        collector.action_space,
+        seed,
+        training.total_timesteps,
+        longest_episode(program),
+        collector,
+        demonstrations=shown,
+        policy_columns=program.with_critic.agent.policy_columns,
     )
+    return learners.create(setup)
 
 
 @contextmanager
@@ -412,7 +420,12 @@ def _load(training: Training, learner: Learner, model: Path) -> Learner:
     """Return a policy with the weights of a model, beside the learner of the training."""
     setup = learner.setup
     loaded = learners.create(
-        Setup(replace(training, device="cpu"), setup.observation_space, setup.action_space)
+        Setup(
+            replace(training, device="cpu"),
+            setup.observation_space,
+            setup.action_space,
+            policy_columns=setup.policy_columns,
+        )
     )
     loaded.load(model)
     return loaded

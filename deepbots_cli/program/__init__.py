@@ -113,6 +113,13 @@ class Program:
         """Return the program with the same fields of every agent changed."""
         return replace(self, agents={name: replace(agent, **changes) for name, agent in self.agents.items()})
 
+    @cached_property
+    def with_critic(self) -> Program:
+        """The program of the worlds of a training: the observation has the values of the critic at its end."""
+        if not self.agent.critic:
+            return self
+        return self.with_agents(observation=(*self.agent.observation, *self.agent.critic))
+
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
         """Return whether each message arrives in the timestep in which it is sent: `delayed` timing makes
         either direction a timestep longer."""

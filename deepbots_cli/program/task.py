@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import groupby
 from typing import Literal, NamedTuple
@@ -553,7 +553,8 @@ class Agent:
     `robots` are the robots that the action commands. The agent sees `frame_stack` observations in a row, and
     the goal if there is one. `reward` has the terms, whose sum is the reward. `success` names the endings
     that are a success of the agent; all others are failures. With `copies`, the agent acts for each copy of a
-    robot. `scripts` are hand-written policies for the same action.
+    robot. `scripts` are hand-written policies for the same action. `critic` has the values that only the value
+    function of the learner gets.
     """
 
     name: str
@@ -568,6 +569,21 @@ class Agent:
     copies: RobotCopies | None = None
     scripts: tuple[Script, ...] = ()
     training: Training | None = None
+    critic: tuple[Observation, ...] = ()
+
+    def digest_fields(self) -> dict[str, object]:
+        return {name: getattr(self, name) for name in _AGENT_FIELDS if name != "critic" or self.critic}
+
+    @property
+    def policy_columns(self) -> tuple[int, ...] | None:
+        """The places of the numbers that the policy sees, in an observation with the values of the critic; None if
+        the observation has no others."""
+        hidden = {entry.name for entry in self.critic}
+        if not any(entry.name in hidden for entry in self.observation):
+            return None
+        return tuple(
+            place for place, (index, _) in enumerate(self.seen) if self.numbers[index].name not in hidden
+        )
 
     @cached_property
     def numbers(self) -> tuple[ObservedNumber, ...]:
@@ -637,6 +653,9 @@ class Agent:
     @property
     def images(self) -> tuple[ImageObservation, ...]:
         return tuple(entry for entry in self.observation if isinstance(entry, ImageObservation))
+
+
+_AGENT_FIELDS = tuple(field.name for field in fields(Agent))
 
 
 # Evaluation

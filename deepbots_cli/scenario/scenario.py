@@ -653,6 +653,9 @@ class Scenario(Section):
     observation: Annotated[Observation, Size(1, "entry")]
     """Entries of the observation: for each, the name of a value and the range that deepbots maps to [-1, 1].
     The policy gets them in the order of the file."""
+    critic: Observation = {}
+    """Values that only the critic gets, in training: the value function of the algorithm sees them in addition to
+    the observation, the policy does not. They may be signals and parameters, such as a friction that was drawn."""
     reward: Annotated[Reward, Size(1, "term")]
     """Terms of the reward, each under a name that you choose. Each term is a plain number; the reward is
     their sum."""

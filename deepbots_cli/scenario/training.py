@@ -96,6 +96,8 @@ class Training(Section):
     """The actions that it can take: one choice, several choices, ranges."""
     uses_masks: ClassVar[bool] = False
     """Whether the policy never takes a choice that `forbid` excludes."""
+    has_critic: ClassVar[bool] = False
+    """Whether it has a value function beside the policy, which may see more (`critic` of a scenario)."""
 
     algorithm: PlainText
     """The learning algorithm."""
@@ -153,6 +155,7 @@ class Training(Section):
 class _OnPolicy(Training):
     on_policy = True
     imitates = True
+    has_critic = True
 
     learning_rate: Schedule | None = None
     """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
@@ -223,6 +226,7 @@ class _OffPolicy(Training):
 
 class _Deterministic(_OffPolicy):
     imitates = True
+    has_critic = True
     acts_by = frozenset({"ranges"})
 
     action_noise: ActionNoise | None = None

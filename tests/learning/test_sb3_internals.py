@@ -30,7 +30,7 @@ def made(
 def test_the_library_has_each_private_member() -> None:
     models = [made("PPO"), made("RecurrentPPO"), made("SAC"), made("DDPG", GOALS, replay=Hindsight())]
     models.append(made("DQN", actions=gym.spaces.Discrete(2)))
-    parts: list[Any] = [*models, models[0].env]
+    parts: list[Any] = [*models, models[0].env, *(model.policy for model in models)]
     parts += [
         getattr(model, name)
         for model in models

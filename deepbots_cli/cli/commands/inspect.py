@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 _CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
+    "critic": "what only the value function sees, in training",
     "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
     "drawn": "values that each reset draws",
     "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or"
@@ -44,6 +45,7 @@ _BRIEF = (
     "robots",
     "message_fields",
     "observation",
+    "critic",
     "action",
     "reward",
     "endings",

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from inspect import signature, unwrap
@@ -26,6 +26,7 @@ from torch import nn
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.sb3 import defaults, internals
+from deepbots_cli.learning.sb3.asymmetric import asymmetric
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import ActionNoise as NoiseSettings
 from deepbots_cli.program.task import Hyperparameter, Schedule, Training
@@ -56,11 +57,13 @@ def create(
     longest_episode: int = 1,
     to_learn: bool = True,
     mixin: type | None = None,
+    policy_columns: Sequence[int] | None = None,
 ) -> BaseAlgorithm:
     """Create a fresh model for the environment. A model that is not to learn gets no room for experience.
 
     `longest_episode` is in steps; hindsight begins to learn after so many steps, when an episode has ended
-    for sure. `mixin` is a class whose methods go before those of the algorithm.
+    for sure. `mixin` is a class whose methods go before those of the algorithm. `policy_columns` are those of a
+    policy whose critic sees more.
 
     Raises:
         UsageError: The algorithm is unknown, or refuses the settings or the spaces; or there is no such
@@ -97,12 +100,27 @@ def create(
         "verbose": 0,
         "policy_kwargs": _networks(training, algorithm, memory),
     }
-    models.append(_made(algorithm, mixin, training, policy, env, settings))
+    models.append(
+        _made(algorithm, mixin, training, _policy_class(algorithm, policy, policy_columns), env, settings)
+    )
     for name in ("optimizer_class", "optimizer_kwargs"):  # so that model files name no class of deepbots
         models[0].policy_kwargs.pop(name, None)
     if not internals.saved_members(models[0])[0] or not models[0].policy.state_dict():
         raise UsageError(_no_torch(algorithm, "its runs could be neither evaluated nor resumed"))
     return models[0]
+
+
+def _policy_class(algorithm: type[Model], policy: str, columns: Sequence[int] | None) -> str | type:
+    """Return the policy by the library's name, or the class of one whose critic sees more."""
+    if columns is None:
+        return policy
+    library_class: Any = _imported(algorithm)
+    try:
+        return asymmetric(library_class.policy_aliases[policy], columns)
+    except (AttributeError, KeyError, TypeError) as error:
+        raise UsageError(
+            f"{algorithm.__name__} has no policy whose critic may see more; remove `critic` from the scenario"
+        ) from error
 
 
 def _without_experience(settings: Settings, algorithm: type[Model]) -> None:
@@ -136,7 +154,7 @@ def _made(
     algorithm: type[Model],
     mixin: type | None,
     training: Training,
-    policy: str,
+    policy: str | type,
     env: VecEnv,
     settings: Settings,
 ) -> BaseAlgorithm:

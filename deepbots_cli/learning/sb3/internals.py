@@ -83,6 +83,29 @@ class Explorer:
         return self.explored(lambda: super(Explorer, self)._sample_action(*arguments))  # type: ignore[misc]
 
 
+# Of policies
+
+
+class Layers:
+    """A mixin for the policy of an on-policy algorithm: `make_layers` makes its hidden layers, with the layers of
+    the library as a function that it may call."""
+
+    make_layers: Callable[[Callable[[], None]], None]
+
+    def _build_mlp_extractor(self) -> None:
+        self.make_layers(super()._build_mlp_extractor)  # type: ignore[misc]
+
+
+def makes_layers(policy: type) -> bool:
+    """Return whether a class of policies has a critic with layers of its own, as on-policy algorithms have."""
+    return hasattr(policy, "_build_mlp_extractor")
+
+
+def has_memory(policy: type) -> bool:
+    """Return whether a class of policies is recurrent."""
+    return hasattr(policy, "_process_sequence")
+
+
 # Of buffers and statistics
 
 # Of a buffer for hindsight: the rows in which the running episodes begin.

@@ -33,6 +33,7 @@ from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointS
 from deepbots_cli.learning.demonstrations import Demonstrations
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3 import algorithms, critics, internals, models, networks, rollouts, state
+from deepbots_cli.learning.sb3.asymmetric import widened
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment, as_returned, spaces_only
 from deepbots_cli.learning.sb3.imitation import (
     Lessons,
@@ -97,6 +98,7 @@ class StableLearner(Learner):
             longest_episode=setup.longest_episode,
             to_learn=setup.collector is not None,
             mixin=self.mixin,
+            policy_columns=setup.policy_columns,
         )
         self.takes_masks = algorithms.takes_masks(self.model)
         self._takes_fragments = not self.is_off_policy and algorithms.collects_as_usual(
@@ -181,6 +183,8 @@ class StableLearner(Learner):
         )
         if actions is not None:
             return actions, None
+        if self.setup.policy_columns is not None:
+            observation = widened(self.model.observation_space, self.setup.policy_columns, observation)
         masks = {} if action_masks is None else {"action_masks": action_masks}
         with models.overflow_explained():
             actions, state = self.model.predict(
@@ -297,6 +301,8 @@ class StableLearner(Learner):
     # For explanations
 
     def values(self, observations: Any) -> Array | None:
+        if self.setup.policy_columns is not None:  # the observations lack what the critic sees
+            return None
         return networks.critic_values(self.setup.training, self.model.policy, observations)
 
     def network(self) -> networks.PolicyNetwork:

@@ -88,6 +88,9 @@ def save(path: Path, model: BaseAlgorithm) -> None:
         for name, value in vars(model).items()
         if name not in left_out and (name in _PICKLED_ENTRIES or is_json_serializable(value))
     }
+    if isinstance(getattr(model.policy, "columns", None), tuple):
+        # The class of a policy whose critic sees more is made here: plain Stable-Baselines3 cannot load it.
+        data = {name: value for name, value in data.items() if name != "policy_class"}
     # A schedule is a function of ours; training on elsewhere begins with the present rate.
     rate = data["learning_rate"] = float(model.lr_schedule(max(0.0, internals.progress_remaining(model))))
     parameters = model.get_parameters()

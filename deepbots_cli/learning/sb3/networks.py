@@ -17,6 +17,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor, NatureCNN
 from torch import nn
 
 from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.sb3.asymmetric import PolicyColumns, policy_extractor
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.worlds import Array
 from deepbots_cli.scenario.training import ALGORITHMS
@@ -30,12 +31,14 @@ def likeliest_actions(policy: Any, observations: Any) -> Array | None:
     not finite, which `predict` then reports.
     """
     space = policy.action_space
+    if not _is_layers(policy):
+        return None
     is_rows = (
         isinstance(observations, np.ndarray)
         and observations.ndim == 2
-        and observations.shape[1:] == policy.observation_space.shape
+        and observations.shape[1] == policy.pi_features_extractor.features_dim
     )
-    if not _is_layers(policy) or not is_rows:
+    if not is_rows:
         return None
     with torch.no_grad():
         seen = torch.from_numpy(observations).to(policy.action_net.weight.device, torch.float32)
@@ -61,8 +64,9 @@ def sampled_actions(
     """
     if not _is_layers(policy) or seen.ndim != 2 or seen.dtype != torch.float32:
         return None
-    layers = policy.mlp_extractor
-    scores, values = policy.action_net(layers.policy_net(seen)), policy.value_net(layers.value_net(seen))
+    layers, extractor = policy.mlp_extractor, policy.pi_features_extractor
+    own = extractor.own(seen) if isinstance(extractor, PolicyColumns) else seen
+    scores, values = policy.action_net(layers.policy_net(own)), policy.value_net(layers.value_net(seen))
     if not scores.isfinite().all():
         return None
     if isinstance(policy.action_space, spaces.Discrete):  # as `Categorical` does
@@ -79,7 +83,9 @@ def sampled_actions(
 
 def _is_layers(policy: Any) -> bool:
     """Return whether a policy consists only of layers over an array, for one choice or for ranges."""
-    if type(policy) is not ActorCriticPolicy or type(policy.features_extractor) is not FlattenExtractor:
+    extractor = getattr(policy, "pi_features_extractor", None)
+    policy_class = type(policy).__bases__[-1] if isinstance(extractor, PolicyColumns) else type(policy)
+    if policy_class is not ActorCriticPolicy or type(policy_extractor(extractor)) is not FlattenExtractor:
         return False
     space = policy.action_space
     is_vector = isinstance(space, spaces.Box) and len(space.shape) == 1
@@ -130,9 +136,9 @@ def policy_network(training: Training, policy: Any) -> PolicyNetwork:
         squashed = base in ("SAC", "TQC")
         extractor = actor.features_extractor
         layers = nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()) if squashed else actor.mu
+    space: Any = extractor.space if isinstance(extractor, PolicyColumns) else policy.observation_space
     # An observation with several parts has an extractor for each of them.
-    extractors = getattr(extractor, "extractors", None)
-    space = policy.observation_space
+    extractors = getattr(policy_extractor(extractor), "extractors", None)
     parts = space.spaces if extractors is not None else {"observation": space}
     images = frozenset(name for name, part in parts.items() if is_image_space(part))
     return PolicyNetwork(
